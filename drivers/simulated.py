@@ -1,0 +1,57 @@
+"""A robot that does not exist: the driver closes its loop through the plant of ``robofleet.vehicles.plant``."""
+
+from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, TruePose, WheelSpeeds
+from robofleet.vehicles.plant import Plant
+
+_NS = 1e-9
+
+
+class SimulatedRobot:
+    """Integrates the plant up to the present whenever it is written to or read from."""
+
+    def __init__(self, context: DriverContext) -> None:
+        sim = context.simulation
+        self._now_ns = context.now_ns
+        self._plant = Plant(context.drive, sim.imperfections, sim.start, sim.rng)
+        self._longest_step_s = sim.imperfections.loop_period
+        self._stalls = sim.stalls
+        self._command = STOP
+        self._reached_ns = context.now_ns()
+        self._first_motion_ns: int | None = None
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        """Command the wheels from now on [rad/s]."""
+        self._advance()
+        self._command = wheels
+        if self._first_motion_ns is None and wheels != STOP:
+            self._first_motion_ns = self._reached_ns
+
+    def read(self) -> DriverReading:
+        """Return encoders and battery now."""
+        self._advance()
+        return self._plant.reading()
+
+    def truth(self) -> TruePose:
+        """Return the true pose now."""
+        self._advance()
+        return self._plant.truth()
+
+    def close(self) -> None:
+        """Motors off."""
+        self.write(STOP)
+
+    def _advance(self) -> None:
+        now_ns = self._now_ns()
+        while (remaining_s := (now_ns - self._reached_ns) * _NS) > 0.0:
+            if remaining_s <= self._longest_step_s:
+                step_ns = now_ns - self._reached_ns
+            else:
+                step_ns = int(self._longest_step_s / _NS)
+            self._plant.step(self._command, step_ns * _NS, blocked=self._blocked())
+            self._reached_ns += step_ns
+
+    def _blocked(self) -> bool:
+        if not self._stalls or self._first_motion_ns is None:
+            return False
+        elapsed_s = (self._reached_ns - self._first_motion_ns) * _NS
+        return any(stall.start <= elapsed_s < stall.end for stall in self._stalls)

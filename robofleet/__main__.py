@@ -1,0 +1,5 @@
+"""``python -m robofleet``."""
+
+from robofleet.cli import main
+
+main()

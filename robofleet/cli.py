@@ -1,0 +1,188 @@
+"""The operator's commands. Exit 0: completed; 1: ended by a fault or by the operator; 2: bad input."""
+
+import json
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robofleet.clock import WallClock, utc_now
+from robofleet.configload import ConfigError, load_config
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robofleet.config import Config
+
+app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+
+ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
+Overrides = Annotated[
+    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable.")
+]
+LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
+
+
+class _Refused(Exception):
+    """Bad input; one line a fault."""
+
+
+@app.command()
+def run(
+    config: ConfigFile,
+    lockstep: Annotated[bool, typer.Option(help="One process on a simulated clock: fast and repeatable.")] = False,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; default: run.duration_s.")] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Default: run.seed.")] = None,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults of simulated robots.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    quiet: Annotated[bool, typer.Option(help="No live view.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
+) -> None:
+    """Drive the platoon: start, arm, run, stop; then a table, and DIR/summary.json.
+
+    robofleet run configs/platoon.yaml
+
+    robofleet run configs/platoon.yaml --lockstep --set groups.0.track=centre
+    """
+    changes = [*overrides]
+    if duration is not None:
+        changes.append(f"run.duration_s={duration}")
+    if seed is not None:
+        changes.append(f"run.seed={seed}")
+    with _bad_input():
+        tree = _checked(config, changes, faults)
+        if not lockstep:
+            tree = _settled(tree)
+        folder = _new_folder(out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}")
+    summary = _run(tree, config.stem, folder, lockstep=lockstep, quiet=quiet)
+    (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    if as_json:
+        print(json.dumps(summary))
+    else:
+        from rich.console import Console  # noqa: PLC0415
+
+        from robofleet.recording.report import summary_table  # noqa: PLC0415
+
+        Console().print(summary_table(summary))
+        print(f"{folder / 'summary.json'}")
+    if summary["outcome"] != "completed":
+        print(f"{summary['outcome']}: {summary['cause']}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
+    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved."""
+    with _bad_input():
+        tree = _checked(config, overrides, None)
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    from robofleet.processes.check import proofs  # noqa: PLC0415
+
+    table = Table("proved", "value", "limit", title=f"{config}: can run", title_justify="left")
+    for row in proofs(tree):
+        table.add_row(*row)
+    Console().print(table)
+
+
+def _process(name: str) -> None:
+    def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+        from robofleet.processes import child  # noqa: PLC0415
+        from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+        with _bad_input():
+            tree = load_config(config)
+        getattr(child, name)(tree, Lifeline(lifeline))
+
+    app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
+
+
+for _name in ("router", "controller", "tracker", "supervisor"):
+    _process(_name)
+
+
+@app.command()
+def driver(
+    config: ConfigFile,
+    robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
+    lifeline: LifelineFd = None,
+) -> None:
+    """The drivers of some robots, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    with _bad_input():
+        tree = load_config(config)
+        names = tuple(robots.split(","))
+        known = [robot.id for robot in tree.robots]
+        for unknown in (name for name in names if name not in known):
+            raise _Refused(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+    child.driver(tree, Lifeline(lifeline), names)
+
+
+def main() -> None:
+    """Run a command."""
+    app()
+
+
+@contextmanager
+def _bad_input() -> "Iterator[None]":
+    """End with exit code 2 and one line a fault."""
+    try:
+        yield
+    except (ConfigError, _Refused) as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
+
+
+def _checked(config: Path, overrides: list[str], faults: Path | None) -> "Config":
+    from robofleet.processes.check import load_checked  # noqa: PLC0415
+
+    return load_checked(config, overrides, faults)
+
+
+def _settled(tree: "Config") -> "Config":
+    """Choose the router's port; a port in use is refused."""
+    from robofleet.processes.launcher import bind_endpoint  # noqa: PLC0415
+
+    try:
+        endpoint = bind_endpoint(tree.bus.endpoint)
+    except OSError as error:
+        raise _Refused(
+            f"bus.endpoint: {tree.bus.endpoint} cannot be used ({error.strerror}): "
+            "end the run that has it, or take port 0 for any free one"
+        ) from error
+    return tree.model_copy(update={"bus": tree.bus.model_copy(update={"endpoint": endpoint})})
+
+
+def _new_folder(folder: Path) -> Path:
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise _Refused(f"--out: {folder} is there already and not empty: name another folder")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _Refused(f"--out: {folder} cannot be made: {error.strerror}") from error
+    return folder
+
+
+def _run(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool) -> dict[str, Any]:
+    from robofleet.processes.live import LiveView  # noqa: PLC0415
+    from robofleet.recording.metrics import summary  # noqa: PLC0415
+
+    with LiveView(tree, WallClock(), quiet=quiet) as view:
+        if lockstep:
+            from robofleet.processes.lockstep import Lockstep  # noqa: PLC0415
+
+            run_ = Lockstep(tree)
+            outcome, cause = run_.run(view)
+        else:
+            from robofleet.processes.launcher import Launcher  # noqa: PLC0415
+
+            run_ = Launcher(tree, folder, view)
+            outcome, cause = run_.run()
+    mode = "lockstep" if lockstep else "realtime"
+    return summary(run_.recording, name=name, mode=mode, outcome=outcome, cause=cause)

@@ -1,0 +1,91 @@
+"""The only module that reads time. Processes are given a Clock; pure code is given ``t`` and ``dt``.
+
+Instants are integer nanoseconds on a clock that also runs while the machine is suspended. Two hosts' instants are
+never compared.
+"""
+
+import time
+from datetime import UTC, datetime
+from typing import Protocol
+
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+_SPIN_NS = 500_000  # the kernel may wake a sleeper this late; the rest is spun
+
+MS = 1_000_000  # [ns]
+S = 1_000_000_000  # [ns]
+
+
+class Clock(Protocol):
+    """Where a process gets its time from."""
+
+    def now_ns(self) -> int:
+        """Return this host's instant [ns]."""
+
+    def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
+        """Return at ``instant_ns`` or just after; ``precise`` spins through the last half millisecond."""
+
+
+class WallClock:
+    """Real time."""
+
+    def now_ns(self) -> int:
+        """Return CLOCK_BOOTTIME [ns]."""
+        return time.clock_gettime_ns(_CLOCK)
+
+    def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
+        """Sleep to an absolute instant."""
+        margin = _SPIN_NS if precise else 0
+        while (remaining := instant_ns - self.now_ns() - margin) > 0:
+            time.sleep(remaining / S)
+        while self.now_ns() < instant_ns:
+            pass
+
+
+class SimulatedClock:
+    """Time that moves only when told to: lockstep's."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        """Return the simulated instant [ns]."""
+        return self._now_ns
+
+    def advance_to(self, instant_ns: int) -> None:
+        """Move to a later instant."""
+        if instant_ns < self._now_ns:
+            raise ValueError(f"the clock stands at {self._now_ns} ns and cannot go back to {instant_ns} ns")
+        self._now_ns = instant_ns
+
+    def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
+        """Do nothing: lockstep calls a process when its instant has come. Waiting for the future is an error."""
+        if instant_ns > self._now_ns:
+            raise RuntimeError("a process of a lockstep run tried to wait")
+
+
+class TickGrid:
+    """Fixed instants ``origin + k * period``. An overrun skips to the next one: ticks are never made up in a burst."""
+
+    def __init__(self, origin_ns: int, period_ns: int) -> None:
+        self.origin_ns = origin_ns
+        self.period_ns = period_ns
+
+    def instant(self, index: int) -> int:
+        """Return the instant of a tick [ns]."""
+        return self.origin_ns + index * self.period_ns
+
+    def index_at(self, now_ns: int) -> int:
+        """Return the newest tick that is due at ``now_ns``."""
+        return (now_ns - self.origin_ns) // self.period_ns
+
+
+def stopwatch_ns() -> int:
+    """Return an instant for measuring how long code took, in every mode [ns]."""
+    return time.perf_counter_ns()
+
+
+def utc_now() -> datetime:
+    """Return the date and time, for names of folders."""
+    return datetime.now(UTC)
+
+

@@ -1,0 +1,184 @@
+"""One bus, two ways to carry it: Zenoh between processes, memory inside a lockstep run.
+
+Subscribers on the control path keep the newest message only; a stream keeps a bounded number and drops the oldest.
+Publishing never blocks.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from robofleet.clock import Clock
+from robofleet.comms.keys import REQUEST, Topic, key
+from robofleet.comms.messages import Layout, ListLayout
+
+M = TypeVar("M")
+
+Publish = Callable[[bytes], None]
+Wake = Callable[[int], None]  # called with the instant [ns] when a message arrives
+
+
+class Subscription(Protocol):
+    """Messages of one key that arrived and were not taken yet."""
+
+    arrival_ns: int  # of the message taken last; known to those who are woken
+
+    def take(self) -> bytes | None:
+        """Return the newest message, or None if nothing new came."""
+
+
+class Stream(Protocol):
+    """All messages of a key expression, oldest first."""
+
+    def drain(self) -> list[tuple[str, bytes]]:
+        """Return (key, payload) of everything that came since the last call."""
+
+
+class Request(Protocol):
+    """Something an operator asks of a process."""
+
+    text: str
+
+    def reply(self, text: str) -> None:
+        """Answer it."""
+
+
+class Bus(Protocol):
+    """What a process sees of the others."""
+
+    def publisher(self, topic: Topic, name: str = "") -> Publish:
+        """Return the function that publishes on a topic."""
+
+    def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
+        """Subscribe to a topic; ``wake`` is called, from any thread, when a message comes."""
+
+    def stream(self, expression: str, capacity: int) -> Stream:
+        """Subscribe to everything that matches a key expression."""
+
+    def serve(self, process: str) -> Callable[[], Request | None]:
+        """Return the function that takes the next request to this process, or None."""
+
+    def ask(self, process: str, text: str) -> str:
+        """Send a request to a process and return its answer; TimeoutError if nobody answers."""
+
+    def close(self) -> None:
+        """Leave the bus. Idempotent."""
+
+
+class Inbox(Generic[M]):
+    """Decoded messages of one key; one that fails decoding is counted and dropped."""
+
+    def __init__(self, subscription: Subscription, layout: "Layout[M] | ListLayout[M]") -> None:  # type: ignore[type-var]
+        self._take = subscription.take
+        self._decode = layout.decode
+        self.rejected = 0
+
+    def take(self) -> M | None:
+        """Return the newest valid message, or None if nothing new came."""
+        payload = self._take()
+        if payload is None:
+            return None
+        message = self._decode(payload)
+        if message is None:
+            self.rejected += 1
+        return message
+
+
+class MemoryBus:
+    """Every message arrives ``delay_ns`` after it was published, on a simulated clock. Single-threaded."""
+
+    def __init__(self, arena: str, clock: Clock, delay_ns: int) -> None:
+        self._arena, self._clock, self._delay_ns = arena, clock, delay_ns
+        self._subscribers: dict[str, list[_MemoryQueue]] = {}
+        self._taps: list[Callable[[str, bytes], None]] = []
+
+    def tap(self, observe: Callable[[str, bytes], None]) -> None:
+        """Call ``observe`` with every message at the moment when it is published."""
+        self._taps.append(observe)
+
+    def publisher(self, topic: Topic, name: str = "") -> Publish:
+        """Return the function that publishes on a topic."""
+        full = key(self._arena, topic, name)
+        queues = self._subscribers.setdefault(full, [])
+        clock, delay_ns, taps = self._clock, self._delay_ns, self._taps
+
+        def publish(payload: bytes) -> None:
+            arrival_ns = clock.now_ns() + delay_ns
+            for queue in queues:
+                queue.put(arrival_ns, payload)
+            for observe in taps:
+                observe(full, payload)
+
+        return publish
+
+    def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
+        """Subscribe to a topic."""
+        return self._queue(key(self._arena, topic, name), 64, wake)
+
+    def stream(self, expression: str, capacity: int) -> Stream:
+        """Subscribe to one key (wildcards are the tap's)."""
+        return self._queue(expression, capacity, None)
+
+    def serve(self, process: str) -> Callable[[], Request | None]:
+        """Return the function that takes the next request."""
+        queue = self._queue(key(self._arena, REQUEST, process), 64, None)
+
+        def take() -> Request | None:
+            payload = queue.take()
+            return None if payload is None else _MemoryRequest(payload.decode())
+
+        return take
+
+    def ask(self, process: str, text: str) -> str:
+        """Send a request; in lockstep nobody waits for the answer."""
+        self.publisher(REQUEST, process)(text.encode())
+        return ""
+
+    def close(self) -> None:
+        """Nothing to leave."""
+
+    def _queue(self, full: str, capacity: int, wake: Wake | None) -> "_MemoryQueue":
+        queue = _MemoryQueue(full, self._clock, capacity, wake)
+        self._subscribers.setdefault(full, []).append(queue)
+        return queue
+
+
+class _MemoryQueue:
+    """Messages under way to one subscriber."""
+
+    __slots__ = ("_clock", "_key", "_messages", "_wake", "arrival_ns")
+
+    def __init__(self, full: str, clock: Clock, capacity: int, wake: Wake | None) -> None:
+        self._key, self._clock, self._wake = full, clock, wake
+        self._messages: deque[tuple[int, bytes]] = deque(maxlen=capacity)
+        self.arrival_ns = 0
+
+    def put(self, arrival_ns: int, payload: bytes) -> None:
+        self._messages.append((arrival_ns, payload))
+        if self._wake is not None:
+            self._wake(arrival_ns)
+
+    def take(self) -> bytes | None:
+        newest = None
+        if self._messages:
+            now_ns = self._clock.now_ns()
+            while self._messages and self._messages[0][0] <= now_ns:
+                self.arrival_ns, newest = self._messages.popleft()
+        return newest
+
+    def drain(self) -> list[tuple[str, bytes]]:
+        now_ns = self._clock.now_ns()
+        arrived = []
+        while self._messages and self._messages[0][0] <= now_ns:
+            arrived.append((self._key, self._messages.popleft()[1]))
+        return arrived
+
+
+class _MemoryRequest:
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def reply(self, text: str) -> None:
+        """Lockstep's asker does not wait."""
+
+

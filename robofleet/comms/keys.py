@@ -1,0 +1,35 @@
+"""The table of topics: who says what to whom, how often, and with which quality of service."""
+
+from typing import NamedTuple
+
+
+class Topic(NamedTuple):
+    """One row; ``{}`` in the key is a robot, a camera or a process."""
+
+    key: str
+    period_s: float  # nominal; 0: on demand
+    priority: str  # Zenoh's names
+    reliable: bool = False
+
+
+COMMAND = Topic("robot/{}/cmd", 0.033, "REAL_TIME")
+STATUS = Topic("robot/{}/status", 0.020, "DATA_HIGH")
+ENABLE = Topic("robot/{}/enable", 0.040, "REAL_TIME")
+POSES = Topic("poses/{}", 0.033, "REAL_TIME")
+TICK = Topic("tick", 0.033, "DATA")
+STATE = Topic("state", 0.040, "REAL_TIME", reliable=True)
+TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW")
+REQUEST = Topic("request/{}", 0.0, "REAL_TIME", reliable=True)
+ALIVE = Topic("alive/{}", 0.0, "DATA", reliable=True)
+
+TOPICS = (COMMAND, STATUS, ENABLE, POSES, TICK, STATE, TRUTH, REQUEST, ALIVE)
+
+
+def key(arena: str, topic: Topic, name: str = "") -> str:
+    """Return the full key of a topic."""
+    return f"rf/{arena}/{topic.key.format(name)}"
+
+
+def everything(arena: str) -> str:
+    """Return the key expression of all that is said in an arena."""
+    return f"rf/{arena}/**"

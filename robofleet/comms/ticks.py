@@ -1,0 +1,43 @@
+"""Where the controller's ticks fall on this host's clock, without comparing two hosts' stamps."""
+
+from collections import deque
+
+from robofleet.comms.bus import Bus, Inbox, Wake
+from robofleet.comms.keys import TICK
+from robofleet.comms.messages import TICK_RECORD
+
+_WINDOW = 64  # ticks; the least delayed one of them tells
+
+
+class TickFollower:
+    """Follows the controller's ticks by the arrival of their records.
+
+    A record arrives after its tick by the time the bus takes. Over a window the least delayed one gives the grid's
+    place on this clock, late by the shortest of these times.
+    """
+
+    def __init__(self, bus: Bus, period_ns: int, wake: Wake) -> None:
+        self._period_ns = period_ns
+        self._ticks = bus.newest(TICK, wake=wake)
+        self._inbox = Inbox(self._ticks, TICK_RECORD)
+        self._origins: deque[int] = deque(maxlen=_WINDOW)
+        self.newest = 0  # number of the newest tick known; 0: none yet
+        self.newest_stamp_ns = 0  # its instant on the CONTROLLER's clock: a simulated trigger line, on one host
+
+    def update(self) -> None:
+        """Take the newest record, if one came."""
+        record = self._inbox.take()
+        if record is None:
+            return
+        if record.tick < self.newest:
+            self._origins.clear()  # another controller
+        self.newest, self.newest_stamp_ns = record.tick, record.stamp_ns
+        self._origins.append(self._ticks.arrival_ns - record.tick * self._period_ns)
+
+    def instant(self, tick: int) -> int:
+        """Return when a tick falls on this host's clock [ns]."""
+        return min(self._origins) + tick * self._period_ns
+
+    def nearest(self, instant_ns: int) -> int:
+        """Return the number of the tick nearest to an instant of this host's clock."""
+        return round((instant_ns - min(self._origins)) / self._period_ns)

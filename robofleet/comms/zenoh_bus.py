@@ -1,0 +1,158 @@
+"""The bus over Zenoh: every process a client of one router, fixed endpoints, no scouting, no listening."""
+
+import json
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from robofleet.clock import Clock
+from robofleet.comms.bus import Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.keys import ALIVE, REQUEST, Topic, key
+
+_ANSWER_TIMEOUT_S = 1.0
+_TRANSPORT = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/link/tx/lease": 500,  # [ms]; the default of 10 s would hide a stopped process for as long
+    "transport/link/tx/keep_alive": 4,
+}
+
+
+def open_router(endpoint: str) -> zenoh.Session:
+    """Start Zenoh's router in this process, listening on ``endpoint``; close it in a ``finally``."""
+    return _open({"mode": "router", "listen/endpoints": [endpoint]})
+
+
+class ZenohBus:
+    """A client of the router; close it in a ``finally``: an open session keeps the interpreter from exiting."""
+
+    def __init__(self, arena: str, endpoint: str, process: str, clock: Clock) -> None:
+        self._arena, self._clock = arena, clock
+        self._closed = False
+        self._session = _open(
+            {
+                "mode": "client",
+                "connect/endpoints": [endpoint],
+                "listen/endpoints": [],
+                "connect/timeout_ms": -1,
+                "connect/exit_on_failure": False,
+                "connect/retry": {
+                    "period_init_ms": 100,
+                    "period_max_ms": 500,
+                    "period_increase_factor": 1.5,
+                },
+            }
+        )
+        name = f"{process}/{self._session.info.zid()}"
+        self._token = self._session.liveliness().declare_token(key(arena, ALIVE, name))
+
+    def publisher(self, topic: Topic, name: str = "") -> Publish:
+        """Return the function that publishes on a topic; it never blocks."""
+        publisher = self._session.declare_publisher(
+            key(self._arena, topic, name),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=getattr(zenoh.Priority, topic.priority),
+            reliability=zenoh.Reliability.RELIABLE if topic.reliable else zenoh.Reliability.BEST_EFFORT,
+        )
+
+        def publish(payload: bytes) -> None:
+            publisher.put(payload)
+
+        return publish
+
+    def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
+        """Subscribe to a topic."""
+        full = key(self._arena, topic, name)
+        if wake is not None:
+            return _Slot(self._session, full, wake, self._clock)
+        return _Ring(self._session.declare_subscriber(full, zenoh.handlers.RingChannel(1)))
+
+    def stream(self, expression: str, capacity: int) -> Stream:
+        """Subscribe to everything that matches a key expression."""
+        return _Ring(self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(capacity)))
+
+    def serve(self, process: str) -> Callable[[], Request | None]:
+        """Return the function that takes the next request to this process."""
+        full = key(self._arena, REQUEST, process)
+        queryable = self._session.declare_queryable(full, zenoh.handlers.RingChannel(16))
+
+        def take() -> Request | None:
+            query = queryable.try_recv()
+            return None if query is None else _ZenohRequest(query)
+
+        return take
+
+    def ask(self, process: str, text: str) -> str:
+        """Send a request to a process and return its answer."""
+        full = key(self._arena, REQUEST, process)
+        for reply in self._session.get(full, payload=text.encode(), timeout=_ANSWER_TIMEOUT_S):
+            if reply.ok is not None:
+                return bytes(reply.ok.payload).decode()
+        raise TimeoutError(f"{process} does not answer on {full}")
+
+    def close(self) -> None:
+        """Leave the bus. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            self._session.close()
+
+
+class _Ring:
+    arrival_ns = 0
+
+    def __init__(self, subscriber: Any) -> None:
+        self._try_recv = subscriber.try_recv
+        self._subscriber = subscriber
+
+    def take(self) -> bytes | None:
+        newest = None
+        while (sample := self._try_recv()) is not None:
+            newest = sample
+        return None if newest is None else bytes(newest.payload)
+
+    def drain(self) -> list[tuple[str, bytes]]:
+        arrived = []
+        while (sample := self._try_recv()) is not None:
+            arrived.append((str(sample.key_expr), bytes(sample.payload)))
+        return arrived
+
+
+class _Slot:
+    """Newest message, written by Zenoh's own thread, which then wakes the process."""
+
+    def __init__(self, session: zenoh.Session, full: str, wake: Wake, clock: Clock) -> None:
+        self._newest: deque[tuple[int, bytes]] = deque(maxlen=1)
+        self.arrival_ns = 0
+
+        def put(sample: zenoh.Sample) -> None:
+            arrival_ns = clock.now_ns()
+            self._newest.append((arrival_ns, bytes(sample.payload)))
+            wake(arrival_ns)
+
+        self._subscriber = session.declare_subscriber(full, zenoh.handlers.Callback(put, indirect=False))
+
+    def take(self) -> bytes | None:
+        if not self._newest:
+            return None
+        self.arrival_ns, payload = self._newest.pop()
+        return payload
+
+
+class _ZenohRequest:
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+        payload = query.payload
+        self.text = "" if payload is None else bytes(payload).decode(errors="replace")
+
+    def reply(self, text: str) -> None:
+        """Answer it."""
+        self._query.reply(self._query.key_expr, text.encode())
+
+
+def _open(settings: dict[str, Any]) -> zenoh.Session:
+    config = zenoh.Config()
+    for name, value in (settings | _TRANSPORT).items():
+        config.insert_json5(name, json.dumps(value))
+    return zenoh.open(config)

@@ -1,0 +1,242 @@
+"""The configuration: one YAML, one frozen tree. ``configload.py`` reads it and reports what is wrong where.
+
+Every key carries its unit. World frame: the arena's centre on the floor, x along the long side, y left, z up.
+"""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
+ENDPOINT_PATTERN = r"^tcp/[^\s/]+:\d{1,5}$"
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Vector2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
+Vector3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
+
+
+class Model(BaseModel):
+    """A frozen part of the tree; unknown keys are refused, and a number must be a number."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Arena(Model):
+    """The floor the robots may be on: a rectangle around the world's origin."""
+
+    name: Name
+    size_m: Annotated[tuple[Positive, Positive], Field(strict=False)]
+
+
+class BusSettings(Model):
+    """Where the router listens; port 0 takes any free one."""
+
+    endpoint: Annotated[str, Field(pattern=ENDPOINT_PATTERN)] = "tcp/127.0.0.1:0"
+
+
+class PlantErrors(Model):
+    """How far a simulated robot is from ideal. Spreads are half widths of a uniform draw, one a run."""
+
+    motor_lag_s: NonNegative
+    speed_quantum_rad_s: NonNegative
+    loop_period_s: Positive
+    deadband_rad_s: NonNegative
+    breakaway_rad_s: NonNegative
+    wheel_gain_spread: Fraction
+    wheel_base_spread: Fraction
+    slip_s_per_rad: NonNegative
+    slip_noise: NonNegative
+    top_speed_sag: Fraction
+    battery_life_s: Positive
+
+
+class Vehicle(Model):
+    """A kind of robot (a file of ``configs/robots``): what the controller believes, and the errors."""
+
+    wheel_radius_m: Positive
+    wheel_base_m: Positive
+    body_radius_m: Positive
+    max_wheel_speed_rad_s: Positive
+    max_speed_m_s: Positive
+    motor_lag_s: NonNegative
+    simulated: PlantErrors
+
+
+class StartPose(Model):
+    """Where a simulated robot's centre stands at first [world frame; heading CCW +]."""
+
+    x_m: Finite
+    y_m: Finite
+    heading_deg: Finite
+
+    @property
+    def psi(self) -> float:
+        """Heading in (-pi, pi] [rad]."""
+        return math.remainder(math.radians(self.heading_deg), math.tau)
+
+
+class Robot(Model):
+    """One robot of the fleet."""
+
+    id: Name
+    tag: Annotated[int, Field(ge=0, le=586)]  # AprilTag 36h11 has 587 ids
+    driver: Annotated[str, Field(min_length=1)] = "simulated"
+    vehicle: Vehicle
+    start: StartPose
+
+
+class Knot(Model):
+    """A joint of the path: position and derivative with respect to the parameter, one unit a side."""
+
+    at_m: Vector2
+    derivative_m: Vector2
+
+
+class PathFile(Model):
+    """A closed path of Hermite cubics (a file of ``configs/paths``)."""
+
+    knots: Annotated[tuple[Knot, ...], Field(min_length=2, strict=False)]
+
+
+class Group(Model):
+    """Robots that do something together, first one first."""
+
+    behaviour: Literal["platoon"]
+    robots: Annotated[tuple[Name, ...], Field(min_length=1, strict=False)]
+    path: PathFile
+    spacing_m: Positive
+    path_rate: Positive  # gamma [sides of the path per second]
+    track: Literal["point", "centre"] = "point"
+
+
+class FilterSettings(Model):
+    """The fleet filter: standard deviations of a pose measurement, and the prediction's loss of certainty."""
+
+    position_noise_m: Positive = 0.0004
+    heading_noise_rad: Positive = 0.006
+    position_drift_m: Positive = 0.0015  # after one second [m / sqrt(s)]
+    heading_drift_rad: Positive = 0.06  # after one second [rad / sqrt(s)]
+    gate_sigma: Positive = 5.0  # a measurement further off than this is an outlier
+    lost_after_s: Positive = 0.5  # without a measurement for so long, a robot is lost and stands still
+
+
+class ControllerSettings(Model):
+    """The NR flow and its tick."""
+
+    tick_s: Positive
+    alpha: Positive
+    horizon_s: Positive  # T
+    point_ahead_m: Positive  # l
+    integrator: Literal["exact", "euler"] = "exact"
+    command_delay_s: NonNegative = 0.002  # from the tick to the moment when its commands act
+    filter: FilterSettings = FilterSettings()
+
+
+class TruthSettings(Model):
+    """Poses without pixels (``tracker.source: truth``)."""
+
+    position_noise_m: NonNegative = 0.0
+    heading_noise_rad: NonNegative = 0.0
+    delay_s: NonNegative = 0.01
+    jitter_s: NonNegative = 0.0
+    dropout: Fraction = 0.0
+
+
+class TrackerSettings(Model):
+    """Where poses come from."""
+
+    source: Literal["camera", "truth"]
+    tag_side_m: Positive
+    tag_height_m: NonNegative
+    truth: TruthSettings = TruthSettings()
+
+
+class PoseSettings(Model):
+    """A rigid transform: camera to world."""
+
+    position_m: Vector3
+    rotation_rad: Vector3  # axis times angle (Rodrigues)
+
+
+class CameraModel(Model):
+    """A calibrated camera (a file of ``configs/cameras``): pinhole, OpenCV's distortion k1 k2 p1 p2 k3."""
+
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    focal_px: Annotated[tuple[Positive, Positive], Field(strict=False)]
+    centre_px: Vector2  # integer coordinates are pixel centres
+    distortion: Annotated[tuple[Finite, Finite, Finite, Finite, Finite], Field(strict=False)]
+    T_world_camera: PoseSettings
+
+
+class CameraSettings(Model):
+    """The overhead camera. ``trigger: tick`` exposes a fixed time before every tick; ``free`` does not."""
+
+    source: Annotated[str, Field(min_length=1)] = "simulated"
+    model: CameraModel
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    rate_hz: Positive
+    trigger: Literal["free", "tick"] = "tick"
+    trigger_lead_s: Positive = 0.018  # from mid-exposure to the tick
+    exposure_s: Positive = 0.004
+    readout_s: NonNegative = 0.004
+    noise_gray: NonNegative = 3.0
+
+
+class LockstepSettings(Model):
+    """What a lockstep run charges for work that takes no simulated time."""
+
+    bus_delay_s: Positive = 0.001
+    tracker_delay_s: NonNegative = 0.004
+
+
+class Fault(Model):
+    """A timed fault of a simulated robot. Time counts from its first motion command."""
+
+    robot: Name
+    kind: Literal["motor_stuck"]
+    at_s: NonNegative
+    duration_s: Positive
+
+
+class RunSettings(Model):
+    """One run."""
+
+    duration_s: Positive
+    settle_s: NonNegative = 1.4
+    spacing_settle_s: NonNegative = 5.0
+    seed: Annotated[int, Field(ge=0)] = 1
+    attended: bool = False
+
+
+class Config(Model):
+    """The whole tree."""
+
+    arena: Arena
+    bus: BusSettings = BusSettings()
+    robots: Annotated[tuple[Robot, ...], Field(min_length=1, strict=False)]
+    groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=1, strict=False)]
+    controller: ControllerSettings
+    tracker: TrackerSettings
+    camera: CameraSettings
+    run: RunSettings
+    lockstep: LockstepSettings = LockstepSettings()
+    faults: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
+
+    def robot(self, robot_id: str) -> Robot:
+        """Return a robot by its id; KeyError if there is none."""
+        for robot in self.robots:
+            if robot.id == robot_id:
+                return robot
+        raise KeyError(robot_id)
+
+    @property
+    def platoon(self) -> tuple[Robot, ...]:
+        """The robots of the group, leader first: the order of every array and of every report."""
+        return tuple(self.robot(robot_id) for robot_id in self.groups[0].robots)

@@ -1,0 +1,115 @@
+"""What can be wrong with a configuration, in plain words: single keys, and keys that contradict others."""
+
+import difflib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import get_args
+
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from robofleet.config import ENDPOINT_PATTERN, NAME_PATTERN, Config
+
+Complaint = tuple[str, str]  # dotted path, message
+
+_WORDS = {
+    "missing": "is missing",
+    "model_type": "must be a mapping",
+    "tuple_type": "must be a list",
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "int_type": "must be a whole number",
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "string_too_short": "must not be empty",
+    "greater_than": "must be greater than {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "too_short": "needs {min_length} or more, has {actual_length}",
+    "too_long": "may have {max_length} at most, has {actual_length}",
+    "literal_error": "must be {expected}",
+}
+_PATTERNS = {
+    NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
+    ENDPOINT_PATTERN: "must look like tcp/127.0.0.1:0",
+}
+
+
+def plain_words(error: ErrorDetails) -> str:
+    """Return what is wrong and how to mend it, from one of pydantic's errors."""
+    kind, given, loc, context = error["type"], error["input"], error["loc"], error.get("ctx", {})
+    if kind == "extra_forbidden":
+        return f"unknown key: {did_you_mean(str(loc[-1]), _known_keys(loc[:-1]))}"
+    if kind == "missing" or given is None:
+        return "has too few values" if isinstance(loc[-1], int) and given is not None else "is missing"
+    rule = _PATTERNS.get(context.get("pattern", "")) or _WORDS.get(kind, error["msg"]).format(**context)
+    if isinstance(given, dict | list | tuple):
+        return rule
+    hint = ""
+    if kind in ("float_type", "int_type") and isinstance(given, str) and _is_number(given):
+        hint = ": remove the quotes"
+    elif kind == "string_type":
+        hint = ": quote it"
+    return f"{rule}, not {given!r}{hint}"
+
+
+def cross_checks(config: Config) -> list[Complaint]:
+    """Return what is wrong between keys that are right by themselves."""
+    camera, model = config.camera, config.camera.model
+    complaints = [
+        *_repeated("id", [robot.id for robot in config.robots]),
+        *_repeated("tag", [robot.tag for robot in config.robots]),
+        *_members(config),
+    ]
+    sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
+    for key, taken, calibrated in sizes:
+        if taken != calibrated:
+            message = (
+                f"{taken} px, but its model is calibrated for {calibrated}: mend one, or calibrate again"
+            )
+            complaints.append((f"camera.{key}", message))
+    return complaints
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return a hint at the nearest of the known names, else at all of them."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+
+
+def _known_keys(loc: Iterable[str | int]) -> list[str]:
+    """Return the keys that the mapping at ``loc`` may have."""
+    kind: type[BaseModel] = Config
+    for part in loc:
+        if isinstance(part, str):
+            annotation = kind.model_fields[part].annotation
+            kind = (get_args(annotation) or (annotation,))[0]
+    return list(kind.model_fields)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _repeated(key: str, values: Sequence[object]) -> Iterator[Complaint]:
+    for i, value in enumerate(values):
+        if (first := values.index(value)) < i:
+            yield f"robots.{i}.{key}", f"{value} is robots.{first}'s already: give each robot its own"
+
+
+def _members(config: Config) -> Iterator[Complaint]:
+    """Groups and faults that name no robot, and groups that name one twice."""
+    known = [robot.id for robot in config.robots]
+    named = [(f"faults.{i}.robot", fault.robot) for i, fault in enumerate(config.faults)]
+    for i, group in enumerate(config.groups):
+        for k, robot in enumerate(group.robots):
+            named.append((f"groups.{i}.robots.{k}", robot))
+            if robot in group.robots[:k]:
+                yield f"groups.{i}.robots.{k}", f"{robot} is in the group already: remove one"
+    for path, robot in named:
+        if robot not in known:
+            yield path, f"there is no robot '{robot}': {did_you_mean(robot, known)}"

@@ -1,0 +1,1 @@
+"""What each robot should do: the Newton-Raphson flow, the path, the platoon. Pure."""

@@ -1,0 +1,240 @@
+"""A closed path of planar cubics, one a side, and the two questions Algorithm 1 asks of it.
+
+A point of the path is r(sigma) with sigma in [0, S), S the number of sides, one unit a side; sigma wraps. Positions
+are in metres in the world frame. Both questions reduce to the real roots of one polynomial: the squared distance of
+r from a point q has degree 6 on a side, and between two roots of its derivative (a quintic) it is monotone.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
+_NEWTON_STEPS = 60  # bisection alone would need 53
+
+
+@dataclass(frozen=True)
+class Path:
+    """A closed path; ``coefficients[k, j]`` multiplies s**j on side k, shape (S, 4, 2) [m]."""
+
+    coefficients: Array
+
+    @classmethod
+    def hermite(cls, knots: Array, derivatives: Array) -> Self:
+        """Return the cubics through ``knots`` (S, 2) [m] with ``derivatives`` (S, 2) [m a side]."""
+        ends = np.stack([knots, np.roll(knots, -1, 0), derivatives, np.roll(derivatives, -1, 0)], axis=1)
+        return cls(np.ascontiguousarray(_HERMITE @ ends))
+
+    @property
+    def sides(self) -> int:
+        """Number of sides S."""
+        return len(self.coefficients)
+
+    def position(self, sigma: Array | float) -> Array:
+        """Return r(sigma), shape (..., 2) [m]."""
+        return self._power_sum(sigma, np.array([1.0, 1.0, 1.0, 1.0]), 0)
+
+    def derivative(self, sigma: Array | float) -> Array:
+        """Return r'(sigma), shape (..., 2) [m a side]."""
+        return self._power_sum(sigma, np.array([0.0, 1.0, 2.0, 3.0]), 1)
+
+    def second_derivative(self, sigma: Array | float) -> Array:
+        """Return r''(sigma), shape (..., 2) [m a side squared]."""
+        return self._power_sum(sigma, np.array([0.0, 0.0, 2.0, 6.0]), 2)
+
+    def tangent(self, sigma: Array | float) -> Array:
+        """Return the unit tangent r' / |r'|, shape (..., 2)."""
+        derivative = self.derivative(sigma)
+        return derivative / np.linalg.norm(derivative, axis=-1, keepdims=True)
+
+    def length(self) -> float:
+        """Return the length of a lap [m]."""
+        nodes, weights = np.polynomial.legendre.leggauss(16)
+        local = (nodes + 1) / 2
+        sigma = np.arange(self.sides)[:, None] + local
+        return float((np.linalg.norm(self.derivative(sigma), axis=-1) * weights / 2).sum())
+
+    def nearest(self, points: Array, near: Array | None = None) -> Array:
+        """Return the parameters of the points of the path nearest to ``points`` (N, 2), shape (N,).
+
+        ``near`` (N,) searches half a side to both sides of these parameters; without it the whole path is searched.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        warm = np.full(len(points), np.nan) if near is None else np.asarray(near, dtype=np.float64)
+        return np.array([nearest(self.coefficients, q[0], q[1], w) for q, w in zip(points, warm, strict=True)])
+
+    def back(self, sigma: Array, distance: float) -> Array:
+        """Return the first parameters met going back from ``sigma`` (N,) whose points are ``distance`` [m] away.
+
+        NaN where no point of the path is so far away.
+        """
+        return np.array([back(self.coefficients, float(s), distance) for s in sigma])
+
+    def _power_sum(self, sigma: Array | float, factors: Array, order: int) -> Array:
+        sigma = np.asarray(sigma, dtype=np.float64)
+        side = np.floor(sigma).astype(np.int64)
+        local = (sigma - side)[..., None]
+        c = self.coefficients[side % self.sides] * factors[:, None]
+        result = np.zeros((*sigma.shape, 2))
+        for j in range(3, order - 1, -1):
+            result = result * local + c[..., j, :]
+        return result
+
+
+@njit(cache=True)
+def point(coefficients: Array, sigma: float) -> tuple[float, float]:
+    """Return r(sigma) [m]."""
+    side = int(np.floor(sigma))
+    s = sigma - side
+    c = coefficients[side % len(coefficients)]
+    return (
+        c[0, 0] + s * (c[1, 0] + s * (c[2, 0] + s * c[3, 0])),
+        c[0, 1] + s * (c[1, 1] + s * (c[2, 1] + s * c[3, 1])),
+    )
+
+
+@njit(cache=True)
+def unit_tangent(coefficients: Array, sigma: float) -> tuple[float, float]:
+    """Return r'(sigma) / |r'(sigma)|."""
+    side = int(np.floor(sigma))
+    s = sigma - side
+    c = coefficients[side % len(coefficients)]
+    dx = c[1, 0] + s * (2 * c[2, 0] + s * 3 * c[3, 0])
+    dy = c[1, 1] + s * (2 * c[2, 1] + s * 3 * c[3, 1])
+    norm = np.hypot(dx, dy)
+    return dx / norm, dy / norm
+
+
+@njit(cache=True)
+def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
+    """Return the parameter of the nearest point of the path, in [0, S).
+
+    Searched within half a side of ``near`` (a path that crosses itself is not mistaken for its other branch), or on
+    the whole path if ``near`` is NaN. Exact: every root of every side's quintic in the range is looked at.
+    """
+    sides = len(coefficients)
+    low, high = (0.0, float(sides)) if np.isnan(near) else (near - 0.5, near + 0.5)
+    best, best_value = low, np.inf
+    roots = np.empty(8)
+    for side in range(int(np.floor(low)), int(np.ceil(high))):
+        start, end = max(low - side, 0.0), min(high - side, 1.0)
+        squared = _squared_distance(coefficients[side % sides], x, y)
+        count = _real_roots(_differentiate(squared), start, end, roots)
+        roots[count], roots[count + 1] = start, end
+        for s in roots[: count + 2]:
+            value = _horner(squared, s)
+            if value < best_value:
+                best, best_value = side + s, value
+    return best % sides
+
+
+@njit(cache=True)
+def back(coefficients: Array, sigma: float, distance: float) -> float:
+    """Return the first parameter met going back from ``sigma`` whose point is ``distance`` from r(sigma), or NaN."""
+    sides = len(coefficients)
+    x, y = point(coefficients, sigma)
+    last = int(np.floor(sigma))
+    roots = np.empty(8)
+    for side in range(last, last - sides - 1, -1):
+        start = 0.0 if side > last - sides else sigma - last
+        end = sigma - last if side == last else 1.0
+        excess = _squared_distance(coefficients[side % sides], x, y)
+        excess[0] -= distance * distance
+        count = _real_roots(_differentiate(excess), start, end, roots)
+        roots[count] = start
+        upper = end
+        for k in range(count - 1, -2, -1):
+            lower = roots[k] if k >= 0 else start
+            if _horner(excess, lower) >= 0.0:
+                return (side + _solve(excess, lower, upper)) % sides
+            upper = lower
+    return np.nan
+
+
+@njit(cache=True)
+def _squared_distance(c: Array, x: float, y: float) -> Array:
+    """Coefficients (7,) of |r(s) - (x, y)|^2 on one side."""
+    result = np.zeros(7)
+    for axis in range(2):
+        q = x if axis == 0 else y
+        for i in range(4):
+            a = c[i, axis] - (q if i == 0 else 0.0)
+            for j in range(4):
+                result[i + j] += a * (c[j, axis] - (q if j == 0 else 0.0))
+    return result
+
+
+@njit(cache=True)
+def _differentiate(a: Array) -> Array:
+    result = np.empty(len(a) - 1)
+    for j in range(1, len(a)):
+        result[j - 1] = j * a[j]
+    return result
+
+
+@njit(cache=True)
+def _horner(a: Array, s: float) -> float:
+    value = 0.0
+    for j in range(len(a) - 1, -1, -1):
+        value = value * s + a[j]
+    return value
+
+
+@njit(cache=True)
+def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
+    """Write the roots of the polynomial where it changes sign in (low, high), ascending; return how many.
+
+    A polynomial is monotone between the roots of its derivative: from the linear derivative upwards, each level's
+    roots bracket the next one's.
+    """
+    degree = len(a) - 1
+    ladder = np.zeros((degree + 1, degree + 1))
+    ladder[0] = a
+    for k in range(1, degree):
+        for j in range(1, degree + 2 - k):
+            ladder[k, j - 1] = j * ladder[k - 1, j]
+    breaks = np.empty(degree + 2)
+    count = 0
+    for k in range(degree - 1, -1, -1):
+        polynomial = ladder[k, : degree + 1 - k]
+        breaks[:count] = roots[:count]
+        breaks[count] = high
+        previous, found = low, 0
+        value = _horner(polynomial, low)
+        for j in range(count + 1):
+            next_value = _horner(polynomial, breaks[j])
+            if (value < 0.0) != (next_value < 0.0):
+                roots[found] = _solve(polynomial, previous, breaks[j])
+                found += 1
+            previous, value = breaks[j], next_value
+        count = found
+    return count
+
+
+@njit(cache=True)
+def _solve(a: Array, low: float, high: float) -> float:
+    """Return the root of a polynomial that changes sign once between low and high: Newton, kept in the bracket."""
+    rising = _horner(a, high) > 0.0
+    s = 0.5 * (low + high)
+    for _ in range(_NEWTON_STEPS):
+        value, slope = 0.0, 0.0
+        for j in range(len(a) - 1, -1, -1):
+            slope = slope * s + value
+            value = value * s + a[j]
+        if value == 0.0:
+            return s
+        if (value > 0.0) == rising:
+            high = s
+        else:
+            low = s
+        step = s - value / slope if slope != 0.0 else low
+        following = step if low < step < high else 0.5 * (low + high)
+        if abs(following - s) <= 1e-15:
+            return following
+        s = following
+    return s

@@ -1,0 +1,243 @@
+"""What is refused before a wheel turns: settings that are right one by one and cannot work together."""
+
+import ipaddress
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.config import Config, Group
+from robofleet.configfaults import Complaint
+from robofleet.configload import ConfigFile
+from robofleet.control.path import Path
+
+Array = NDArray[np.float64]
+
+_STEPS = 1000  # a side: the fastest wheel is then known to about 1e-5 of itself
+_STANDSTILL = 0.01  # of the mean |r'|: a path slower than this at a point has a cusp there
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One thing that was looked at: a value, and its limit (at most, at least, or ``strict``: less)."""
+
+    path: str
+    what: str
+    value: float
+    limit: float
+    unit: str
+    mend: str
+    at_least: bool = False
+    strict: bool = False
+
+    @property
+    def tightness(self) -> float:
+        """Up to 1 when the bound holds."""
+        used, available = (self.limit, self.value) if self.at_least else (self.value, self.limit)
+        return used / available if available > 0 else math.inf
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound is kept."""
+        return self.tightness <= 1 + (-_ROUNDING if self.strict else _ROUNDING)
+
+
+@dataclass(frozen=True)
+class Lap:
+    """A robot on its lap when it follows the path without error: arrays over the parameter, shape (n,)."""
+
+    sigma: Array
+    position: Array  # r, shape (n, 2) [m]
+    speed: Array  # |r'| [m a side]
+    v: Array  # of the body [m/s]
+    omega: Array  # of the body [rad/s]
+
+
+def load_checked(
+    file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None
+) -> Config:
+    """Read a configuration that can work; ConfigError with every fault at its line and column."""
+    source = ConfigFile(file, overrides, faults_file)
+    source.refuse(refusals(source.config))
+    return source.config
+
+
+def refusals(config: Config) -> list[Complaint]:
+    """Return what cannot work: (dotted path, what is wrong and how to mend it)."""
+    complaints = list(_endpoint(config))
+    for bound in _bounds(config):
+        if not bound.holds:
+            relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
+            value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
+            complaints.append(
+                (bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}")
+            )
+    return complaints
+
+
+def proofs(config: Config) -> list[tuple[str, str, str]]:
+    """Return what was proved: (what, the tightest value, its limit)."""
+    tightest: dict[str, Bound] = {}
+    for bound in _bounds(config):
+        if bound.what not in tightest or bound.tightness > tightest[bound.what].tightness:
+            tightest[bound.what] = bound
+    return [
+        (b.what, _shown(b.value, b.unit), ("at least " if b.at_least else "") + _shown(b.limit, b.unit))
+        for b in tightest.values()
+    ]
+
+
+def drive_lap(path: Path, group: Group, point_ahead: float) -> Lap:
+    """Return the lap of a robot whose point p (or centre) moves exactly as r(gamma t).
+
+    p at r makes the heading follow psi' = (-sin psi r_x' + cos psi r_y') / l: solved exactly over steps with
+    r' held, which is stable for every l > 0; the first of two laps forgets the start.
+    """
+    sigma = (np.arange(path.sides * _STEPS) + 0.5) / _STEPS
+    derivative = path.derivative(sigma)
+    speed = np.hypot(derivative[:, 0], derivative[:, 1])
+    if group.track == "centre":
+        second = path.second_derivative(sigma)
+        cross = derivative[:, 0] * second[:, 1] - derivative[:, 1] * second[:, 0]
+        along, turn = speed, cross / np.maximum(speed, np.finfo(float).tiny) ** 2
+    else:
+        decay = np.exp(-speed / (_STEPS * point_ahead)).tolist()
+        direction = np.arctan2(derivative[:, 1], derivative[:, 0]).tolist()
+        psi = direction[-1]
+        lags = []  # from r' to the heading, before and after each step [rad]
+        for towards, factor in zip(direction * 2, decay * 2, strict=True):
+            before = math.remainder(psi - towards, math.tau)
+            after = 2 * math.atan(math.tan(before / 2) * factor)
+            psi += after - before
+            lags.append((before, after))
+        lag = np.array(lags[len(sigma) :])
+        along, turn = speed * np.cos(lag.mean(axis=1)), (lag[:, 1] - lag[:, 0]) * _STEPS
+    rate = group.path_rate
+    return Lap(sigma, path.position(sigma), speed, along * rate, turn * rate)
+
+
+def _bounds(config: Config) -> Iterator[Bound]:
+    yield from _controller(config)
+    yield from _path(config)
+    yield from _start(config)
+    if config.tracker.source == "camera":
+        yield from _camera(config)
+
+
+def _controller(config: Config) -> Iterator[Bound]:
+    controller, spacing = config.controller, config.groups[0].spacing_m
+    if controller.integrator == "euler":
+        mend = f"lower alpha below {2 / controller.tick_s:.3g}, or take the exact integrator"
+        gain = controller.alpha * controller.tick_s
+        yield Bound("controller.alpha", "Euler's gain, alpha * tick_s,", gain, 2.0, "", mend, strict=True)
+    yield Bound(
+        "controller.point_ahead_m", "point_ahead_m", controller.point_ahead_m, spacing / 2, "m",
+        "the point must be much closer to its robot than the next robot is, so lower it or raise spacing_m",
+    )  # fmt: skip
+
+
+def _path(config: Config) -> Iterator[Bound]:
+    group = config.groups[0]
+    knots = group.path.knots
+    path = Path.hermite(np.array([k.at_m for k in knots]), np.array([k.derivative_m for k in knots]))
+    lap = drive_lap(path, group, config.controller.point_ahead_m)
+    slowest = int(lap.speed.argmin())
+    mend = f"it stands still at parameter {lap.sigma[slowest]:.2f}, so mend the derivatives of its knots"
+    cusp = Bound(
+        "groups.0.path", "the path's smallest derivative", float(lap.speed[slowest]),
+        _STANDSTILL * float(lap.speed.mean()), "m a side", mend, at_least=True,
+    )  # fmt: skip
+    yield cusp
+    yield from _inside(config, lap)
+    if cusp.holds:
+        yield from _wheels(config, lap)
+    yield from _spacing(config, path.length())
+
+
+def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
+    radius = max(robot.vehicle.body_radius_m for robot in config.platoon)
+    for axis, name in enumerate("xy"):
+        reach = np.abs(lap.position[:, axis])
+        k = int(reach.argmax())
+        mend = f"the path leaves the arena at parameter {lap.sigma[k]:.2f}, so move its knots inwards"
+        what = f"the path's reach in {name} with a body's radius"
+        yield Bound("groups.0.path", what, float(reach[k]) + radius, config.arena.size_m[axis] / 2, "m", mend)
+
+
+def _wheels(config: Config, lap: Lap) -> Iterator[Bound]:
+    """Wheel and body speeds along the lap, for each kind of robot; both are proportional to the path rate."""
+    kinds = {robot.vehicle: robot.id for robot in reversed(config.platoon)}
+    for vehicle, robot_id in kinds.items():
+        body = np.abs(lap.v)
+        wheel = (body + np.abs(lap.omega) * vehicle.wheel_base_m / 2) / vehicle.wheel_radius_m
+        for what, values, limit, unit in (
+            ("the fastest wheel along the path", wheel, vehicle.max_wheel_speed_rad_s, "rad/s"),
+            ("the highest speed along the path", body, vehicle.max_speed_m_s, "m/s"),
+        ):
+            k = int(values.argmax())
+            fits = _rounded_down(config.groups[0].path_rate * limit / float(values[k]))
+            mend = f"{robot_id} at path parameter {lap.sigma[k]:.2f}; path_rate {fits:g} fits"
+            yield Bound("groups.0.path_rate", what, float(values[k]), limit, unit, mend)
+
+
+def _spacing(config: Config, length: float) -> Iterator[Bound]:
+    spacing, robots = config.groups[0].spacing_m, config.platoon
+    mend = f"a spacing of {_rounded_down(length / len(robots)):g} fits"
+    what = "the platoon with a gap behind it, spacing_m a robot,"
+    yield Bound("groups.0.spacing_m", what, len(robots) * spacing, length, "m", mend, strict=True)
+    for one, other in itertools.pairwise(robots):
+        bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
+        mend = f"{one.id} and {other.id} would touch, so raise it"
+        yield Bound("groups.0.spacing_m", "spacing_m", spacing, bodies, "m", mend, at_least=True)
+
+
+def _start(config: Config) -> Iterator[Bound]:
+    for i, robot in enumerate(config.robots):
+        for axis, (name, at) in enumerate((("x", robot.start.x_m), ("y", robot.start.y_m))):
+            what = f"a start pose's reach in {name} with the body's radius"
+            reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2
+            yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
+    for (_, one), (j, other) in itertools.combinations(enumerate(config.robots), 2):
+        apart = math.hypot(one.start.x_m - other.start.x_m, one.start.y_m - other.start.y_m)
+        bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
+        what, mend = "the distance between two robots at the start", f"move {one.id} and {other.id} apart"
+        yield Bound(f"robots.{j}.start", what, apart, bodies, "m", mend, at_least=True)
+
+
+def _camera(config: Config) -> Iterator[Bound]:
+    camera = config.camera
+    period = config.controller.tick_s if camera.trigger == "tick" else 1 / camera.rate_hz
+    taken = camera.exposure_s + camera.readout_s
+    mend = "the next frame begins before, so shorten the exposure"
+    yield Bound("camera.exposure_s", "exposure and readout of a frame", taken, period, "s", mend)
+    if camera.trigger == "tick":
+        needed = camera.exposure_s / 2 + camera.readout_s
+        what, mend = "the time from mid-exposure to the tick", "half the exposure and the readout go first"
+        lead = camera.trigger_lead_s
+        yield Bound("camera.trigger_lead_s", what, lead, needed, "s", mend, at_least=True)
+
+
+def _endpoint(config: Config) -> Iterator[Complaint]:
+    host, _, port = config.bus.endpoint.removeprefix("tcp/").rpartition(":")
+    try:
+        loopback = host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        loopback = False
+    if not loopback:
+        yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
+    if int(port) > 65535:
+        yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit}".rstrip()
+
+
+def _rounded_down(value: float) -> float:
+    """Return a number of three digits that is at most 1 % less, and not more."""
+    return float(f"{0.995 * value:.3g}")

@@ -1,0 +1,87 @@
+"""The main function of every process of a run: ``robofleet controller CONFIG`` and its siblings.
+
+A driver process loads neither numba nor OpenCV: each process imports what it is made of when it starts.
+"""
+
+import threading
+from collections.abc import Callable
+
+from robofleet.clock import Clock, WallClock
+from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.config import Config
+from robofleet.processes.node import Lifeline, Node, Waker, realtime_priority, run
+from robofleet.processes.slices import entropy
+
+_CONTROLLER_PRIORITY = 20
+_DRIVER_PRIORITY = 15
+_TRACKER_PRIORITY = 10
+
+Make = Callable[[Config, ZenohBus, Clock, Waker], Node]
+
+
+def router(config: Config, lifeline: Lifeline) -> None:
+    """Zenoh's router, until the lifeline is cut."""
+    session = open_router(config.bus.endpoint)
+    try:
+        lifeline.ready()
+        while not lifeline.cut:
+            threading.Event().wait(0.05)
+    finally:
+        session.close()
+
+
+def controller(config: Config, lifeline: Lifeline) -> None:
+    """The controller at its tick."""
+    from robofleet.processes.controller import Controller, compile_kernels  # noqa: PLC0415
+
+    compile_kernels(config)
+    _run(
+        "controller", config, lifeline, lambda c, bus, clock, _: Controller(c, bus, clock), _CONTROLLER_PRIORITY,
+        precise=True,
+    )  # fmt: skip
+
+
+def tracker(config: Config, lifeline: Lifeline) -> None:
+    """The tracker and its camera."""
+    import cv2  # noqa: PLC0415
+
+    from robofleet.processes.tracker import Tracker  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+    _run(
+        "tracker", config, lifeline,
+        lambda c, bus, clock, waker: Tracker(c, bus, clock, waker, entropy(c.run.seed, "tracker")),
+        _TRACKER_PRIORITY,
+    )  # fmt: skip
+
+
+def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
+    """The drivers of some robots."""
+    from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
+
+    _run(
+        "driver-" + "-".join(robots), config, lifeline,
+        lambda c, bus, clock, waker: DriverProcess(c, robots, bus, clock, waker, entropy(c.run.seed, *robots)),
+        _DRIVER_PRIORITY,
+    )  # fmt: skip
+
+
+def supervisor(config: Config, lifeline: Lifeline) -> None:
+    """The supervisor."""
+    from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
+
+    _run("supervisor", config, lifeline, lambda c, bus, clock, _: Supervisor(c, bus, clock), None)
+
+
+def _run(
+    name: str, config: Config, lifeline: Lifeline, make: Make, priority: int | None, *, precise: bool = False
+) -> None:
+    clock, waker = WallClock(), Waker()
+    bus = ZenohBus(config.arena.name, config.bus.endpoint, name, clock)
+    try:
+        node = make(config, bus, clock, waker)
+        if priority is not None:
+            realtime_priority(priority)
+        run(node, clock, lifeline, waker, precise=precise)
+    finally:
+        bus.close()

@@ -1,0 +1,188 @@
+"""The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robofleet.clock import S, Clock, TickGrid
+from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.keys import COMMAND, POSES, STATE, STATUS, TICK
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    ROBOT_STATUS,
+    RUN_STATE,
+    TICK_RECORD,
+    WHEEL_COMMAND,
+    FleetPoses,
+    RobotStatus,
+    WheelCommand,
+)
+from robofleet.config import Config
+from robofleet.control.path import Path
+from robofleet.control.platoon import Decisions, Platoon, PlatoonSettings
+from robofleet.processes import slices
+from robofleet.safety.supervisor import Phase
+from robofleet.tracking.estimator import FilterNoise, FleetFilter
+
+CAMERA = "overhead"
+_EPOCH = 1
+_STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
+
+
+@dataclass
+class _Timing:
+    """What the controller measures of itself."""
+
+    overruns: int = 0
+    lateness_ns: int = 0
+    compute_ns: int = 0  # of the tick before
+
+
+class Controller:
+    """All robots of the group, in platoon order."""
+
+    def __init__(self, config: Config, bus: Bus, clock: Clock) -> None:
+        robots, c = config.platoon, config.controller
+        self._clock = clock
+        self._tick_s = c.tick_s
+        self._delay_s, self._delay_ns = c.command_delay_s, round(c.command_delay_s * S)
+        self._lost_after_ns = round(c.filter.lost_after_s * S)
+        self._rows = {robot.tag: row for row, robot in enumerate(robots)}
+        self._platoon = _platoon(config)
+        self._filter = _filter(config)
+        self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
+        self._newest: list[RobotStatus | None] = [None] * len(robots)
+        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
+        self._state = Inbox(bus.newest(STATE), RUN_STATE)
+        self._commands = [bus.publisher(COMMAND, robot.id) for robot in robots]
+        self._publish_tick = bus.publisher(TICK)
+        self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
+        self._index = 0
+        self._phase = Phase.IDLE
+        self._start_index = 0
+        self._consumed = (0, 0)  # seq and mid-exposure of the newest image
+        self._timing = _Timing()
+        self._record = np.zeros((len(robots), 16))
+
+    def step(self, now_ns: int) -> int:
+        """Do the newest tick that is due; ticks that were missed are counted and never made up."""
+        index = self._grid.index_at(now_ns)
+        if index > self._index:
+            self._timing.overruns += index - self._index - 1
+            self._index = index
+            self._timing.lateness_ns = now_ns - self._grid.instant(index)
+            self._tick(self._grid.instant(index))
+            self._timing.compute_ns = self._clock.now_ns() - now_ns
+        return self._grid.instant(self._index + 1)
+
+    def close(self) -> None:
+        """Nothing to bring to rest: the gates close when commands cease."""
+
+    def _tick(self, tick_ns: int) -> None:
+        self._read_state()
+        measured = self._read_poses()
+        driving = self._driving(tick_ns)
+        here = self._filter.predict(tick_ns)
+        there = self._filter.predict(tick_ns + self._delay_ns)
+        run_tick = self._index - self._start_index if self._phase is Phase.RUNNING else 0
+        t = run_tick * self._tick_s + self._delay_s
+        decisions = self._platoon.tick(t, there, driving)
+        self._filter.command(tick_ns + self._delay_ns, decisions.wheels)
+        self._publish_commands(decisions)
+        self._publish_record(tick_ns, here, measured, driving, decisions)
+
+    def _read_state(self) -> None:
+        state = self._state.take()
+        if state is not None and state.phase != self._phase:
+            self._phase = Phase(state.phase)
+            if self._phase is Phase.RUNNING:
+                self._start_index = self._index
+                self._platoon.restart()
+        for row, inbox in enumerate(self._statuses):
+            self._newest[row] = inbox.take() or self._newest[row]
+
+    def _read_poses(self) -> np.ndarray:
+        """Correct the filter by the newest image; returns which robots it measured."""
+        message = self._poses.take()
+        n = len(self._rows)
+        if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
+            return np.zeros(n)
+        seen, poses = np.zeros(n, dtype=np.bool_), np.zeros((n, 3))
+        for pose in message.poses:
+            row = self._rows.get(pose.tag)
+            if row is not None:
+                seen[row] = True
+                poses[row] = pose.x_m, pose.y_m, pose.psi_rad
+        used = self._filter.observe(self._exposure(message), seen, poses)
+        for row in np.flatnonzero(used == 2):
+            self._platoon.carried(int(row))
+        self._consumed = message.seq, message.exposure_ns
+        return used
+
+    def _exposure(self, message: FleetPoses) -> int:
+        """Mid-exposure on the controller's clock: the tracker says how long after which tick it was."""
+        return self._grid.instant(message.echo_tick) + message.since_tick_ns
+
+    def _driving(self, tick_ns: int) -> np.ndarray:
+        fresh = tick_ns - self._filter.measured_ns <= self._lost_after_ns
+        return fresh if self._phase is Phase.RUNNING else np.zeros(len(fresh), dtype=np.bool_)
+
+    def _publish_commands(self, decisions: Decisions) -> None:
+        exposure_ns = self._consumed[1]
+        for publish, status, (left, right) in zip(
+            self._commands, self._newest, decisions.wheels.tolist(), strict=True
+        ):
+            if status is not None:
+                command = WheelCommand(
+                    _EPOCH, self._index, status.boot_id, status.nonce, exposure_ns, left, right
+                )
+                publish(WHEEL_COMMAND.encode(command))
+
+    def _publish_record(
+        self, tick_ns: int, here: np.ndarray, measured: np.ndarray, driving: np.ndarray, decisions: Decisions
+    ) -> None:
+        r, platoon = self._record, self._platoon
+        r[:, 0:3] = here
+        r[:, 3:5] = decisions.point
+        r[:, 5:7] = decisions.reference
+        r[:, 7] = platoon.reference_parameter
+        r[:, 8:10] = platoon.u
+        r[:, 10] = decisions.control_error
+        r[:, 11:13] = decisions.wheels
+        r[:, 13] = measured > 0
+        r[:, 14] = decisions.saturated
+        r[:, 15] = tick_ns - self._filter.measured_ns > self._lost_after_ns
+        running = self._phase is Phase.RUNNING
+        head = (
+            _EPOCH, self._index, self._index - self._start_index if running else -1, tick_ns, *self._consumed,
+            self._phase, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
+        )  # fmt: skip
+        self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes()))
+
+
+def compile_kernels(config: Config) -> None:
+    """Compile every numba kernel of the control path, or load it from the cache, before the first tick."""
+    platoon, fleet_filter = _platoon(config), _filter(config)
+    n = len(config.platoon)
+    for instant_ns in (S, 2 * S):
+        seen, poses = np.ones(n, dtype=np.bool_), np.zeros((n, 3))
+        fleet_filter.observe(instant_ns, seen, poses)
+        decisions = platoon.tick(0.0, fleet_filter.predict(instant_ns + 1), seen)
+        fleet_filter.command(instant_ns, decisions.wheels)
+
+
+def _platoon(config: Config) -> Platoon:
+    group, c = config.groups[0], config.controller
+    settings = PlatoonSettings(
+        c.alpha, c.horizon_s, c.point_ahead_m, group.spacing_m, group.path_rate, c.tick_s, c.integrator, group.track
+    )
+    drives = tuple(slices.drive(robot.vehicle) for robot in config.platoon)
+    return Platoon(Path.hermite(*slices.knots(group)), settings, drives)
+
+
+def _filter(config: Config) -> FleetFilter:
+    f = config.controller.filter
+    noise = FilterNoise(
+        f.position_noise_m, f.heading_noise_rad, f.position_drift_m, f.heading_drift_rad, f.gate_sigma
+    )
+    return FleetFilter(tuple(slices.drive(robot.vehicle) for robot in config.platoon), noise)

@@ -1,0 +1,158 @@
+"""The live view of a run, drawn by the launcher's process from what it hears on the bus."""
+
+import sys
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from robofleet.clock import S, Clock
+from robofleet.comms.keys import POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, FleetPoses, RobotTick, TickRecord
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import Config
+from robofleet.control.path import Path
+from robofleet.recording.metrics import Recording
+from robofleet.safety.gate import GateStatus
+
+_REFRESH_NS = S // 5
+_PLAIN_NS = 10 * S
+_WINDOW = 300  # ticks, for the percentiles
+
+
+class LiveView:
+    """Call it with what came so far; it draws five times a second, or writes plain lines where stderr is no terminal."""
+
+    def __init__(self, config: Config, clock: Clock, *, quiet: bool) -> None:
+        self._config, self._clock, self._quiet = config, clock, quiet
+        self._console = Console(stderr=True)
+        self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
+        self._path = Path.hermite(
+            np.array([k.at_m for k in config.groups[0].path.knots]),
+            np.array([k.derivative_m for k in config.groups[0].path.knots]),
+        )
+        self._next_ns = 0
+        self._phase = ""
+
+    def __enter__(self) -> Self:
+        """Take the terminal."""
+        if self._live is not None and not self._quiet:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        """Give the terminal back."""
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, recording: Recording, phase: str) -> None:
+        """Show the run as it stands, if it is time to."""
+        now_ns = self._clock.now_ns()
+        if self._quiet or (now_ns < self._next_ns and phase == self._phase):
+            return
+        changed, self._phase = phase != self._phase, phase
+        self._next_ns = now_ns + (_PLAIN_NS if self._live is None else _REFRESH_NS)
+        if self._live is not None:
+            self._live.update(self._picture(recording), refresh=True)
+        elif changed or phase == "running":
+            print(self._line(recording), file=sys.stderr)
+
+    def _line(self, recording: Recording) -> str:
+        tick = self._newest(recording, TICK, TICK_RECORD)
+        if tick is None or tick.run_tick < 0:
+            return self._phase
+        errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
+        return f"{self._phase}: {self._time(tick):.0f} s, control errors [mm] {errors}, {tick.overruns} overruns"
+
+    def _picture(self, recording: Recording) -> Group:
+        tick = self._newest(recording, TICK, TICK_RECORD)
+        duration_s = self._config.run.duration_s
+        time_s = max(0.0, self._time(tick)) if tick is not None else 0.0
+        head = Text.assemble((f"{self._phase:<10}", "bold green" if self._phase == "running" else "bold yellow"))
+        head.append(f"{time_s:5.1f} s of {duration_s:g} s")
+        parts: list[Any] = [head, ProgressBar(duration_s, min(time_s, duration_s), width=78)]
+        if tick is not None:
+            parts += [self._robots(recording, tick), self._health(recording, tick)]
+        return Group(*parts)
+
+    def _robots(self, recording: Recording, tick: TickRecord) -> Table:
+        table = Table("robot", box=None, padding=(0, 2), header_style="bold")
+        for column in ("control [mm]", "path [mm]", "timed [mm]", "spacing [mm]", "wheels [rad/s]", "gate"):
+            table.add_column(column, justify="right")
+        points, true = self._points(recording, tick)
+        for row, (robot, item) in enumerate(zip(self._config.platoon, tick.robots, strict=True)):
+            table.add_row(robot.id, *self._cells(row, points, item, tick), self._gate(recording, robot.id))
+        table.caption = None if true else "estimated: no truth is known"
+        return table
+
+    def _cells(self, row: int, points: list[Any], item: RobotTick, tick: TickRecord) -> list[str]:
+        path, group = self._path, self._config.groups[0]
+        here = points[row]
+        off = np.linalg.norm(path.position(path.nearest(here[None])[0]) - here)
+        if row == 0:
+            should, gap = group.path_rate * max(0.0, self._time(tick)) % path.sides, ""
+        else:
+            ahead = points[row - 1]
+            should = path.back(path.nearest(ahead[None]), group.spacing_m)[0]
+            gap = f"{np.linalg.norm(here - ahead) * 1e3:.1f}"
+        timed = np.linalg.norm(here - path.position(should))
+        wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
+        return [f"{item.control_error_m * 1e3:.2f}", f"{off * 1e3:.1f}", f"{timed * 1e3:.1f}", gap, wheels]
+
+    def _health(self, recording: Recording, tick: TickRecord) -> Text:
+        arena = self._config.arena.name
+        payloads = recording.messages.get(key(arena, TICK), [])[-_WINDOW:]
+        heads = [TICK_RECORD.decode_head(payload) for payload in payloads]
+        compute, late = ([head[column] / 1e6 for head in heads] for column in (-1, -2))
+        text = Text(f"tick      p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
+        overruns = tick.overruns
+        text.append(f"{overruns} overruns\n", "red" if overruns else "")
+        frames = [
+            frame
+            for payload in recording.messages.get(key(arena, POSES, "overhead"), [])[-_WINDOW:]
+            if (frame := FLEET_POSES.decode(payload)) is not None
+        ]
+        return text.append(_tracker_line(frames, len(self._config.platoon)))
+
+    def _points(self, recording: Recording, tick: TickRecord) -> tuple[list[Any], bool]:
+        """Points p: true ones where every robot's truth is known."""
+        ahead = self._config.controller.point_ahead_m
+        poses = []
+        for robot in self._config.platoon:
+            truth = self._newest(recording, TRUTH, TRUTH_LAYOUT, robot.id)
+            if truth is None:
+                return [np.array([item.point_x_m, item.point_y_m]) for item in tick.robots], False
+            poses.append(
+                np.array([truth.x_m + ahead * np.cos(truth.psi_rad), truth.y_m + ahead * np.sin(truth.psi_rad)])
+            )
+        return poses, True
+
+    def _gate(self, recording: Recording, robot: str) -> str:
+        status = self._newest(recording, STATUS, ROBOT_STATUS, robot)
+        return "silent" if status is None else GateStatus(status.gate).name.lower().replace("_", " ")
+
+    def _time(self, tick: TickRecord) -> float:
+        return tick.run_tick * self._config.controller.tick_s
+
+    def _newest(self, recording: Recording, topic: Any, layout: Any, name: str = "") -> Any:
+        messages = recording.messages.get(key(self._config.arena.name, topic, name))
+        return layout.decode(messages[-1]) if messages else None
+
+
+def _tracker_line(frames: list[FleetPoses], robots: int) -> str:
+    if len(frames) < 2:
+        return "tracker   no image yet"
+    rate = (len(frames) - 1) * S / max(1, frames[-1].exposure_ns - frames[0].exposure_ns)
+    found = sum(len(frame.poses) for frame in frames) / (len(frames) * robots)
+    work = np.percentile([frame.work_ns / 1e6 for frame in frames], (50, 99))
+    return (
+        f"tracker   {rate:.1f} images/s, {100 * found:.1f} % of the tags found, "
+        f"{work[0]:.1f} ms an image (p99 {work[1]:.1f}), {frames[-1].refused} refused"
+    )

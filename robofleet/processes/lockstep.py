@@ -1,0 +1,147 @@
+"""Lockstep: the steps of every process in one process, on a simulated clock and a bus in memory.
+
+An event queue calls each step at the instant that the step itself asked for, or when a message wakes it; ties go by a
+fixed order. Same seed, config, machine and versions: same bytes on the bus.
+"""
+
+import hashlib
+import heapq
+from collections.abc import Callable
+
+from robofleet.clock import S, SimulatedClock, stopwatch_ns
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import STATE, TICK, key
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.config import Config
+from robofleet.processes.controller import Controller, compile_kernels
+from robofleet.processes.driver import DriverProcess
+from robofleet.processes.node import Node
+from robofleet.processes.slices import generator
+from robofleet.processes.supervisor import Supervisor
+from robofleet.processes.tracker import Tracker
+from robofleet.recording.metrics import Recording, Watch
+from robofleet.safety.supervisor import Event, Phase, RunStatus
+
+_READY_WITHIN_NS = 5 * S
+_REST_NS = S  # after the stop: wheels come to rest
+
+
+class _Slot:
+    """A process in the queue. Called with an instant it wakes the process then, beside its own schedule."""
+
+    def __init__(self, order: int, queue: "list[tuple[int, int, bool, _Slot]]") -> None:
+        self.order, self._queue = order, queue
+        self.node: Node
+        self.next_ns = 0
+        self.durations_ns: list[int] = []
+
+    def __call__(self, instant_ns: int) -> None:
+        """Wake the process at an instant."""
+        heapq.heappush(self._queue, (instant_ns, self.order, True, self))
+
+    def schedule(self, instant_ns: int) -> None:
+        """Set the process's own next instant; an entry that was queued for another one is passed over."""
+        self.next_ns = instant_ns
+        heapq.heappush(self._queue, (instant_ns, self.order, False, self))
+
+    def step(self, instant_ns: int) -> None:
+        """Step the process and queue what it asks for."""
+        scheduled = self.next_ns == instant_ns
+        started_ns = stopwatch_ns()
+        next_ns = self.node.step(instant_ns)
+        self.durations_ns.append(stopwatch_ns() - started_ns)
+        if scheduled or next_ns != self.next_ns:
+            self.schedule(max(next_ns, instant_ns + 1))
+
+
+class Lockstep:
+    """One run: build it, ``run`` it, read its ``recording``."""
+
+    def __init__(self, config: Config) -> None:
+        compile_kernels(config)
+        self._config = config
+        self.clock = SimulatedClock()
+        self.clock.advance_to(S)  # 0 means "never" in many fields
+        self.bus = MemoryBus(config.arena.name, self.clock, round(config.lockstep.bus_delay_s * S))
+        self.recording = Recording(config)
+        self._hash = hashlib.blake2b(digest_size=16)
+        self.bus.tap(self._observe)
+        self._queue: list[tuple[int, int, bool, _Slot]] = []
+        self._slots: list[_Slot] = []
+        seed, clock, bus = config.run.seed, self.clock, self.bus
+        for robot in config.robots:
+            rng = generator(seed, "driver", robot.id)
+            self._add(lambda wake, i=robot.id, r=rng: DriverProcess(config, (i,), bus, clock, wake, r))
+        self._tracker = self._add(
+            lambda wake: Tracker(
+                config, bus, clock, wake, generator(seed, "tracker"),
+                charge_ns=round(config.lockstep.tracker_delay_s * S),
+            )  # fmt: skip
+        )
+        self._add(lambda _: Supervisor(config, bus, clock))
+        self._controller = self._add(lambda _: Controller(config, bus, clock))
+        self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
+        self._run_tick = -1
+        self._status = RunStatus()
+
+    def run(self, watch: Watch = lambda _recording, _phase: None) -> tuple[str, str | None]:
+        """Arm, run for the configured time, stop, and let the robots come to rest; returns (outcome, cause)."""
+        started_ns = stopwatch_ns()
+        try:
+            self.bus.ask("supervisor", "start")
+            self._run_until(lambda: self._status.phase is Phase.RUNNING, _READY_WITHIN_NS)
+            outcome = self._lap(watch)
+            self.bus.ask("supervisor", "stop")
+            self._run_until(lambda: False, _REST_NS)
+        finally:
+            for slot in self._slots:
+                slot.node.close()
+        self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
+        self.recording.tick_durations_ns = self._controller.durations_ns
+        self.recording.tracker_durations_ns = self._tracker.durations_ns
+        self.recording.trace_hash = self._hash.hexdigest()
+        return outcome
+
+    def _lap(self, watch: Watch) -> tuple[str, str | None]:
+        last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
+        if self._status.phase is not Phase.RUNNING:
+            return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s"
+        while self._run_tick < last_tick:
+            self._run_until(lambda: self._status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
+            watch(self.recording, "running")
+            if self._status.phase is not Phase.RUNNING:
+                return "fault", self._status.describe(self._config.groups[0].robots)
+        return "completed", None
+
+    def _run_until(self, done: Callable[[], bool], within_ns: int) -> None:
+        """Step whatever is due next, until something is true or simulated time has passed."""
+        queue, clock = self._queue, self.clock
+        end_ns = clock.now_ns() + within_ns
+        while not done():
+            if queue[0][0] > end_ns:
+                clock.advance_to(end_ns)
+                return
+            instant_ns, _, woken, slot = heapq.heappop(queue)
+            if woken or instant_ns == slot.next_ns:
+                clock.advance_to(instant_ns)
+                slot.step(instant_ns)
+
+    def _add(self, make: Callable[[_Slot], Node]) -> _Slot:
+        slot = _Slot(len(self._slots), self._queue)
+        self._slots.append(slot)
+        slot.node = make(slot)
+        slot.schedule(self.clock.now_ns())
+        return slot
+
+    def _observe(self, full: str, payload: bytes) -> None:
+        self._hash.update(full.encode())
+        self._hash.update(payload)
+        self.recording.add(full, payload)
+        if full == self._tick_key:
+            self._run_tick = TICK_RECORD.decode_head(payload)[2]
+        elif full == self._state_key:
+            state = RUN_STATE.decode(payload)
+            assert state is not None
+            self._status = RunStatus(Phase(state.phase), Event(state.cause), state.robot)
+
+

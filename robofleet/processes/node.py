@@ -1,0 +1,112 @@
+"""What every process of a run has in common, and how one is run in real time."""
+
+import gc
+import os
+import signal
+import socket
+import sys
+import threading
+from typing import Protocol
+
+from robofleet.clock import MS, S, Clock
+
+_EXIT_WITHIN_S = 0.8  # of the parent's pipe closing; then the process is ended as it is
+
+
+class Node(Protocol):
+    """One process: read, decide, publish. It owns its state."""
+
+    def step(self, now_ns: int) -> int:
+        """Do what is due and return the instant of the next step [ns]; a message may wake it earlier."""
+
+    def close(self) -> None:
+        """Leave everything at rest. Idempotent."""
+
+
+class Waker:
+    """Ends a process's wait when a message comes; lockstep puts its event queue in its place."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def __call__(self, instant_ns: int) -> None:
+        """Wake the process (from any thread)."""
+        self._event.set()
+
+    def wait_until(self, clock: Clock, instant_ns: int) -> None:
+        """Return at the instant, or when woken."""
+        remaining_s = (instant_ns - clock.now_ns()) / S
+        if remaining_s > 0:
+            self._event.wait(remaining_s)
+        self._event.clear()
+
+
+class Lifeline:
+    """The parent's end of a socket: when it closes, or at SIGTERM, this process has a second to end well.
+
+    Without a parent (a process started by hand or by systemd) Ctrl-C ends it too.
+    """
+
+    def __init__(self, descriptor: int | None) -> None:
+        self.cut = False
+        self._socket = None if descriptor is None else socket.socket(fileno=descriptor)
+        signal.signal(signal.SIGTERM, self._cut_by_signal)
+        if self._socket is None:
+            signal.signal(signal.SIGINT, self._cut_by_signal)
+        else:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is the launcher's to answer
+            threading.Thread(target=self._watch, daemon=True).start()
+
+    def ready(self, message: str = "ready") -> None:
+        """Tell the parent that this process does its work from now on."""
+        if self._socket is not None:
+            self._socket.sendall(message.encode() + b"\n")
+        else:
+            print(message, file=sys.stderr)
+
+    def _cut_by_signal(self, _number: int, _frame: object) -> None:
+        self.cut = True
+
+    def _watch(self) -> None:
+        assert self._socket is not None
+        try:
+            while self._socket.recv(64):
+                pass
+        except OSError:
+            pass
+        self.cut = True
+        threading.Event().wait(_EXIT_WITHIN_S)
+        os._exit(1)
+
+
+def run(node: Node, clock: Clock, lifeline: Lifeline, waker: Waker, *, precise: bool = False) -> None:
+    """Step a process in real time until its lifeline is cut; it is closed whatever happens.
+
+    ``precise`` meets every instant within microseconds and is not woken by messages: the controller's tick.
+    """
+    try:
+        lifeline.ready()
+        while not lifeline.cut:
+            next_ns = min(node.step(clock.now_ns()), clock.now_ns() + 100 * MS)
+            if precise:
+                clock.sleep_until(next_ns, precise=True)
+            else:
+                waker.wait_until(clock, next_ns)
+    finally:
+        node.close()
+
+
+
+
+def realtime_priority(level: int) -> None:
+    """Ask for SCHED_FIFO for this thread and switch the garbage collector's pauses off; go on where it is refused.
+
+    Called after the bus is open, so that Zenoh's own threads do not inherit it.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+    except (AttributeError, PermissionError) as error:
+        print(f"no real-time priority ({error}): ticks may be late when the machine is busy", file=sys.stderr)

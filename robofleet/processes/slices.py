@@ -1,0 +1,64 @@
+"""From the configuration's tree to what the rooms take: parameters without units in their names."""
+
+import secrets
+
+import numpy as np
+
+from robofleet.config import Config, Group, Robot, Vehicle
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import Imperfections, Stall
+
+
+def drive(vehicle: Vehicle) -> DifferentialDrive:
+    """Return what the controller and the gate believe of a robot."""
+    return DifferentialDrive(
+        vehicle.wheel_radius_m,
+        vehicle.wheel_base_m,
+        vehicle.max_wheel_speed_rad_s,
+        vehicle.max_speed_m_s,
+        vehicle.motor_lag_s,
+    )
+
+
+def imperfections(vehicle: Vehicle) -> Imperfections:
+    """Return how bad the simulated robot is."""
+    p = vehicle.simulated
+    return Imperfections(
+        motor_lag=p.motor_lag_s,
+        speed_quantum=p.speed_quantum_rad_s,
+        loop_period=p.loop_period_s,
+        deadband=p.deadband_rad_s,
+        breakaway=p.breakaway_rad_s,
+        wheel_gain_spread=p.wheel_gain_spread,
+        wheel_base_spread=p.wheel_base_spread,
+        slip=p.slip_s_per_rad,
+        slip_noise=p.slip_noise,
+        top_speed_sag=p.top_speed_sag,
+        battery_life=p.battery_life_s,
+    )
+
+
+def start_pose(robot: Robot) -> tuple[float, float, float]:
+    """Return x, y [m], psi [rad] of a simulated robot at first."""
+    return robot.start.x_m, robot.start.y_m, robot.start.psi
+
+
+def stalls(config: Config, robot_id: str) -> tuple[Stall, ...]:
+    """Return the stalls that the config's faults give to a robot."""
+    return tuple(Stall(f.at_s, f.at_s + f.duration_s) for f in config.faults if f.robot == robot_id)
+
+
+def knots(group: Group) -> tuple[np.ndarray, np.ndarray]:
+    """Return the path's knots and derivatives, (S, 2) each."""
+    at = np.array([knot.at_m for knot in group.path.knots])
+    return at, np.array([knot.derivative_m for knot in group.path.knots])
+
+
+def generator(seed: int, *key: str) -> np.random.Generator:
+    """Return the randomness of one part of a run: a seed and a name give one stream, whoever else draws."""
+    return np.random.default_rng([seed, *("/".join(key)).encode()])
+
+
+def entropy(seed: int, *key: str) -> np.random.Generator:
+    """Return randomness that no other start of the same process draws again: boot ids must differ."""
+    return np.random.default_rng([seed, *("/".join(key)).encode(), *secrets.token_bytes(16)])

@@ -1,0 +1,98 @@
+"""The supervisor: it owns the run's state and says every 40 ms to every driver whether its wheels may move."""
+
+from robofleet.clock import MS, S, Clock
+from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.keys import ENABLE, STATE, STATUS, TICK
+from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
+from robofleet.comms.messages import (
+    ROBOT_STATUS,
+    RUN_STATE,
+    TICK_RECORD,
+    Enable,
+    RobotStatus,
+    RunState,
+    TickRecord,
+)
+from robofleet.config import Config
+from robofleet.safety import supervisor
+from robofleet.safety.supervisor import NOBODY, Event, RunStatus
+
+_PERIOD_NS = 40 * MS
+_SILENT_NS = S // 2
+_LOST_NS = 2 * S
+_EPOCH = 1
+
+_REQUESTS = {"start": Event.START_REQUESTED, "stop": Event.STOP_REQUESTED}
+
+
+class Supervisor:
+    """Requests of the operator and the fleet's health drive one transition table."""
+
+    def __init__(self, config: Config, bus: Bus, clock: Clock) -> None:
+        robots = config.platoon
+        now_ns = clock.now_ns()
+        self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
+        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
+        self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
+        self._publish_state = bus.publisher(STATE)
+        self._request = bus.serve("supervisor")
+        self._status = RunStatus()
+        self._newest: list[RobotStatus | None] = [None] * len(robots)
+        self._heard_ns = [0] * len(robots)
+        self._seen_ns = [now_ns] * len(robots)
+        self._tick: TickRecord | None = None
+        self._tick_ns = 0
+        self._next_ns = now_ns
+        self._seq = 0
+
+    def step(self, now_ns: int) -> int:
+        """Listen, decide, and publish when due or when the state changed."""
+        before = self._status
+        self._listen(now_ns)
+        for event, robot in self._events(now_ns):
+            self._status = supervisor.step(self._status, event, robot)
+        if now_ns >= self._next_ns or self._status != before:
+            self._publish()
+            if now_ns >= self._next_ns:
+                self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
+        return min(self._next_ns, now_ns + _PERIOD_NS // 4)
+
+    def close(self) -> None:
+        """Nothing to bring to rest: the gates close when enables cease."""
+
+    def _listen(self, now_ns: int) -> None:
+        for row, inbox in enumerate(self._statuses):
+            if (status := inbox.take()) is not None:
+                self._newest[row] = status
+                self._heard_ns[row] = now_ns
+        if (record := self._ticks.take()) is not None:
+            self._tick, self._tick_ns = record, now_ns
+            for row, robot in enumerate(record.robots):
+                if not robot.lost:
+                    self._seen_ns[row] = now_ns
+
+    def _events(self, now_ns: int) -> list[tuple[Event, int]]:
+        events = []
+        while (request := self._request()) is not None:
+            event = _REQUESTS.get(request.text)
+            request.reply("ok" if event is not None else f"unknown request {request.text!r}")
+            if event is not None:
+                events.append((event, NOBODY))
+        silent = [row for row, heard in enumerate(self._heard_ns) if now_ns - heard > _SILENT_NS]
+        lost = [row for row, seen in enumerate(self._seen_ns) if now_ns - seen > _LOST_NS]
+        controlled = self._tick is not None and now_ns - self._tick_ns <= _SILENT_NS
+        if not controlled:
+            events.append((Event.CONTROLLER_SILENT, NOBODY))
+        events += [(Event.DRIVER_SILENT, row) for row in silent]
+        events += [(Event.ROBOT_LOST, row) for row in lost]
+        if self._tick is not None and controlled and not silent and not any(r.lost for r in self._tick.robots):
+            events.append((Event.FLEET_READY, NOBODY))
+        return events
+
+    def _publish(self) -> None:
+        self._seq += 1
+        phase, cause, robot = self._status
+        self._publish_state(RUN_STATE.encode(RunState(_EPOCH, self._seq, phase, cause, robot)))
+        for publish, status in zip(self._enables, self._newest, strict=True):
+            if status is not None:
+                publish(ENABLE_LAYOUT.encode(Enable(_EPOCH, self._seq, status.boot_id, status.nonce, phase)))

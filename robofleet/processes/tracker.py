@@ -1,0 +1,158 @@
+"""The tracker: it owns its camera, finds the tags and publishes one message an image."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from robofleet.clock import MS, S, Clock
+from robofleet.comms.bus import Bus, Wake
+from robofleet.comms.keys import POSES
+from robofleet.comms.messages import FLEET_POSES, FleetPoses, TagPose
+from robofleet.comms.ticks import TickFollower
+from robofleet.config import Config
+from robofleet.plugins import load
+from robofleet.processes.controller import CAMERA
+from robofleet.simulation.sources import TruthSource
+from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.sources import CameraContext, CameraReader, ScheduledCamera
+from robofleet.tracking.tags import TagDetector
+
+_EPOCH = 1
+_IDLE_NS = 100 * MS
+
+
+class Observation(NamedTuple):
+    """What one image says."""
+
+    exposure_ns: int  # mid-exposure [this host's clock]
+    poses: tuple[TagPose, ...]
+    refused: int
+
+
+class PoseSource(Protocol):
+    """Gives observations as they become ready."""
+
+    def next_ns(self) -> int | None:
+        """Return when the next one will be ready [ns]; None: a message or a camera will wake the process."""
+
+    def observe(self, now_ns: int) -> Observation | None:
+        """Return the observation that is ready, or None."""
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+class Tracker:
+    """Observes, says how long after which tick the image was taken, and publishes."""
+
+    def __init__(
+        self, config: Config, bus: Bus, clock: Clock, wake: Wake, rng: np.random.Generator, *, charge_ns: int = 0
+    ) -> None:
+        self._tick_ns = round(config.controller.tick_s * S)
+        self._ticks = TickFollower(bus, self._tick_ns, wake)
+        self._lead_ns = round(config.camera.trigger_lead_s * S) if config.camera.trigger == "tick" else None
+        self._clock = clock
+        if config.tracker.source == "truth":
+            self._source: PoseSource = _TruthPoses(TruthSource(config, bus, self._ticks, clock, rng))
+        else:
+            context = CameraContext(config, clock, bus, self._ticks, rng, charge_ns)
+            self._source = _CameraPoses(context, wake)
+        self._publish = bus.publisher(POSES, CAMERA)
+        self._seq = 0
+        self._refused = 0
+
+    def step(self, now_ns: int) -> int:
+        """Publish the observation that is ready, if one is."""
+        self._ticks.update()
+        observation = self._source.observe(now_ns)
+        if observation is not None:
+            self._send(observation, self._clock.now_ns() - now_ns)
+        next_ns = self._source.next_ns()
+        return now_ns + _IDLE_NS if next_ns is None else next_ns
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._source.close()
+
+    def _send(self, observation: Observation, work_ns: int) -> None:
+        self._seq += 1
+        self._refused += observation.refused
+        tick, since_ns = self._ticks.newest, 0
+        if tick and self._lead_ns is not None:
+            tick = self._ticks.nearest(observation.exposure_ns + self._lead_ns) - 1
+            since_ns = self._tick_ns - self._lead_ns  # the trigger leaves no other choice
+        elif tick:
+            since_ns = observation.exposure_ns - self._ticks.instant(tick)
+        message = FleetPoses(
+            _EPOCH,
+            self._seq,
+            observation.exposure_ns,
+            self._clock.now_ns(),
+            tick,
+            since_ns,
+            work_ns,
+            self._refused,
+            observation.poses,
+        )
+        self._publish(FLEET_POSES.encode(message))
+
+
+class _CameraPoses:
+    """A camera's images through the detector."""
+
+    def __init__(self, context: CameraContext, wake: Wake) -> None:
+        config = context.config
+        camera = load("robofleet.cameras", config.camera.source)(context)
+        self._camera = camera
+        self._scheduled: Callable[[], int | None] | None = None
+        self._reader: CameraReader | None = None
+        if isinstance(camera, ScheduledCamera):
+            self._scheduled = camera.ready_ns
+        else:
+            self._reader = CameraReader(camera, wake)
+        self._detector = TagDetector(
+            CameraGeometry.from_model(config.camera.model),
+            [robot.tag for robot in config.robots],
+            config.tracker.tag_side_m,
+            config.tracker.tag_height_m,
+        )
+
+    def next_ns(self) -> int | None:
+        return None if self._scheduled is None else self._scheduled()
+
+    def observe(self, now_ns: int) -> Observation | None:
+        if self._reader is not None:
+            frame = self._reader.newest()
+        else:
+            ready_ns = self.next_ns()
+            frame = self._camera.read() if ready_ns is not None and ready_ns <= now_ns else None
+        if frame is None:
+            return None
+        sightings = self._detector.detect(frame.image)
+        return Observation(
+            frame.exposure_ns, tuple(TagPose(*pose) for pose in sightings.poses), sightings.refused
+        )
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+class _TruthPoses:
+    """The truth in an image's place."""
+
+    def __init__(self, source: TruthSource) -> None:
+        self._source = source
+
+    def next_ns(self) -> int | None:
+        return self._source.ready_ns()
+
+    def observe(self, now_ns: int) -> Observation | None:
+        ready_ns = self._source.ready_ns()
+        if ready_ns is None or ready_ns > now_ns:
+            return None
+        exposure_ns, poses = self._source.read()
+        return Observation(exposure_ns, tuple(TagPose(*pose) for pose in poses), 0)
+
+    def close(self) -> None:
+        self._source.close()

@@ -1,0 +1,299 @@
+"""What a run was worth: ``summary.json`` from the messages of the run.
+
+Control error after ``run.settle_s``; what is measured on the truth after ``run.spacing_settle_s``. A figure that was
+not measured is None.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.comms.keys import POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, Layout
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import Config
+from robofleet.control.path import Path
+from robofleet.safety.gate import GateStatus
+
+Array = NDArray[np.float64]
+Figures = dict[str, Any]
+
+
+@dataclass
+class Recording:
+    """Every message of a run, by key, as it came; and what the one who ran it measured."""
+
+    config: Config
+    messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
+    elapsed_s: float = 0.0
+    trace_hash: str | None = None
+    tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
+    tracker_durations_ns: list[int] | None = None
+
+    def add(self, full: str, payload: bytes) -> None:
+        """Keep a message."""
+        self.messages[full].append(payload)
+
+    def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
+        """Return the messages of a key as a structured array; those of another size are left out."""
+        payloads = [p for p in self.messages.get(full, ()) if len(p) == layout.size]
+        return np.frombuffer(b"".join(payloads), dtype=layout.dtype)
+
+
+Watch = Callable[[Recording, str], None]  # called during a run with what came so far, and the phase's name
+
+
+class Run:
+    """The recording in columns: ticks of the run (K,), robots in platoon order (N,)."""
+
+    def __init__(self, recording: Recording) -> None:
+        config = self.config = recording.config
+        arena, robots = config.arena.name, config.platoon
+        dtype = TICK_RECORD.dtype(len(robots))
+        payloads = recording.messages.get(key(arena, TICK), ())
+        self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
+        self.ticks = self.all_ticks[self.all_ticks["run_tick"] >= 0]
+        self.t = self.ticks["run_tick"] * config.controller.tick_s
+        self.items = self.ticks["items"]
+        self.statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
+        self.path = Path.hermite(
+            np.array([k.at_m for k in config.groups[0].path.knots]),
+            np.array([k.derivative_m for k in config.groups[0].path.knots]),
+        )
+        truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
+        self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
+        poses = recording.messages.get(key(arena, POSES, "overhead"), ())
+        self.frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
+
+    def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
+        """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
+        columns = []
+        for truth in truths:
+            stamps = truth["stamp_ns"]
+            psi = np.unwrap(truth["psi_rad"])
+            columns.append(
+                [np.interp(self.ticks["stamp_ns"], stamps, y) for y in (truth["x_m"], truth["y_m"], psi)]
+            )
+        return np.array(columns).transpose(2, 0, 1)
+
+    def points(self) -> Array | None:
+        """Points p (K, N, 2): true ones, else as estimated."""
+        if self.truth is None:
+            return np.stack([self.items["point_x_m"], self.items["point_y_m"]], axis=-1) if len(self.t) else None
+        ahead = self.config.controller.point_ahead_m
+        psi = self.truth[..., 2]
+        return self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
+
+    def after(self, start_s: float) -> NDArray[np.bool_]:
+        """Return which ticks count."""
+        return np.asarray(self.t >= start_s)
+
+
+def summary(
+    recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None
+) -> Figures:
+    """Return the figures of a run as ``summary.json`` has them."""
+    run, config = Run(recording), recording.config
+    duration_s = float(run.t[-1]) if len(run.t) else 0.0
+    settled, spaced = run.after(config.run.settle_s), run.after(config.run.spacing_settle_s)
+    return {
+        "version": 1,
+        "config": name,
+        "seed": config.run.seed,
+        "mode": mode,
+        "outcome": outcome,
+        "cause": cause,
+        "duration_s": duration_s,
+        "ticks": len(run.t),
+        "real_time_factor": _rounded(duration_s / recording.elapsed_s) if recording.elapsed_s else None,
+        "trace_hash": recording.trace_hash,
+        "robots": [robot.id for robot in config.platoon],
+        "control_error_mm": _errors(run.items["control_error_m"][settled]),
+        **_true_errors(run, spaced),
+        "spacing_m": _spacing(run, spaced),
+        **_distances(run),
+        "pose_error": _pose_error(run),
+        "tracker": _tracker(run, recording),
+        "tick": _tick(run, recording),
+        "latency_ms": _latency(run),
+        "saturated_fraction": _rounded(run.items["saturated"].mean()) if len(run.t) else None,
+        "filtered_fraction": None,
+        "stops": _stops(run),
+        "rejected": {
+            robot.id: int(status["rejected"][-1]) if len(status) else None
+            for robot, status in zip(config.platoon, run.statuses, strict=True)
+        },
+    }
+
+
+def _errors(metres: Array) -> Figures | None:
+    """Mean, largest and per-robot mean of errors (K, N) [m], in mm."""
+    if not metres.size:
+        return None
+    mm = metres * 1e3
+    return {
+        "mean": _rounded(mm.mean()),
+        "max": _rounded(mm.max()),
+        "per_robot_mean": [_rounded(value) for value in mm.mean(axis=0)],
+    }
+
+
+def _true_errors(run: Run, counted: NDArray[np.bool_]) -> Figures:
+    points = run.points()
+    if run.truth is None or points is None or not counted.any():
+        return dict.fromkeys(("timed_error_mm", "path_error_mm", "centre_error_mm"))
+    points, centres = points[counted], run.truth[counted][..., :2]
+    return {
+        "timed_error_mm": _errors(_timed_errors(run, points, centres, run.t[counted])),
+        "path_error_mm": _errors(_path_errors(run.path, points)),
+        "centre_error_mm": _errors(_path_errors(run.path, centres)),
+    }
+
+
+def _path_errors(path: Path, points: Array) -> Array:
+    """Distances (K, N) of points (K, N, 2) from the path [m]."""
+    flat = points.reshape(-1, 2)
+    return np.linalg.norm(path.position(path.nearest(flat)) - flat, axis=-1).reshape(points.shape[:2])
+
+
+def _timed_errors(run: Run, points: Array, centres: Array, t: Array) -> Array:
+    """Distances (K, N) of p from where it should be now: r(gamma t), or d back from the predecessor."""
+    group = run.config.groups[0]
+    centre_tracked = group.track == "centre"
+    followed = centres if centre_tracked else points
+    should = np.empty(points.shape[:2])
+    should[:, 0] = group.path_rate * t % run.path.sides
+    for i in range(1, points.shape[1]):
+        should[:, i] = run.path.back(run.path.nearest(followed[:, i - 1]), group.spacing_m)
+    target = run.path.position(should)
+    if centre_tracked:
+        target = target + run.config.controller.point_ahead_m * run.path.tangent(should)
+    return np.asarray(np.linalg.norm(points - target, axis=-1))
+
+
+def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
+    points = run.points()
+    if points is None or not counted.any() or points.shape[1] < 2:
+        return None
+    gaps = np.linalg.norm(np.diff(points[counted], axis=1), axis=-1)
+    deviation = np.abs(gaps - run.config.groups[0].spacing_m)
+    return {
+        "mean": [_rounded(value, 5) for value in gaps.mean(axis=0)],
+        "max_deviation_mm": _rounded(deviation.max() * 1e3),
+    }
+
+
+def _distances(run: Run) -> Figures:
+    """Smallest distance between two robots' centres, and between their bodies, over the whole run."""
+    if run.truth is None or run.truth.shape[1] < 2:
+        return {"min_gap_mm": None, "min_centre_distance_mm": None}
+    first, second = np.triu_indices(run.truth.shape[1], 1)
+    distances = np.linalg.norm(run.truth[:, first, :2] - run.truth[:, second, :2], axis=-1).min(axis=0)
+    radii = np.array([robot.vehicle.body_radius_m for robot in run.config.platoon])
+    gaps = distances - radii[first] - radii[second]
+    return {
+        "min_gap_mm": _rounded(gaps.min() * 1e3),
+        "min_centre_distance_mm": _rounded(distances.min() * 1e3),
+    }
+
+
+def _pose_error(run: Run) -> Figures | None:
+    """The filter at the tick against the truth at the tick."""
+    if run.truth is None:
+        return None
+    dx, dy = run.items["x_m"] - run.truth[..., 0], run.items["y_m"] - run.truth[..., 1]
+    turn = np.angle(np.exp(1j * (run.items["psi_rad"] - run.truth[..., 2])))
+    squared = dx**2 + dy**2
+    return {
+        "rms_mm": _rounded(math.sqrt(squared.mean()) * 1e3),
+        "max_mm": _rounded(math.sqrt(squared.max()) * 1e3),
+        "heading_rms_deg": _rounded(math.degrees(math.sqrt((turn**2).mean()))),
+    }
+
+
+def _tracker(run: Run, recording: Recording) -> Figures:
+    frames, n = run.frames, len(run.config.platoon)
+    tags = {robot.tag for robot in run.config.platoon}
+    seen = sum(pose.tag in tags for frame in frames for pose in frame.poses)
+    if recording.tracker_durations_ns is not None:
+        durations = sorted(recording.tracker_durations_ns)[-len(frames) :]  # the other steps had no image
+    else:
+        durations = [frame.work_ns for frame in frames]
+    return {
+        "frames": len(frames),
+        "measured_fraction": _rounded(seen / (len(frames) * n)) if frames else None,
+        "false_ids": sum(pose.tag not in tags for frame in frames for pose in frame.poses),
+        "refused": frames[-1].refused if frames else 0,
+        "frame_ms": _percentiles(np.array(durations) / 1e6, (50, 99)),
+    }
+
+
+def _tick(run: Run, recording: Recording) -> Figures:
+    ticks = run.ticks
+    if recording.tick_durations_ns is not None:
+        compute = np.array(recording.tick_durations_ns)
+    else:
+        compute = ticks["compute_ns"][1:]
+    return {
+        "period_ms": run.config.controller.tick_s * 1e3,
+        "compute_us": _percentiles(compute / 1e3, (50, 99, 100)),
+        "lateness_us": _percentiles(ticks["lateness_ns"] / 1e3, (50, 99, 100)),
+        "overruns": int(ticks["overruns"][-1]) - int(ticks["overruns"][0]) if len(ticks) else 0,
+    }
+
+
+def _latency(run: Run) -> Figures | None:
+    """Mid-exposure to wheel of every command that was applied while running, and where that time went."""
+    if not len(run.ticks):
+        return None
+    total = []
+    for status in run.statuses:
+        running = status["applied_ns"] >= run.ticks["stamp_ns"][0]
+        _, newest = np.unique(status["applied_ns"][running], return_index=True)
+        applied = status[running][newest]
+        applied = applied[applied["applied_exposure_ns"] > 0]
+        total.append((applied["applied_ns"] - applied["applied_exposure_ns"]) / 1e6)
+    if not sum(map(len, total)):
+        return None
+    to_tick = (run.ticks["stamp_ns"] - run.ticks["exposure_ns"]) / 1e6
+    return {
+        "exposure_to_wheel": _percentiles(np.concatenate(total), (50, 99, 100)),
+        "stages": {
+            "exposure_to_poses": _percentiles(
+                np.array([frame.sent_ns - frame.exposure_ns for frame in run.frames]) / 1e6, (50, 99)
+            ),
+            "exposure_to_tick": _percentiles(to_tick[run.ticks["exposure_ns"] > 0], (50, 99)),
+        },
+    }
+
+
+def _stops(run: Run) -> list[Figures]:
+    """Times at which a gate closed while the run was on."""
+    stops: list[Figures] = []
+    if not len(run.ticks):
+        return stops
+    start, end = run.ticks["stamp_ns"][0], run.ticks["stamp_ns"][-1]
+    for robot, status in zip(run.config.platoon, run.statuses, strict=True):
+        closed = (status["gate"][1:] != GateStatus.OPEN) & (status["gate"][:-1] == GateStatus.OPEN)
+        for row in status[1:][closed]:
+            if start < row["stamp_ns"] <= end:
+                t_s = _rounded((int(row["stamp_ns"]) - int(start)) / 1e9)
+                cause = GateStatus(row["gate"]).name.lower().replace("_", " ")
+                stops.append({"t_s": t_s, "robot": robot.id, "cause": cause})
+    return sorted(stops, key=lambda stop: stop["t_s"])
+
+
+def _percentiles(values: Array, percents: tuple[int, ...]) -> Figures | None:
+    if not len(values):
+        return None
+    found = np.percentile(values, percents)
+    return {"max" if p == 100 else f"p{p}": _rounded(v) for p, v in zip(percents, found, strict=True)}
+
+
+def _rounded(value: float, digits: int = 4) -> float:
+    return round(float(value), digits)

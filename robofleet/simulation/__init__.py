@@ -1,0 +1,1 @@
+"""The laboratory that isn't there."""

@@ -1,0 +1,1 @@
+"""Where each robot is: camera model, tags, filter."""

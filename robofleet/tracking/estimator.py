@@ -1,0 +1,195 @@
+"""Where every robot is when its next command acts: a filter of three states a robot.
+
+Between images the pose moves along the arcs of the wheel speeds that were commanded, behind a dead time (in the
+commands' instants) and a first-order motor lag; an image's pose corrects it at the image's own mid-exposure. The
+prediction for the future is the same motion continued with the commands that are under way.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from robofleet.vehicles import differential_drive
+from robofleet.vehicles.differential_drive import DifferentialDrive
+
+Array = NDArray[np.float64]
+Instants = NDArray[np.int64]
+
+_HISTORY = 64  # commands
+_LONGEST_STEP_NS = 17_000_000
+_CARRIED_AFTER = 5  # outliers in a row that agree with each other
+
+_arc = njit(cache=True)(differential_drive.arc)
+_body_from_wheels = njit(cache=True)(differential_drive.body_from_wheels)
+
+
+@dataclass(frozen=True)
+class FilterNoise:
+    """Standard deviations: of a measurement, and of the prediction after one second."""
+
+    position: float  # [m]
+    heading: float  # [rad]
+    position_drift: float  # [m/sqrt(s)]
+    heading_drift: float  # [rad/sqrt(s)]
+    gate_sigma: float  # Mahalanobis distance of an outlier
+
+
+class FleetFilter:
+    """Poses (N, 3): x, y [m], psi [rad] of the robots' centres in the world frame."""
+
+    def __init__(self, drives: tuple[DifferentialDrive, ...], noise: FilterNoise) -> None:
+        n = len(drives)
+        self._motion = np.array([(d.wheel_radius, d.wheel_base, d.motor_lag) for d in drives])
+        self._variance = np.array([noise.position, noise.position, noise.heading]) ** 2
+        self._drift = np.array([noise.position_drift, noise.position_drift, noise.heading_drift]) ** 2
+        self._gate = noise.gate_sigma**2
+        self._pose = np.zeros((n, 3))
+        self._covariance = np.zeros((n, 3, 3))
+        self._wheels = np.zeros((n, 2))  # as modelled, at the filter's instant [rad/s]
+        self._instant_ns = np.int64(0)
+        self._act_ns = np.zeros(_HISTORY, dtype=np.int64)
+        self._commands = np.zeros((_HISTORY, n, 2))
+        self._outliers = np.zeros(n, dtype=np.int64)
+        self._outlier_pose = np.full((n, 3), np.nan)
+        self.measured_ns = np.zeros(n, dtype=np.int64)  # newest measurement used; 0: never seen
+
+    def command(self, act_ns: int, wheels: Array) -> None:
+        """Remember commands (N, 2) [rad/s] that act from ``act_ns`` on."""
+        self._act_ns[:-1] = self._act_ns[1:]
+        self._commands[:-1] = self._commands[1:]
+        self._act_ns[-1] = act_ns
+        self._commands[-1] = wheels
+
+    def observe(self, exposure_ns: int, seen: NDArray[np.bool_], poses: Array) -> NDArray[np.int64]:
+        """Use an image taken at ``exposure_ns``: ``poses`` (N, 3) of the robots ``seen`` (N,).
+
+        Returns for each robot 0: not used, 1: used, 2: used after it was carried (the filter started anew). An image
+        older than the newest one is not used.
+        """
+        used = np.zeros(len(seen), dtype=np.int64)
+        if self._instant_ns == 0:
+            self._instant_ns = np.int64(exposure_ns - 1)
+        if exposure_ns > self._instant_ns:
+            _observe(
+                self._pose, self._covariance, self._wheels, self._instant_ns, exposure_ns, self._act_ns,
+                self._commands, self._motion, self._drift, self._variance, self._gate, seen, poses,
+                self._outliers, self._outlier_pose, self.measured_ns, used,
+            )  # fmt: skip
+            self._instant_ns = np.int64(exposure_ns)
+        return used
+
+    def predict(self, instant_ns: int) -> Array:
+        """Return the poses (N, 3) at an instant after the newest image, by the commands that act until then."""
+        pose, wheels = self._pose.copy(), self._wheels.copy()
+        _advance(pose, wheels, self._instant_ns, instant_ns, self._act_ns, self._commands, self._motion)
+        return pose
+
+
+@njit(cache=True)
+def _advance(
+    pose: Array, wheels: Array, start_ns: int, end_ns: int, act_ns: Instants, commands: Array, motion: Array
+) -> None:
+    """Move poses and modelled wheel speeds from one instant to a later one, command by command."""
+    now = start_ns
+    newest = -1  # command in force at the start; -1: none, the wheels are asked to rest
+    for k in range(len(act_ns)):
+        if act_ns[k] <= now:
+            newest = k
+    while now < end_ns:
+        until = min(end_ns, now + _LONGEST_STEP_NS)
+        if newest + 1 < len(act_ns):
+            until = min(until, max(act_ns[newest + 1], now))
+        duration = (until - now) * 1e-9
+        for i in range(len(pose)):
+            radius, base, lag = motion[i]
+            left_command = commands[newest, i, 0] if newest >= 0 else 0.0
+            right_command = commands[newest, i, 1] if newest >= 0 else 0.0
+            left, wheels[i, 0] = _lagged(wheels[i, 0], left_command, lag, duration)
+            right, wheels[i, 1] = _lagged(wheels[i, 1], right_command, lag, duration)
+            v, omega = _body_from_wheels(left, right, radius, base)
+            pose[i] = _arc(pose[i, 0], pose[i, 1], pose[i, 2], v, omega, duration)
+        now = until
+        if newest + 1 < len(act_ns) and act_ns[newest + 1] <= now:
+            newest += 1
+
+
+@njit(cache=True)
+def _lagged(speed: float, command: float, lag: float, duration: float) -> tuple[float, float]:
+    """Return the mean speed over ``duration`` and the speed at its end, for a first-order lag."""
+    if lag == 0.0 or duration == 0.0:
+        return command, command if duration > 0.0 else speed
+    decay = np.exp(-duration / lag)
+    ahead = speed - command
+    return command + ahead * (1.0 - decay) * lag / duration, command + ahead * decay
+
+
+@njit(cache=True)
+def _observe(
+    pose: Array, covariance: Array, wheels: Array, start_ns: int, exposure_ns: int, act_ns: Instants,
+    commands: Array, motion: Array, drift: Array, variance: Array, gate: float, seen: NDArray[np.bool_],
+    measured: Array, outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
+) -> None:  # fmt: skip
+    before = pose.copy()
+    _advance(pose, wheels, start_ns, exposure_ns, act_ns, commands, motion)
+    duration = (exposure_ns - start_ns) * 1e-9
+    for i in range(len(pose)):
+        p = covariance[i]
+        _predict_covariance(p, pose[i] - before[i], drift * duration)
+        if not seen[i]:
+            continue
+        innovation = measured[i] - pose[i]
+        innovation[2] = _wrapped(innovation[2])
+        if measured_ns[i] > 0 and _correct(pose[i], p, innovation, variance, gate):
+            outliers[i] = 0
+            used[i] = 1
+        else:
+            away = np.abs(measured[i] - outlier_pose[i])
+            agrees = away[0] < 0.03 and away[1] < 0.03 and abs(_wrapped(away[2])) < 0.3
+            outliers[i] = outliers[i] + 1 if agrees else 1
+            outlier_pose[i] = measured[i]
+            if measured_ns[i] > 0 and outliers[i] < _CARRIED_AFTER:
+                continue
+            pose[i] = measured[i]
+            p[:] = np.diag(variance)
+            outliers[i] = 0
+            used[i] = 2
+        pose[i, 2] = _wrapped(pose[i, 2])
+        measured_ns[i] = exposure_ns
+
+
+@njit(cache=True)
+def _predict_covariance(p: Array, moved: Array, drift: Array) -> None:
+    """P <- F P F' + Q, F the derivative of the motion: a wrong heading turns the way that was covered."""
+    p[0] -= moved[1] * p[2]
+    p[1] += moved[0] * p[2]
+    p[:, 0] -= moved[1] * p[:, 2]
+    p[:, 1] += moved[0] * p[:, 2]
+    for k in range(3):
+        p[k, k] += drift[k]
+
+
+@njit(cache=True)
+def _correct(pose: Array, p: Array, innovation: Array, variance: Array, gate: float) -> bool:
+    """Correct by the three coordinates one after the other, unless they are together beyond the gate."""
+    x, trial = np.zeros(3), p.copy()
+    distance = 0.0
+    for k in range(3):
+        s = trial[k, k] + variance[k]
+        residual = innovation[k] - x[k]
+        distance += residual * residual / s
+        gain = trial[:, k] / s
+        x += gain * residual
+        trial -= np.outer(gain, trial[k].copy())
+    if distance > gate:
+        return False
+    pose += x
+    p[:] = trial
+    return True
+
+
+@njit(cache=True)
+def _wrapped(angle: float) -> float:
+    """Return the angle in (-pi, pi]."""
+    return angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))

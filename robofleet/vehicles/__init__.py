@@ -1,0 +1,1 @@
+"""How things move. Pure: no clock, no I/O; free of numba, for a robot's small computer."""

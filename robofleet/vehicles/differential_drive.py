@@ -1,0 +1,63 @@
+"""Differential drive: wheels, body, and a point ahead of the axle. Scalars only, so that numba can compile them.
+
+``left, right``: wheel speeds [rad/s; forward +]. ``v`` [m/s; forward +], ``omega`` [rad/s; CCW +]: body velocity.
+``psi``: heading [rad; world frame, CCW +]. ``l``: distance of the point p ahead of the axle's middle [m].
+"""
+
+import math
+from dataclasses import dataclass
+
+_INSIDE = 1.0 - 1e-9  # a scaled wheel stays inside its limit whatever is rounded later
+
+
+@dataclass(frozen=True)
+class DifferentialDrive:
+    """What the controller believes of a robot."""
+
+    wheel_radius: float  # [m]
+    wheel_base: float  # distance between the wheels [m]
+    max_wheel_speed: float  # [rad/s]
+    max_speed: float  # of the body [m/s]
+    motor_lag: float  # time constant of the wheel-speed loop [s]
+
+
+def body_from_wheels(left: float, right: float, radius: float, base: float) -> tuple[float, float]:
+    """Return (v, omega)."""
+    return radius * (right + left) / 2.0, radius * (right - left) / base
+
+
+def wheels_from_body(v: float, omega: float, radius: float, base: float) -> tuple[float, float]:
+    """Return (left, right)."""
+    return (v - omega * base / 2.0) / radius, (v + omega * base / 2.0) / radius
+
+
+def body_from_point(u_x: float, u_y: float, psi: float, l: float) -> tuple[float, float]:
+    """Return the (v, omega) that move p with velocity u [m/s; world frame] (eq. 28)."""
+    c, s = math.cos(psi), math.sin(psi)
+    return c * u_x + s * u_y, (c * u_y - s * u_x) / l
+
+
+def point_from_pose(x: float, y: float, psi: float, l: float) -> tuple[float, float]:
+    """Return the point p, l ahead of the axle's middle [m; world frame]."""
+    return x + l * math.cos(psi), y + l * math.sin(psi)
+
+
+def feasible_ratio(left: float, right: float, radius: float, max_wheel_speed: float, max_speed: float) -> float:
+    """Return the one ratio <= 1 for both wheels that keeps wheel and body limits and the path of the motion."""
+    fastest = max(abs(left), abs(right)) / max_wheel_speed
+    fastest = max(fastest, radius * abs(left + right) / 2.0 / max_speed)
+    return 1.0 if fastest <= _INSIDE else _INSIDE / fastest
+
+
+def arc(
+    x: float, y: float, psi: float, v: float, omega: float, duration: float
+) -> tuple[float, float, float]:
+    """Return the pose after ``duration`` [s] of constant body velocity: an exact arc; psi in (-pi, pi]."""
+    turn = omega * duration
+    half = turn / 2.0
+    chord = v * duration * (1.0 - half * half / 6.0 if abs(half) < 1e-4 else math.sin(half) / half)
+    heading = psi + half
+    psi += turn
+    if psi > math.pi or psi <= -math.pi:
+        psi -= math.tau * math.ceil((psi - math.pi) / math.tau)
+    return x + chord * math.cos(heading), y + chord * math.sin(heading), psi

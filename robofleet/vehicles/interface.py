@@ -1,0 +1,111 @@
+"""What a robot's driver offers, and the values that cross it.
+
+A driver knows its robot and nothing of the bus; the process around it knows the bus and nothing of the robot.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from robofleet.vehicles.differential_drive import DifferentialDrive
+
+
+class WheelSpeeds(NamedTuple):
+    """Angular speeds of the two wheels [rad/s; forward is +]."""
+
+    left: float
+    right: float
+
+
+STOP = WheelSpeeds(0.0, 0.0)
+
+
+class DriverReading(NamedTuple):
+    """What a robot reports about itself."""
+
+    left_angle: float  # [rad; forward +, accumulated since the driver opened]
+    right_angle: float  # [rad]
+    left_speed: float  # [rad/s; as measured]
+    right_speed: float  # [rad/s]
+    battery: float  # charge [0..1]; NaN where the robot cannot tell
+    faults: int  # bit set, 0 when healthy; the bits are the driver's own
+
+
+class TruePose(NamedTuple):
+    """Where a simulated robot really is [m, rad; world frame, CCW +] and how it moves [m/s, rad/s; body frame]."""
+
+    x: float
+    y: float
+    psi: float
+    v: float
+    omega: float
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """How far a simulated robot is from the ideal one. Spreads are half widths of a uniform draw made once."""
+
+    motor_lag: float  # time constant of the wheel-speed loop [s]
+    speed_quantum: float  # one encoder count in one period of the loop [rad/s]
+    loop_period: float  # of the firmware [s]
+    deadband: float  # a turning wheel stops when commanded less [rad/s]
+    breakaway: float  # a resting wheel stays at rest when commanded less (stiction) [rad/s]
+    wheel_gain_spread: float  # of each wheel's radius, relative
+    wheel_base_spread: float  # relative
+    slip: float  # fraction of a wheel's travel lost at a yaw rate of 1 rad/s [s/rad]
+    slip_noise: float  # standard deviation of the slip, relative to it
+    top_speed_sag: float  # fraction of the top speed lost when the battery is empty
+    battery_life: float  # [s]
+
+
+class Stall(NamedTuple):
+    """Motors of a simulated robot blocked for a while; time counts from its first motion command [s]."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What only a simulated robot needs."""
+
+    imperfections: Imperfections
+    start: tuple[float, float, float]  # x, y [m], psi [rad]; world
+    stalls: tuple[Stall, ...]
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class DriverContext:
+    """What a driver is made from."""
+
+    robot: str
+    drive: DifferentialDrive
+    simulation: Simulation
+    now_ns: Callable[[], int]  # the process's clock
+
+
+class Driver(Protocol):
+    """One robot. Found by the entry-point group ``robofleet.drivers``, or as ``module:Class`` in the config.
+
+    The class is called with one :class:`DriverContext`.
+    """
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        """Command the wheels [rad/s]. Called only by the gate's process."""
+
+    def read(self) -> DriverReading:
+        """Return the newest reading without waiting for the robot."""
+
+    def close(self) -> None:
+        """Motors off. Idempotent."""
+
+
+@runtime_checkable
+class SimulatedDriver(Protocol):
+    """A driver whose robot does not exist: it also knows the truth, for the simulated camera and for the summary."""
+
+    def truth(self) -> TruePose:
+        """Return the true pose now."""

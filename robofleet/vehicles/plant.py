@@ -1,0 +1,130 @@
+"""A simulated differential-drive robot that is as bad as a real one.
+
+Firmware runs a speed loop on each wheel; its feedback is an encoder that counts. Between the wheels and the floor are
+a gain error, a wrong base and slip. Randomness is passed in; time is passed in.
+"""
+
+import math
+
+import numpy as np
+
+from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.interface import DriverReading, Imperfections, TruePose, WheelSpeeds
+
+_RANDOM_BLOCK = 512
+_AT_REST = 1e-3  # friction holds a wheel slower than this [rad/s]
+
+
+class _Wheel:
+    """Speed loop and encoder of one wheel."""
+
+    __slots__ = ("_counted", "_p", "_resolution", "angle", "gain", "speed")
+
+    def __init__(self, p: Imperfections, gain: float) -> None:
+        self._p = p
+        self._resolution = p.speed_quantum * p.loop_period
+        self._counted = 0.0  # the angle that the encoder has seen
+        self.gain = gain
+        self.angle = 0.0
+        self.speed = 0.0
+
+    def turn(self, command: float, top_speed: float, duration: float) -> float:
+        """Advance by ``duration`` [s] and return the mean speed over it [rad/s]."""
+        p = self._p
+        threshold = p.breakaway if self.speed == 0.0 else p.deadband
+        target = 0.0 if abs(command) < threshold else max(-top_speed, min(top_speed, command))
+        if target == 0.0 and abs(self.speed) < _AT_REST:
+            self.speed = 0.0
+        if p.motor_lag == 0.0:
+            mean = self.speed = target
+        else:
+            decay = math.exp(-duration / p.motor_lag)
+            ahead = self.speed - target
+            mean = target + ahead * (1.0 - decay) * p.motor_lag / duration
+            self.speed = target + ahead * decay
+        travelled = self.angle + mean * duration
+        if self._resolution and target:
+            counted = self._resolution * math.floor(travelled / self._resolution)
+            # the loop acts on what it counts: what the encoder has not seen yet is missing from its feedback
+            unseen = (travelled - counted) - (self.angle - self._counted)
+            self._counted = counted
+            if p.motor_lag:
+                self.speed += unseen / p.motor_lag
+        self.angle = travelled
+        return mean
+
+    def block(self) -> None:
+        self.speed = 0.0
+
+
+class Plant:
+    """The robot: pose of the axle's middle [m, rad; world], wheels, battery."""
+
+    def __init__(
+        self,
+        drive: DifferentialDrive,
+        imperfections: Imperfections,
+        pose: tuple[float, float, float],
+        rng: np.random.Generator,
+    ) -> None:
+        p = imperfections
+        left, right, base = rng.uniform(-1.0, 1.0, 3).tolist()
+        self._drive, self._p, self._rng = drive, p, rng
+        self._base = drive.wheel_base * (1.0 + p.wheel_base_spread * base)
+        self._left = _Wheel(p, 1.0 + p.wheel_gain_spread * left)
+        self._right = _Wheel(p, 1.0 + p.wheel_gain_spread * right)
+        self._pose = pose
+        self._body = (0.0, 0.0)
+        self._used = 0.0  # battery time [s]
+        self._noise: list[float] = []
+
+    def step(self, command: WheelSpeeds, duration: float, *, blocked: bool = False) -> None:
+        """Advance by ``duration`` > 0 [s] with constant commands; ``blocked`` motors stand still whatever is asked."""
+        self._used += duration
+        if blocked:
+            self._left.block()
+            self._right.block()
+            self._body = (0.0, 0.0)
+            return
+        top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * (1.0 - self.charge))
+        left = self._left.gain * self._left.turn(command.left, top, duration)
+        right = self._right.gain * self._right.turn(command.right, top, duration)
+        if left == 0.0 and right == 0.0:
+            self._body = (0.0, 0.0)
+            return
+        radius = self._drive.wheel_radius
+        if self._p.slip:
+            slip = self._p.slip * abs(body_from_wheels(left, right, radius, self._base)[1])
+            left *= 1.0 - slip * self._slip_factor()
+            right *= 1.0 - slip * self._slip_factor()
+        v, omega = self._body = body_from_wheels(left, right, radius, self._base)
+        self._pose = arc(*self._pose, v, omega, duration)
+
+    @property
+    def charge(self) -> float:
+        """Charge of the battery [0..1]."""
+        return max(0.0, 1.0 - self._used / self._p.battery_life)
+
+    def reading(self) -> DriverReading:
+        """Return what the robot's own sensors say: angles and speeds in whole counts."""
+        return DriverReading(
+            _quantised(self._left.angle, self._p.speed_quantum * self._p.loop_period),
+            _quantised(self._right.angle, self._p.speed_quantum * self._p.loop_period),
+            _quantised(self._left.speed, self._p.speed_quantum),
+            _quantised(self._right.speed, self._p.speed_quantum),
+            self.charge,
+            0,
+        )
+
+    def truth(self) -> TruePose:
+        """Return the true pose and body velocity."""
+        return TruePose(*self._pose, *self._body)
+
+    def _slip_factor(self) -> float:
+        if not self._noise:
+            self._noise = self._rng.standard_normal(_RANDOM_BLOCK).tolist()
+        return max(0.0, 1.0 + self._p.slip_noise * self._noise.pop())
+
+
+def _quantised(value: float, quantum: float) -> float:
+    return quantum * math.floor(value / quantum + 0.5) if quantum else value

@@ -1,0 +1,234 @@
+"""Strict YAML: every value with its line and column. What YAML 1.1 would quietly misread is refused."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+Value = dict[str, "Node"] | list["Node"] | str | int | float | bool | None
+
+_TAG = "tag:yaml.org,2002:"
+_SCALARS = {_TAG + kind for kind in ("null", "bool", "int", "float", "str")}
+_ALIAS, _EXPLICIT = "!alias", "!explicit "
+NUMBER_LIKE = re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)(?:[eE][-+]?[0-9]+)?|0o[0-7]+")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a text came from: a file, named as the user named it, or one ``--set`` of ``key``."""
+
+    name: str
+    key: str = ""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line and a column (from 1) of a source, and the dotted path that stands there."""
+
+    source: Source
+    line: int
+    column: int
+    path: str
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong at a place."""
+
+    place: Place
+    message: str
+
+    def __str__(self) -> str:
+        """Return one line, ``file:line:column: path: message``; a ``--set`` has no line and column."""
+        source = self.place.source
+        where = source.name if source.key else f"{source.name}:{self.place.line}:{self.place.column}"
+        line = ": ".join(part for part in (where, self.place.path, self.message) if part)
+        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A value, where it stands and where its key stands; ``bad`` when a fault was reported here already."""
+
+    value: Value
+    place: Place
+    key: Place
+    bad: bool = False
+
+    def child(self, part: str | int) -> "Node | None":
+        """Return what a key or an index leads to, None if nothing."""
+        if isinstance(self.value, dict):
+            return self.value.get(str(part))
+        if isinstance(self.value, list) and isinstance(part, int) and 0 <= part < len(self.value):
+            return self.value[part]
+        return None
+
+    def plain(self) -> object:
+        """Return the value without its places."""
+        if isinstance(self.value, dict):
+            return {key: node.plain() for key, node in self.value.items()}
+        if isinstance(self.value, list):
+            return [node.plain() for node in self.value]
+        return self.value
+
+
+def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Fault]]:
+    """Read a file: its tree (None when there is none) and its faults.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    data = b""
+    try:
+        data = file.read_bytes()
+        text = data.decode("utf-8-sig")
+    except FileNotFoundError:
+        raise
+    except UnicodeDecodeError as error:
+        place = _place_of(source, data[: error.start].decode("utf-8-sig"))
+        return None, [Fault(place, "is not UTF-8 text: save the file as UTF-8")]
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        return None, [Fault(Place(source, 1, 1, ""), f"cannot be read: {reason}")]
+    return parse_yaml(text, source)
+
+
+def parse_yaml(text: str, source: Source) -> tuple[Node | None, list[Fault]]:
+    """Parse one document: its tree (None when there is none) and its faults."""
+    try:
+        root = _Loader(text).get_single_node()
+    except yaml.MarkedYAMLError as error:
+        return None, [_syntax_fault(error, source)]
+    except yaml.reader.ReaderError as error:
+        message = f"the character {error.character!r} may not stand in YAML"
+        return None, [Fault(_place_of(source, text[: error.position]), message)]
+    except RecursionError:
+        return None, [Fault(Place(source, 1, 1, source.key), "is nested too deeply")]
+    except (ValueError, OverflowError) as error:  # an escape beyond Unicode
+        return None, [Fault(Place(source, 1, 1, source.key), f"is not YAML: {error}")]
+    if root is None:
+        return None, [Fault(Place(source, 1, 1, source.key), "is empty")]
+    walk = _Walk(source)
+    node = walk.node(root, source.key, None)
+    return node, walk.faults
+
+
+def _place_of(source: Source, before: str) -> Place:
+    lines = before.split("\n")
+    return Place(source, len(lines), len(lines[-1]) + 1, source.key)
+
+
+def _syntax_fault(error: yaml.MarkedYAMLError, source: Source) -> Fault:
+    mark = error.problem_mark or error.context_mark
+    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+    message = "is not YAML: " + ", ".join(part for part in (error.context, error.problem) if part)
+    if error.problem == "but found another document":
+        message = "a second document starts here: a file holds one"
+    elif error.problem and r"'\t'" in error.problem:
+        message += ": indent with spaces"
+    return Fault(Place(source, line, column, source.key), message)
+
+
+class _Loader(yaml.SafeLoader):
+    """Marks aliases (they can explode) and explicit tags for the walk to refuse, and follows neither."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            self.get_event()  # type: ignore[no-untyped-call]
+            return yaml.ScalarNode(_ALIAS, f"*{event.anchor}", event.start_mark, event.end_mark)  # type: ignore[arg-type]
+        tag = getattr(event, "tag", None)
+        node = super().compose_node(parent, index)
+        if tag is not None and node is not None:
+            node.tag = _EXPLICIT + tag
+        return node
+
+
+class _Walk:
+    """From PyYAML's nodes to ours, collecting what is refused on the way."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.faults: list[Fault] = []
+
+    def node(self, node: yaml.Node, path: str, key: Place | None) -> Node:
+        place = self._place(node, path)
+        value: Value = None
+        message = None
+        if node.tag.startswith(_EXPLICIT):
+            message = f"tags are not read: remove {node.tag.removeprefix(_EXPLICIT + _TAG)!r}"
+        elif isinstance(node, yaml.MappingNode):
+            value = self._mapping(node, path)
+        elif isinstance(node, yaml.SequenceNode):
+            value = [self.node(child, _join(path, str(i)), None) for i, child in enumerate(node.value)]
+        else:
+            value, message = _scalar(node)
+        if message:
+            self.faults.append(Fault(place, message))
+        return Node(value, place, key or place, bad=message is not None)
+
+    def _mapping(self, node: yaml.MappingNode, path: str) -> dict[str, Node]:
+        children: dict[str, Node] = {}
+        for key_node, value_node in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else ""
+            place = self._place(key_node, _join(path, key))
+            if key_node.tag == _TAG + "merge":
+                message = "merge keys are not read: write the keys out"
+            elif key_node.tag != _TAG + "str" or not key.isprintable() or not key:
+                message = f"a key must be text: quote it, '{key}'" if key else "a key must be text"
+            elif key in children:
+                message = f"is written twice, first on line {children[key].key.line}: remove one"
+            else:
+                children[key] = self.node(value_node, place.path, place)
+                continue
+            self.faults.append(Fault(place, message))
+        return children
+
+    def _place(self, node: yaml.Node, path: str) -> Place:
+        return Place(self.source, node.start_mark.line + 1, node.start_mark.column + 1, path)
+
+
+def _join(path: str, part: str) -> str:
+    return ".".join(filter(None, (path, part)))
+
+
+def _scalar(node: yaml.Node) -> tuple[Value, str | None]:
+    """Return a scalar's value, and what is wrong with it (None if nothing)."""
+    text, kind = str(node.value), node.tag.removeprefix(_TAG)
+    if node.tag == _ALIAS:
+        return None, f"aliases are not read: write out what {text} stands for"
+    if node.tag not in _SCALARS:
+        return None, f"YAML takes {text} for a {kind}: quote it, '{text}'"
+    try:
+        value: Value = yaml.constructor.SafeConstructor().construct_object(node)
+    except ValueError:
+        return None, "is a number that cannot be read"
+    plain = isinstance(node, yaml.ScalarNode) and node.style is None
+    return value, _misread(text, kind, value) if plain else None
+
+
+def _misread(text: str, kind: str, value: Value) -> str | None:
+    """Return how YAML 1.1 takes an unquoted scalar for something else than it looks like."""
+    mend = ""
+    if kind == "bool" and text.lower() not in ("true", "false"):
+        mend = f"{str(value).lower()}: write true or false, or quote it, '{text}'"
+    elif kind == "int" and re.match(r"[-+]?0[0-7_]", text):
+        mend = f"octal, {value}: write {int(text.replace('_', ''))} without the zero, or quote it, '{text}'"
+    elif kind in ("int", "float") and ":" in text:
+        mend = f"base 60, {value}: write {value}, or quote it, '{text}'"
+    elif kind == "str" and NUMBER_LIKE.fullmatch(text):
+        mend = f"text: write {_spelled(text)}, or quote it, '{text}'"
+    return f"YAML reads {text} as {mend}" if mend else None
+
+
+def _spelled(text: str) -> str:
+    """Return how YAML 1.1 wants the number to be written."""
+    if text.startswith("0o"):
+        return str(int(text, 8))
+    mantissa, _, exponent = text.lower().replace("_", "").partition("e")
+    if not exponent and "." not in mantissa:
+        return str(int(mantissa))
+    mantissa = re.sub(r"^([-+]?)\.", r"\g<1>0.", mantissa if "." in mantissa else mantissa + ".0")
+    sign = "" if not exponent or exponent[0] in "+-" else "+"
+    return f"{mantissa}e{sign}{exponent}" if exponent else mantissa
