@@ -13,7 +13,7 @@ class SimulatedRobot:
         sim = context.simulation
         self._now_ns = context.now_ns
         self._plant = Plant(context.drive, sim.imperfections, sim.start, sim.rng)
-        self._longest_step_s = sim.imperfections.loop_period
+        self._longest_step_ns = round(sim.imperfections.loop_period / _NS)
         self._stalls = sim.stalls
         self._command = STOP
         self._reached_ns = context.now_ns()
@@ -42,16 +42,14 @@ class SimulatedRobot:
 
     def _advance(self) -> None:
         now_ns = self._now_ns()
-        while (remaining_s := (now_ns - self._reached_ns) * _NS) > 0.0:
-            if remaining_s <= self._longest_step_s:
-                step_ns = now_ns - self._reached_ns
-            else:
-                step_ns = int(self._longest_step_s / _NS)
-            self._plant.step(self._command, step_ns * _NS, blocked=self._blocked())
+        while self._reached_ns < now_ns:
+            step_ns = min(now_ns - self._reached_ns, self._longest_step_ns)
+            blocked = bool(self._stalls) and self._blocked()
+            self._plant.step(self._command, step_ns * _NS, blocked=blocked)
             self._reached_ns += step_ns
 
     def _blocked(self) -> bool:
-        if not self._stalls or self._first_motion_ns is None:
+        if self._first_motion_ns is None:
             return False
         elapsed_s = (self._reached_ns - self._first_motion_ns) * _NS
         return any(stall.start <= elapsed_s < stall.end for stall in self._stalls)

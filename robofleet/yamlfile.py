@@ -202,10 +202,10 @@ def _scalar(node: yaml.Node) -> tuple[Value, str | None]:
         return None, f"YAML takes {text} for a {kind}: quote it, '{text}'"
     try:
         value: Value = yaml.constructor.SafeConstructor().construct_object(node)
-    except ValueError:
-        return None, "is a number that cannot be read"
-    plain = isinstance(node, yaml.ScalarNode) and node.style is None
-    return value, _misread(text, kind, value) if plain else None
+        plain = isinstance(node, yaml.ScalarNode) and node.style is None
+        return value, _misread(text, kind, value) if plain else None
+    except ValueError:  # Python's limit of digits
+        return None, "is a number too long to be read"
 
 
 def _misread(text: str, kind: str, value: Value) -> str | None:

@@ -90,10 +90,10 @@ class MemoryBus:
     def __init__(self, arena: str, clock: Clock, delay_ns: int) -> None:
         self._arena, self._clock, self._delay_ns = arena, clock, delay_ns
         self._subscribers: dict[str, list[_MemoryQueue]] = {}
-        self._taps: list[Callable[[str, bytes], None]] = []
+        self._taps: list[Callable[[tuple[str, bytes]], None]] = []
 
-    def tap(self, observe: Callable[[str, bytes], None]) -> None:
-        """Call ``observe`` with every message at the moment when it is published."""
+    def tap(self, observe: Callable[[tuple[str, bytes]], None]) -> None:
+        """Call ``observe`` with (key, payload) of every message at the moment when it is published."""
         self._taps.append(observe)
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
@@ -107,7 +107,7 @@ class MemoryBus:
             for queue in queues:
                 queue.put(arrival_ns, payload)
             for observe in taps:
-                observe(full, payload)
+                observe((full, payload))
 
         return publish
 
@@ -159,11 +159,12 @@ class _MemoryQueue:
             self._wake(arrival_ns)
 
     def take(self) -> bytes | None:
-        newest = None
-        if self._messages:
-            now_ns = self._clock.now_ns()
-            while self._messages and self._messages[0][0] <= now_ns:
-                self.arrival_ns, newest = self._messages.popleft()
+        messages = self._messages
+        if not messages:
+            return None
+        newest, now_ns = None, self._clock.now_ns()
+        while messages and messages[0][0] <= now_ns:
+            self.arrival_ns, newest = messages.popleft()
         return newest
 
     def drain(self) -> list[tuple[str, bytes]]:

@@ -13,7 +13,7 @@ import numpy as np
 VERSION = 1
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
 
-M = TypeVar("M", bound=tuple[Any, ...])
+M = TypeVar("M", bound=NamedTuple)
 
 
 def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
@@ -42,7 +42,7 @@ class Layout(Generic[M]):
         values = self._struct.unpack(payload)
         if self._doubles and not math.isfinite(sum(values[-self._doubles :])):
             return None
-        return self._make(*values[1:])
+        return self._make._make(values[1:])
 
 
 class WheelCommand(NamedTuple):
@@ -165,8 +165,8 @@ class RobotTick(NamedTuple):
     control_error_m: float
     left_rad_s: float
     right_rad_s: float
-    measured: float  # 1: an image was used for this robot in this tick
     saturated: float  # 1: the wheels could not do all of it
+    measured: float  # 1: an image was used for this robot in this tick
     lost: float  # 1: no image for too long; it stands still
 
 
@@ -180,7 +180,7 @@ TRUTH = Layout(Truth, "IIq", 5)
 class ListLayout(Generic[M]):
     """A layout with a list at its end: version byte, count, the head's fields, then equal items."""
 
-    def __init__(self, make: type[M], head: str, make_item: type[tuple[Any, ...]], item: str) -> None:
+    def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
         self._make, self._make_item = make, make_item
         self._head, self._item = Struct(f"<BH{head}"), Struct(f"<{item}")
         self.head_dtype = np.dtype([("version", "u1"), ("count", "<u2"), *_columns(make, head)])
@@ -190,9 +190,12 @@ class ListLayout(Generic[M]):
         """Return the layout of a message of ``count`` items, for reading many at once."""
         return np.dtype([*((n, self.head_dtype[n]) for n in self.head_dtype.names or ()), ("items", self.item_dtype, (count,))])
 
-    def decode_head(self, payload: bytes) -> tuple[Any, ...]:
-        """Return the head's fields of a message that this process made itself."""
-        return self._head.unpack_from(payload)[2:]
+    def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
+        """Return the head's fields alone, or None where length or version is wrong."""
+        if len(payload) < self._head.size or payload[0] != VERSION:
+            return None
+        _, count, *head = self._head.unpack_from(payload)
+        return tuple(head) if len(payload) == self._head.size + count * self._item.size else None
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -213,7 +216,7 @@ class ListLayout(Generic[M]):
         rows = list(self._item.iter_unpack(payload[self._head.size :]))
         if not math.isfinite(sum(map(sum, rows))):
             return None
-        return self._make(*head, tuple(self._make_item(*row) for row in rows))
+        return self._make(*head, tuple(map(self._make_item._make, rows)))
 
 
 FLEET_POSES = ListLayout(FleetPoses, "IIqqIqqI", TagPose, "Hddd")

@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from robofleet.comms.bus import Bus, Inbox, Wake
+from robofleet.comms.bus import Bus, Wake
 from robofleet.comms.keys import TICK
 from robofleet.comms.messages import TICK_RECORD
 
@@ -19,20 +19,21 @@ class TickFollower:
     def __init__(self, bus: Bus, period_ns: int, wake: Wake) -> None:
         self._period_ns = period_ns
         self._ticks = bus.newest(TICK, wake=wake)
-        self._inbox = Inbox(self._ticks, TICK_RECORD)
         self._origins: deque[int] = deque(maxlen=_WINDOW)
         self.newest = 0  # number of the newest tick known; 0: none yet
         self.newest_stamp_ns = 0  # its instant on the CONTROLLER's clock: a simulated trigger line, on one host
 
     def update(self) -> None:
         """Take the newest record, if one came."""
-        record = self._inbox.take()
-        if record is None:
+        payload = self._ticks.take()
+        head = None if payload is None else TICK_RECORD.decode_head(payload)
+        if head is None:
             return
-        if record.tick < self.newest:
+        _, tick, _, stamp_ns, *_ = head
+        if tick < self.newest:
             self._origins.clear()  # another controller
-        self.newest, self.newest_stamp_ns = record.tick, record.stamp_ns
-        self._origins.append(self._ticks.arrival_ns - record.tick * self._period_ns)
+        self.newest, self.newest_stamp_ns = tick, stamp_ns
+        self._origins.append(self._ticks.arrival_ns - tick * self._period_ns)
 
     def instant(self, tick: int) -> int:
         """Return when a tick falls on this host's clock [ns]."""

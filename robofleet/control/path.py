@@ -219,7 +219,7 @@ def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
 @njit(cache=True)
 def _solve(a: Array, low: float, high: float) -> float:
     """Return the root of a polynomial that changes sign once between low and high: Newton, kept in the bracket."""
-    rising = _horner(a, high) > 0.0
+    rising = _horner(a, low) < 0.0  # as the callers tell a change of sign
     s = 0.5 * (low + high)
     for _ in range(_NEWTON_STEPS):
         value, slope = 0.0, 0.0

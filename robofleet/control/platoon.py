@@ -6,6 +6,7 @@ not predicted to move.
 """
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Literal
 
 import numpy as np
@@ -40,15 +41,23 @@ class PlatoonSettings:
     track: Literal["point", "centre"]  # what follows the path
 
 
-@dataclass
-class Decisions:
-    """What one tick decided, one row a robot."""
+class Column(IntEnum):
+    """Columns of what a tick decides, one row a robot."""
 
-    point: Array  # x: the point p (N, 2) [m]
-    reference: Array  # rho at the horizon (N, 2) [m]
-    control_error: Array  # |rho - (x + T u)| before the update (N,) [m]
-    wheels: Array  # left, right (N, 2) [rad/s]
-    saturated: Array  # 1 where the wheels could not do all of it (N,)
+    POINT_X = 0  # x: the point p [m]
+    POINT_Y = 1
+    REFERENCE_X = 2  # rho at the horizon [m]
+    REFERENCE_Y = 3
+    REFERENCE_PARAMETER = 4  # of rho on the path
+    U_X = 5  # the input after the update, as the wheels can do it [m/s]
+    U_Y = 6
+    CONTROL_ERROR = 7  # |rho - (x + T u)| before the update [m]
+    LEFT = 8  # wheel speeds [rad/s]
+    RIGHT = 9
+    SATURATED = 10  # 1 where the wheels could not do all of it
+
+
+WHEELS = slice(Column.LEFT, Column.RIGHT + 1)
 
 
 @dataclass
@@ -84,16 +93,14 @@ class Platoon:
         """Forget where a robot was along the path: it was put somewhere else."""
         self._nearest_parameter[robot] = np.nan
 
-    def tick(self, t: float, poses: Array, driving: Array) -> Decisions:
-        """Return the wheel speeds of all robots for the next tick.
+    def tick(self, t: float, poses: Array, driving: NDArray[np.bool_]) -> Array:
+        """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.
 
         t: time since the start at the moment when the commands act [s]. poses (N, 3): x, y [m], psi [rad] of the
         centres at that moment. driving (N,): false where a robot must stand still (its u becomes 0).
         """
-        n, s = len(poses), self.settings
-        decisions = Decisions(
-            np.empty((n, 2)), np.empty((n, 2)), np.empty(n), np.zeros((n, 2)), np.zeros(n)
-        )
+        s = self.settings
+        decisions = np.zeros((len(poses), len(Column)))
         _tick(
             self.path.coefficients,
             s.path_rate * (t + s.horizon),
@@ -108,63 +115,62 @@ class Platoon:
             self.u,
             self._nearest_parameter,
             self.reference_parameter,
-            decisions.point,
-            decisions.reference,
-            decisions.control_error,
-            decisions.wheels,
-            decisions.saturated,
+            decisions,
         )
         return decisions
 
 
 @njit(cache=True)
 def _follow(
-    coefficients: Array, i: int, T: float, offset: float, d: float,
-    poses: Array, points: Array, u: Array, nearest: Array, reference: Array,
-) -> float:  # fmt: skip
-    """Return the parameter of rho_i from the predecessor's predicted point (Algorithm 1); it never retreats."""
+    coefficients: Array, predicted_x: float, predicted_y: float, d: float, near: float, before: float
+) -> tuple[float, float]:
+    """Algorithm 1: return the parameters of q, nearest to the predecessor's predicted point, and of rho, d behind it.
+
+    rho does not retreat behind ``before``, where it was in the last tick (NaN: nowhere).
+    """
     sides = len(coefficients)
-    j = i - 1
-    x = points[j, 0] + T * u[j, 0] - offset * np.cos(poses[j, 2])
-    y = points[j, 1] + T * u[j, 1] - offset * np.sin(poses[j, 2])
-    q = paths.nearest(coefficients, x, y, nearest[j])
-    nearest[j] = q
+    q = paths.nearest(coefficients, predicted_x, predicted_y, near)
     tau = paths.back(coefficients, q, d)
-    before = reference[i]
     if np.isnan(before):
-        return tau
+        return q, tau
     advance = (tau - before + sides / 2) % sides - sides / 2
-    return tau if advance > 0.0 else before
+    return q, tau if advance > 0.0 else before
 
 
 @njit(cache=True)
 def _tick(
     coefficients: Array, leader: float, d: float, T: float, l: float, offset: float, gain: float, limits: Array,
-    poses: Array, driving: Array, u: Array, nearest: Array, reference: Array,
-    points: Array, rho: Array, error: Array, wheels: Array, saturated: Array,
+    poses: Array, driving: NDArray[np.bool_], u: Array, nearest: Array, reference: Array, decisions: Array,
 ) -> None:  # fmt: skip
+    predicted_x, predicted_y = np.nan, np.nan  # of the robot before
     for i in range(len(poses)):
         psi = poses[i, 2]
-        points[i] = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
+        x, y = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
         if i == 0:
             reference[i] = leader % len(coefficients)
         else:
-            reference[i] = _follow(coefficients, i, T, offset, d, poses, points, u, nearest, reference)
-        rho[i] = paths.point(coefficients, reference[i])
-        if offset != 0.0:
+            nearest[i - 1], reference[i] = _follow(
+                coefficients, predicted_x, predicted_y, d, nearest[i - 1], reference[i]
+            )
+        rho_x, rho_y = paths.point(coefficients, reference[i])
+        if offset != 0.0:  # p is l ahead of the centre, which is what follows the path
             tangent_x, tangent_y = paths.unit_tangent(coefficients, reference[i])
-            rho[i, 0] += offset * tangent_x
-            rho[i, 1] += offset * tangent_y
-        error[i] = np.hypot(rho[i, 0] - points[i, 0] - T * u[i, 0], rho[i, 1] - points[i, 1] - T * u[i, 1])
-        if not driving[i]:
+            rho_x, rho_y = rho_x + offset * tangent_x, rho_y + offset * tangent_y
+        error = np.hypot(rho_x - x - T * u[i, 0], rho_y - y - T * u[i, 1])
+        left, right, ratio = 0.0, 0.0, 1.0
+        if driving[i]:
+            u_x = point_update(u[i, 0], x, rho_x, T, gain)
+            u_y = point_update(u[i, 1], y, rho_y, T, gain)
+            radius, base, max_wheel_speed, max_speed = limits[i]
+            v, omega = _body_from_point(u_x, u_y, psi, l)
+            left, right = _wheels_from_body(v, omega, radius, base)
+            ratio = _feasible_ratio(left, right, radius, max_wheel_speed, max_speed)
+            left, right = ratio * left, ratio * right
+            u[i] = ratio * u_x, ratio * u_y
+        else:
             u[i] = 0.0
-            continue
-        u_x = point_update(u[i, 0], points[i, 0], rho[i, 0], T, gain)
-        u_y = point_update(u[i, 1], points[i, 1], rho[i, 1], T, gain)
-        radius, base, max_wheel_speed, max_speed = limits[i]
-        v, omega = _body_from_point(u_x, u_y, psi, l)
-        left, right = _wheels_from_body(v, omega, radius, base)
-        ratio = _feasible_ratio(left, right, radius, max_wheel_speed, max_speed)
-        u[i] = ratio * u_x, ratio * u_y
-        wheels[i] = ratio * left, ratio * right
-        saturated[i] = ratio < 1.0
+        predicted_x = x + T * u[i, 0] - offset * np.cos(psi)
+        predicted_y = y + T * u[i, 1] - offset * np.sin(psi)
+        decisions[i] = (
+            x, y, rho_x, rho_y, reference[i], u[i, 0], u[i, 1], error, left, right, 1.0 if ratio < 1.0 else 0.0,
+        )  # fmt: skip

@@ -1,5 +1,6 @@
 """The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,13 +20,14 @@ from robofleet.comms.messages import (
 )
 from robofleet.config import Config
 from robofleet.control.path import Path
-from robofleet.control.platoon import Decisions, Platoon, PlatoonSettings
+from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
 from robofleet.processes import slices
 from robofleet.safety.supervisor import Phase
-from robofleet.tracking.estimator import FilterNoise, FleetFilter
+from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
 
 CAMERA = "overhead"
 _EPOCH = 1
+_UNSEEN = [math.nan] * 3
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
@@ -81,15 +83,15 @@ class Controller:
     def _tick(self, tick_ns: int) -> None:
         self._read_state()
         measured = self._read_poses()
-        driving = self._driving(tick_ns)
-        here = self._filter.predict(tick_ns)
-        there = self._filter.predict(tick_ns + self._delay_ns)
+        lost = tick_ns - self._filter.measured_ns > self._lost_after_ns
+        driving = ~lost if self._phase is Phase.RUNNING else np.zeros_like(lost)
+        here, there = self._filter.predict(tick_ns, tick_ns + self._delay_ns)
         run_tick = self._index - self._start_index if self._phase is Phase.RUNNING else 0
         t = run_tick * self._tick_s + self._delay_s
         decisions = self._platoon.tick(t, there, driving)
-        self._filter.command(tick_ns + self._delay_ns, decisions.wheels)
-        self._publish_commands(decisions)
-        self._publish_record(tick_ns, here, measured, driving, decisions)
+        self._filter.command(tick_ns + self._delay_ns, decisions[:, WHEELS])
+        self._publish_commands(decisions[:, WHEELS].tolist())
+        self._publish_record(tick_ns, here, measured, lost, decisions)
 
     def _read_state(self) -> None:
         state = self._state.take()
@@ -101,37 +103,32 @@ class Controller:
         for row, inbox in enumerate(self._statuses):
             self._newest[row] = inbox.take() or self._newest[row]
 
-    def _read_poses(self) -> np.ndarray:
+    def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""
         message = self._poses.take()
         n = len(self._rows)
         if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
-            return np.zeros(n)
-        seen, poses = np.zeros(n, dtype=np.bool_), np.zeros((n, 3))
-        for pose in message.poses:
-            row = self._rows.get(pose.tag)
+            return [False] * n
+        poses = [_UNSEEN] * n
+        for tag, *pose in message.poses:
+            row = self._rows.get(tag)
             if row is not None:
-                seen[row] = True
-                poses[row] = pose.x_m, pose.y_m, pose.psi_rad
-        used = self._filter.observe(self._exposure(message), seen, poses)
-        for row in np.flatnonzero(used == 2):
-            self._platoon.carried(int(row))
+                poses[row] = pose
+        measured = np.array(poses)
+        used = self._filter.observe(self._exposure(message), measured).tolist()
+        for row, how in enumerate(used):
+            if how == CARRIED:
+                self._platoon.carried(row)
         self._consumed = message.seq, message.exposure_ns
-        return used
+        return [how != UNUSED for how in used]
 
     def _exposure(self, message: FleetPoses) -> int:
         """Mid-exposure on the controller's clock: the tracker says how long after which tick it was."""
         return self._grid.instant(message.echo_tick) + message.since_tick_ns
 
-    def _driving(self, tick_ns: int) -> np.ndarray:
-        fresh = tick_ns - self._filter.measured_ns <= self._lost_after_ns
-        return fresh if self._phase is Phase.RUNNING else np.zeros(len(fresh), dtype=np.bool_)
-
-    def _publish_commands(self, decisions: Decisions) -> None:
+    def _publish_commands(self, wheels: list[list[float]]) -> None:
         exposure_ns = self._consumed[1]
-        for publish, status, (left, right) in zip(
-            self._commands, self._newest, decisions.wheels.tolist(), strict=True
-        ):
+        for publish, status, (left, right) in zip(self._commands, self._newest, wheels, strict=True):
             if status is not None:
                 command = WheelCommand(
                     _EPOCH, self._index, status.boot_id, status.nonce, exposure_ns, left, right
@@ -139,19 +136,13 @@ class Controller:
                 publish(WHEEL_COMMAND.encode(command))
 
     def _publish_record(
-        self, tick_ns: int, here: np.ndarray, measured: np.ndarray, driving: np.ndarray, decisions: Decisions
+        self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, decisions: np.ndarray
     ) -> None:
-        r, platoon = self._record, self._platoon
+        r = self._record
         r[:, 0:3] = here
-        r[:, 3:5] = decisions.point
-        r[:, 5:7] = decisions.reference
-        r[:, 7] = platoon.reference_parameter
-        r[:, 8:10] = platoon.u
-        r[:, 10] = decisions.control_error
-        r[:, 11:13] = decisions.wheels
-        r[:, 13] = measured > 0
-        r[:, 14] = decisions.saturated
-        r[:, 15] = tick_ns - self._filter.measured_ns > self._lost_after_ns
+        r[:, 3:14] = decisions
+        r[:, 14] = measured
+        r[:, 15] = lost
         running = self._phase is Phase.RUNNING
         head = (
             _EPOCH, self._index, self._index - self._start_index if running else -1, tick_ns, *self._consumed,
@@ -165,10 +156,10 @@ def compile_kernels(config: Config) -> None:
     platoon, fleet_filter = _platoon(config), _filter(config)
     n = len(config.platoon)
     for instant_ns in (S, 2 * S):
-        seen, poses = np.ones(n, dtype=np.bool_), np.zeros((n, 3))
-        fleet_filter.observe(instant_ns, seen, poses)
-        decisions = platoon.tick(0.0, fleet_filter.predict(instant_ns + 1), seen)
-        fleet_filter.command(instant_ns, decisions.wheels)
+        fleet_filter.observe(instant_ns, np.zeros((n, 3)))
+        _, there = fleet_filter.predict(instant_ns + 1, instant_ns + 2)
+        decisions = platoon.tick(0.0, there, np.ones(n, dtype=np.bool_))
+        fleet_filter.command(instant_ns, decisions[:, WHEELS])
 
 
 def _platoon(config: Config) -> Platoon:

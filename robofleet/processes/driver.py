@@ -62,9 +62,10 @@ class GatedRobot:
         self._publish_status = bus.publisher(STATUS, robot_id)
         self._publish_truth: Publish | None = None
         if isinstance(driver, SimulatedDriver):
-            self._publish_truth = bus.publisher(TRUTH, robot_id)
+            self._publish_truth, self._truth = bus.publisher(TRUTH, robot_id), driver.truth
         self._written: WheelSpeeds | None = None
         self._status = GateStatus.NO_ENABLE
+        self._deadline_ns: int | None = 0
         self._applied = _Applied()
         self._seq = 0
         self._closed = False
@@ -72,6 +73,8 @@ class GatedRobot:
     def pass_on(self, now_ns: int) -> int | None:
         """Let the gate decide on what arrived, write the wheels, and return the gate's own deadline [ns]."""
         command, permission = self._commands.take(), self._enables.take()
+        if command is None and permission is None and (self._deadline_ns is None or now_ns < self._deadline_ns):
+            return self._deadline_ns  # the gate's output changes by a message or at its deadline
         self._gate, output = gate.step(
             self._gate,
             self._drive,
@@ -85,17 +88,16 @@ class GatedRobot:
             self._written = output.target
             if command is not None and output.status is GateStatus.OPEN:
                 self._applied = _Applied(command.exposure_ns, now_ns)
+        self._deadline_ns = output.deadline_ns
         return output.deadline_ns
 
     def publish(self, now_ns: int, *, status: bool) -> None:
         """Publish the robot's status, and the truth of a simulated one."""
         self._seq += 1
-        reading = self._driver.read()
         if self._publish_truth is not None:
-            true = self._driver.truth()  # type: ignore[attr-defined]
-            self._publish_truth(TRUTH_LAYOUT.encode(Truth(_EPOCH, self._seq, now_ns, *true)))
+            self._publish_truth(TRUTH_LAYOUT.encode(Truth(_EPOCH, self._seq, now_ns, *self._truth())))
         if status:
-            self._publish_status(ROBOT_STATUS.encode(self._message(reading, now_ns)))
+            self._publish_status(ROBOT_STATUS.encode(self._message(self._driver.read(), now_ns)))
 
     def close(self) -> None:
         """Motors off, driver closed. Idempotent."""

@@ -109,7 +109,7 @@ class LiveView:
     def _health(self, recording: Recording, tick: TickRecord) -> Text:
         arena = self._config.arena.name
         payloads = recording.messages.get(key(arena, TICK), [])[-_WINDOW:]
-        heads = [TICK_RECORD.decode_head(payload) for payload in payloads]
+        heads = [head for payload in payloads if (head := TICK_RECORD.decode_head(payload)) is not None]
         compute, late = ([head[column] / 1e6 for head in heads] for column in (-1, -2))
         text = Text(f"tick      p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
         overruns = tick.overruns

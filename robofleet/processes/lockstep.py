@@ -4,6 +4,7 @@ An event queue calls each step at the instant that the step itself asked for, or
 fixed order. Same seed, config, machine and versions: same bytes on the bus.
 """
 
+import gc
 import hashlib
 import heapq
 from collections.abc import Callable
@@ -65,7 +66,8 @@ class Lockstep:
         self.bus = MemoryBus(config.arena.name, self.clock, round(config.lockstep.bus_delay_s * S))
         self.recording = Recording(config)
         self._hash = hashlib.blake2b(digest_size=16)
-        self.bus.tap(self._observe)
+        self._said: list[tuple[str, bytes]] = []  # by the step that is under way
+        self.bus.tap(self._said.append)
         self._queue: list[tuple[int, int, bool, _Slot]] = []
         self._slots: list[_Slot] = []
         seed, clock, bus = config.run.seed, self.clock, self.bus
@@ -87,6 +89,8 @@ class Lockstep:
     def run(self, watch: Watch = lambda _recording, _phase: None) -> tuple[str, str | None]:
         """Arm, run for the configured time, stop, and let the robots come to rest; returns (outcome, cause)."""
         started_ns = stopwatch_ns()
+        gc.freeze()
+        gc.disable()
         try:
             self.bus.ask("supervisor", "start")
             self._run_until(lambda: self._status.phase is Phase.RUNNING, _READY_WITHIN_NS)
@@ -96,6 +100,7 @@ class Lockstep:
         finally:
             for slot in self._slots:
                 slot.node.close()
+            gc.enable()
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
         self.recording.tick_durations_ns = self._controller.durations_ns
         self.recording.tracker_durations_ns = self._tracker.durations_ns
@@ -125,6 +130,8 @@ class Lockstep:
             if woken or instant_ns == slot.next_ns:
                 clock.advance_to(instant_ns)
                 slot.step(instant_ns)
+                if self._said:
+                    self._observe()
 
     def _add(self, make: Callable[[_Slot], Node]) -> _Slot:
         slot = _Slot(len(self._slots), self._queue)
@@ -133,15 +140,14 @@ class Lockstep:
         slot.schedule(self.clock.now_ns())
         return slot
 
-    def _observe(self, full: str, payload: bytes) -> None:
-        self._hash.update(full.encode())
-        self._hash.update(payload)
-        self.recording.add(full, payload)
-        if full == self._tick_key:
-            self._run_tick = TICK_RECORD.decode_head(payload)[2]
-        elif full == self._state_key:
-            state = RUN_STATE.decode(payload)
-            assert state is not None
-            self._status = RunStatus(Phase(state.phase), Event(state.cause), state.robot)
-
-
+    def _observe(self) -> None:
+        """Keep and hash what a step said, in order, and note how far the run is."""
+        update, messages = self._hash.update, self.recording.messages
+        for full, payload in self._said:
+            update(full.encode() + payload)
+            messages[full].append(payload)
+            if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
+                self._run_tick = head[2]
+            elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
+                self._status = RunStatus(Phase(state.phase), Event(state.cause), state.robot)
+        self._said.clear()

@@ -53,9 +53,9 @@ class Supervisor:
             self._status = supervisor.step(self._status, event, robot)
         if now_ns >= self._next_ns or self._status != before:
             self._publish()
-            if now_ns >= self._next_ns:
-                self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
-        return min(self._next_ns, now_ns + _PERIOD_NS // 4)
+        if now_ns >= self._next_ns:
+            self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
+        return self._next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when enables cease."""

@@ -12,8 +12,8 @@ Pose = tuple[float, float, float]
 class TruthHistory:
     """The newest true samples of one robot: where it was at any instant among them, and a little beyond.
 
-    Between two samples the robot moved along the arc of the earlier one's body velocity, corrected so that it ends
-    where the later one is.
+    Between two samples the robot moved along the arc of the earlier one's body velocity, corrected so that it
+    ends where the later one is.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -21,7 +21,7 @@ class TruthHistory:
         self._samples: deque[tuple[float, float, float, float, float]] = deque(maxlen=capacity)
 
     def add(self, stamp_ns: int, x: float, y: float, psi: float, v: float, omega: float) -> None:
-        """Add a sample [ns; m, rad in the world; m/s, rad/s of the body]; an older one than the newest is ignored."""
+        """Add a sample [ns; m, rad in the world; m/s, rad/s of the body]; ignored if not the newest."""
         if not self._stamps or stamp_ns > self._stamps[-1]:
             self._stamps.append(stamp_ns)
             self._samples.append((x, y, psi, v, omega))
@@ -44,5 +44,5 @@ class TruthHistory:
         return (
             pose[0] + share * (target[0] - end[0]),
             pose[1] + share * (target[1] - end[1]),
-            pose[2] + share * turned,
+            math.remainder(pose[2] + share * turned, math.tau),
         )

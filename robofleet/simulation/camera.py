@@ -1,8 +1,8 @@
 """The simulated camera's images: tags on robots over a cluttered floor, as lens, exposure and sensor show it.
 
-A pixel is the mean, over the exposure, of the scene behind it blurred by a Gaussian that has the variance of the
-lens and of the pixel's area together. A tag's blurred pattern is exact (products of error functions), so that its
-edges lie where they should. Greys are in [0, 255].
+A pixel is the mean, over the exposure, of the scene behind it blurred by a Gaussian with the variance of the
+lens and of the pixel's area together. A tag's blurred pattern is exact (products of error functions), so that
+its edges lie where they should. Greys are in [0, 255].
 """
 
 import math
@@ -22,7 +22,7 @@ Array32 = NDArray[np.float32]
 # The look of the scene: assumed, and in the range of a laboratory.
 _BLUR_PX = math.sqrt(0.5**2 + 1.0 / 12.0)  # standard deviation: lens, and a pixel's square
 _BLACK, _WHITE, _BODY = 30.0, 215.0, 70.0  # greys of print, paper and robot in full light
-_BODY_RADIUS = 0.9  # [tag sides]
+_BODY_RADIUS = 0.8  # [tag sides]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
 _CELLS = 8  # of the tag's pattern, black rim included; a white cell lies around it
 _REACH = 1.15  # from a robot's centre to beyond its blurred edge [tag sides]
@@ -46,32 +46,29 @@ class SceneRenderer:
         rng: np.random.Generator,
     ) -> None:
         """Take the image's (width, height), the N tags' ids, their black square's side and their height."""
-        width, height = image_size
         self._geometry, self._rng = geometry, rng
         self._side, self._heights = side_m, np.array([height_m, height_m - _BODY_DROP_M])
         x, y, z = geometry.position
-        self._eye = (
-            x,
-            y,
-            _BODY_DROP_M / (z - height_m),
-        )  # how far a ray goes on from the tags' plane to the bodies'
+        self._eye = (x, y, _BODY_DROP_M / (z - height_m))  # how far, of its way, a ray goes on to the bodies
+        width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
-        plane = geometry.to_plane(np.column_stack([u.ravel(), v.ravel()]), height_m).reshape(height, width, 2)
-        self._gain = _uneven_light(u / width - 0.5, v / width - 0.5 * height / width, rng)
-        down = geometry.position[2] / (geometry.position[2] - height_m)
-        floor = _floor(geometry.position[:2] + (plane - geometry.position[:2]) * down, side_m, rng)
+        pixels = np.column_stack([u.ravel(), v.ravel()])
+        plane = geometry.to_plane(pixels, height_m).reshape(height, width, 2)
+        self._plane = plane.astype(np.float32)
+        self._sigmas = _BLUR_PX * _scales(plane)
+        self._textures = np.stack([_textures(tag, side_m, self._sigmas) for tag in tag_ids])
+        self._gain = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
+        floor = _floor(plane + (plane - [x, y]) * (height_m / (z - height_m)), side_m, rng)
         # Noise is stored with an offset that the background lacks: one saturating addition does both signs.
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
         self._bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
         self._background = np.rint(np.maximum(floor * self._gain - self._offset, 0.0)).astype(np.uint8)
-        self._plane = plane.astype(np.float32)
         self._image = np.empty((height, width), np.uint8)
-        self._sigmas = _BLUR_PX * _scales(plane)
-        self._textures = np.stack([_textures(tag, side_m, self._sigmas) for tag in tag_ids])
+        self.render(np.full((1, len(tag_ids), 3), np.nan))  # compiles the kernels, or loads them
 
     def render(self, poses: Array) -> Image:
-        """Return the image (H, W) of tags at poses (K, N, 3): x, y [m], psi [rad] at K instants of the exposure.
+        """Return the image (H, W) of poses (K, N, 3): x, y [m], psi [rad] at K instants of the exposure.
 
         A tag with a NaN is left out. The image is overwritten by the next call.
         """
@@ -131,10 +128,8 @@ def _floor(xy: Array, side: float, rng: np.random.Generator) -> Array:
     wood = rng.integers(120, 150, (12, 20), dtype=np.uint8)
     floor = np.asarray(cv2.resize(wood, (w, h), interpolation=cv2.INTER_CUBIC), np.uint8)
     for _ in range(12):  # scraps, and patches of bright light
-        at, axes = rng.uniform(0, size), rng.uniform(20, 140, 2)
-        cv2.ellipse(
-            floor, (at, axes, rng.uniform(0, 180)), int(rng.choice([60, 90, 180, 245])), -1, cv2.LINE_AA
-        )
+        patch = (rng.uniform(0, size).tolist(), rng.uniform(20, 140, 2).tolist(), rng.uniform(0, 180))
+        cv2.ellipse(floor, patch, int(rng.choice([60, 90, 180, 245])), -1, cv2.LINE_AA)
     for _ in range(10):  # tape
         a, b = rng.integers(0, size, (2, 2))
         cv2.line(floor, a, b, int(rng.choice([50, 200])), int(rng.integers(2, 12)), cv2.LINE_AA)
@@ -147,9 +142,10 @@ def _floor(xy: Array, side: float, rng: np.random.Generator) -> Array:
         cells[1:-1, 1:-1] = rng.integers(0, 2, (_CELLS - 2, _CELLS - 2))
         _paste(floor, 30 + 180 * np.pad(cells, 1, constant_values=1), side, rng)
     at = ((xy - low) / _FLOOR_M).astype(np.float32)
-    return np.asarray(
-        cv2.remap(cv2.GaussianBlur(floor, (0, 0), 0.8), at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64
-    )
+    floor = np.asarray(
+        cv2.GaussianBlur(floor, (0, 0), _BLUR_PX * 1.5), np.uint8
+    )  # a pixel is 1.5 of the floor's
+    return np.asarray(cv2.remap(floor, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
 
 
 def _paste(floor: Image, cells: Image, side: float, rng: np.random.Generator) -> None:
@@ -162,8 +158,10 @@ def _paste(floor: Image, cells: Image, side: float, rng: np.random.Generator) ->
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _draw(image, noise, offset, plane, gain, textures, sigmas, side, eye, poses, centres, seen):  # type: ignore[no-untyped-def]
-    """Blend robots ``seen`` into background and noise; ``centres`` (2, K, N, 2) [px] are tags' and bodies'."""
+def _draw(  # type: ignore[no-untyped-def]
+    image, noise, offset, plane, gain, textures, sigmas, side, eye, poses, centres, seen
+):
+    """Blend robots ``seen`` into background and noise; ``centres`` (2, K, N, 2) [px]: tags, bodies."""
     instants = np.empty((poses.shape[0], 4))
     for n in seen:
         for k in range(poses.shape[0]):
@@ -178,9 +176,8 @@ def _draw(image, noise, offset, plane, gain, textures, sigmas, side, eye, poses,
         top, bottom = max(0, int(vs.min() - reach)), min(image.shape[0], int(vs.max() + reach) + 1)
         for i in range(top, bottom):
             for j in range(left, right):
-                cover, light = _look(
-                    plane[i, j, 0], plane[i, j, 1], instants, texture, sigma, texel, side, eye
-                )
+                x, y = plane[i, j, 0], plane[i, j, 1]
+                cover, light = _look(x, y, instants, texture, sigma, texel, side, eye)
                 if cover > 0.0:
                     gray = image[i, j] * (1.0 - cover) + light * gain[i, j] + (noise[i, j] - offset) * cover
                     image[i, j] = min(max(int(gray + 0.5), 0), 255)

@@ -1,7 +1,7 @@
 """A calibrated camera: pinhole with OpenCV's distortion k1 k2 p1 p2 k3.
 
-Pixels are (u, v), u right and v down; integer coordinates are pixel centres: the image covers [-0.5, W - 0.5] by
-[-0.5, H - 0.5]. Camera frame: x right, y down, z along the optical axis. World frame: z up from the floor.
+Pixels are (u, v), u right and v down; integer coordinates are pixel centres, so that the image covers
+[-0.5, W - 0.5] by [-0.5, H - 0.5]. Camera frame: x right, y down, z forward. World frame: z up, floor at 0.
 """
 
 from typing import Self

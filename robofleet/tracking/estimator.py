@@ -17,6 +17,8 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
 
+UNUSED, USED, CARRIED = 0, 1, 2
+
 _HISTORY = 64  # commands
 _LONGEST_STEP_NS = 17_000_000
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
@@ -62,29 +64,33 @@ class FleetFilter:
         self._act_ns[-1] = act_ns
         self._commands[-1] = wheels
 
-    def observe(self, exposure_ns: int, seen: NDArray[np.bool_], poses: Array) -> NDArray[np.int64]:
-        """Use an image taken at ``exposure_ns``: ``poses`` (N, 3) of the robots ``seen`` (N,).
+    def observe(self, exposure_ns: int, poses: Array) -> NDArray[np.int64]:
+        """Use an image taken at ``exposure_ns``: ``poses`` (N, 3), NaN where a robot was not seen.
 
-        Returns for each robot 0: not used, 1: used, 2: used after it was carried (the filter started anew). An image
-        older than the newest one is not used.
+        Returns for each robot UNUSED, USED, or CARRIED (used, and the filter started anew). An image older than the
+        newest one is not used.
         """
-        used = np.zeros(len(seen), dtype=np.int64)
+        used = np.zeros(len(poses), dtype=np.int64)
         if self._instant_ns == 0:
             self._instant_ns = np.int64(exposure_ns - 1)
         if exposure_ns > self._instant_ns:
             _observe(
                 self._pose, self._covariance, self._wheels, self._instant_ns, exposure_ns, self._act_ns,
-                self._commands, self._motion, self._drift, self._variance, self._gate, seen, poses,
+                self._commands, self._motion, self._drift, self._variance, self._gate, poses,
                 self._outliers, self._outlier_pose, self.measured_ns, used,
             )  # fmt: skip
             self._instant_ns = np.int64(exposure_ns)
         return used
 
-    def predict(self, instant_ns: int) -> Array:
-        """Return the poses (N, 3) at an instant after the newest image, by the commands that act until then."""
-        pose, wheels = self._pose.copy(), self._wheels.copy()
-        _advance(pose, wheels, self._instant_ns, instant_ns, self._act_ns, self._commands, self._motion)
-        return pose
+    def predict(self, first_ns: int, second_ns: int) -> tuple[Array, Array]:
+        """Return the poses (N, 3) at two instants after the newest image, by the commands that act until then."""
+        first, wheels = self._pose.copy(), self._wheels.copy()
+        if self._instant_ns == 0:  # no image yet: nothing to move, and the clock's zero may be weeks ago
+            return first, first.copy()
+        _advance(first, wheels, self._instant_ns, first_ns, self._act_ns, self._commands, self._motion)
+        second = first.copy()
+        _advance(second, wheels, max(self._instant_ns, first_ns), second_ns, self._act_ns, self._commands, self._motion)
+        return first, second
 
 
 @njit(cache=True)
@@ -128,8 +134,8 @@ def _lagged(speed: float, command: float, lag: float, duration: float) -> tuple[
 @njit(cache=True)
 def _observe(
     pose: Array, covariance: Array, wheels: Array, start_ns: int, exposure_ns: int, act_ns: Instants,
-    commands: Array, motion: Array, drift: Array, variance: Array, gate: float, seen: NDArray[np.bool_],
-    measured: Array, outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
+    commands: Array, motion: Array, drift: Array, variance: Array, gate: float, measured: Array,
+    outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
 ) -> None:  # fmt: skip
     before = pose.copy()
     _advance(pose, wheels, start_ns, exposure_ns, act_ns, commands, motion)
@@ -137,13 +143,13 @@ def _observe(
     for i in range(len(pose)):
         p = covariance[i]
         _predict_covariance(p, pose[i] - before[i], drift * duration)
-        if not seen[i]:
+        if np.isnan(measured[i, 0]):
             continue
         innovation = measured[i] - pose[i]
         innovation[2] = _wrapped(innovation[2])
         if measured_ns[i] > 0 and _correct(pose[i], p, innovation, variance, gate):
             outliers[i] = 0
-            used[i] = 1
+            used[i] = USED
         else:
             away = np.abs(measured[i] - outlier_pose[i])
             agrees = away[0] < 0.03 and away[1] < 0.03 and abs(_wrapped(away[2])) < 0.3
@@ -154,7 +160,7 @@ def _observe(
             pose[i] = measured[i]
             p[:] = np.diag(variance)
             outliers[i] = 0
-            used[i] = 2
+            used[i] = CARRIED
         pose[i, 2] = _wrapped(pose[i, 2])
         measured_ns[i] = exposure_ns
 
@@ -173,18 +179,23 @@ def _predict_covariance(p: Array, moved: Array, drift: Array) -> None:
 @njit(cache=True)
 def _correct(pose: Array, p: Array, innovation: Array, variance: Array, gate: float) -> bool:
     """Correct by the three coordinates one after the other, unless they are together beyond the gate."""
-    x, trial = np.zeros(3), p.copy()
+    x, gain, trial = np.zeros(3), np.empty(3), p.copy()
     distance = 0.0
     for k in range(3):
         s = trial[k, k] + variance[k]
         residual = innovation[k] - x[k]
         distance += residual * residual / s
-        gain = trial[:, k] / s
-        x += gain * residual
-        trial -= np.outer(gain, trial[k].copy())
+        for i in range(3):
+            gain[i] = trial[i, k] / s
+            x[i] += gain[i] * residual
+        for j in range(3):
+            shared = trial[k, j]
+            for i in range(3):
+                trial[i, j] -= gain[i] * shared
     if distance > gate:
         return False
-    pose += x
+    for i in range(3):
+        pose[i] += x[i]
     p[:] = trial
     return True
 

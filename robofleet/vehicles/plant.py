@@ -43,12 +43,12 @@ class _Wheel:
             mean = target + ahead * (1.0 - decay) * p.motor_lag / duration
             self.speed = target + ahead * decay
         travelled = self.angle + mean * duration
-        if self._resolution and target:
+        if self._resolution:
             counted = self._resolution * math.floor(travelled / self._resolution)
             # the loop acts on what it counts: what the encoder has not seen yet is missing from its feedback
             unseen = (travelled - counted) - (self.angle - self._counted)
             self._counted = counted
-            if p.motor_lag:
+            if target and p.motor_lag:
                 self.speed += unseen / p.motor_lag
         self.angle = travelled
         return mean
@@ -86,7 +86,8 @@ class Plant:
             self._right.block()
             self._body = (0.0, 0.0)
             return
-        top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * (1.0 - self.charge))
+        used = min(1.0, self._used / self._p.battery_life)
+        top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * used)
         left = self._left.gain * self._left.turn(command.left, top, duration)
         right = self._right.gain * self._right.turn(command.right, top, duration)
         if left == 0.0 and right == 0.0:

@@ -1,0 +1,144 @@
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from robofleet.config import CameraModel
+from robofleet.simulation.camera import SceneRenderer
+from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.tags import Sightings, TagDetector
+
+ROOT = Path(__file__).parents[2]
+APRILTAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+SIDE_M, HEIGHT_M = 0.07, 0.08
+IDS = (1, 2, 3, 40)
+
+MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
+GEOMETRY = CameraGeometry.from_model(MODEL)
+DETECTOR = TagDetector(GEOMETRY, IDS, SIDE_M, HEIGHT_M)
+
+
+def scene(ids: tuple[int, ...] = IDS, seed: int = 1) -> SceneRenderer:
+    size = (MODEL.width, MODEL.height)
+    return SceneRenderer(GEOMETRY, size, ids, SIDE_M, HEIGHT_M, 3.0, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def renderer() -> SceneRenderer:
+    return scene()
+
+
+def still(poses: list[tuple[float, float, float]]) -> NDArray[np.float64]:
+    return np.array([poses])
+
+
+def random_poses(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Poses (4, 3) anywhere in the arena, no two robots overlapping."""
+    while True:
+        poses = rng.uniform([-1.6, -1.0, -math.pi], [1.6, 1.0, math.pi], (4, 3))
+        gaps = np.linalg.norm(poses[:, None, :2] - poses[None, :, :2], axis=2)[np.triu_indices(4, 1)]
+        if gaps.min() > 0.13:
+            return poses
+
+
+def measure(renderer: SceneRenderer, frames: int) -> tuple[NDArray[np.float64], int]:
+    """Errors (M, 3) of x, y [mm], psi [deg] of all that was seen, and how much was seen that is not there."""
+    rng = np.random.default_rng(7)
+    errors, false = [], 0
+    for _ in range(frames):
+        truth = random_poses(rng)
+        sightings = DETECTOR.detect(renderer.render(truth[None]))
+        false += sightings.refused
+        for tag, x, y, psi in sightings.poses:
+            x_true, y_true, psi_true = truth[IDS.index(tag)]
+            turned = math.degrees(math.remainder(psi - psi_true, math.tau))
+            errors.append(((x - x_true) * 1e3, (y - y_true) * 1e3, turned))
+    return np.array(errors), false
+
+
+def test_poses_all_over_the_arena(renderer: SceneRenderer) -> None:
+    frames = 400
+    errors, false = measure(renderer, frames)
+    assert len(errors) >= 0.99 * frames * len(IDS)
+    assert false == 0
+    position, heading = np.hypot(errors[:, 0], errors[:, 1]), errors[:, 2]
+    assert np.sqrt((position**2).mean()) < 0.1
+    assert position.max() < 0.4
+    assert np.sqrt((heading**2).mean()) < 0.08
+    assert abs(heading).max() < 0.4
+    assert np.abs(errors[:, :2].mean(0)).max() < 0.02
+    assert abs(heading.mean()) < 0.01
+
+
+def test_moving_tag_is_found_where_it_is_at_mid_exposure(renderer: SceneRenderer) -> None:
+    poses = np.full((3, 4, 3), np.nan)
+    poses[:, 0] = [
+        (0.3, 0.2, 0.5),
+        (0.3004, 0.2, 0.506),
+        (0.3008, 0.2, 0.512),
+    ]  # 0.2 m/s and 3 rad/s for 4 ms
+    (seen,) = DETECTOR.detect(renderer.render(poses)).poses
+    assert math.hypot(seen.x - 0.3004, seen.y - 0.2) < 2e-4
+    assert seen.psi == pytest.approx(0.506, abs=0.003)
+
+
+def test_printed_right_is_forward_and_top_is_left() -> None:
+    # Drawn by OpenCV alone: the image's right is world +x, its top world +y.
+    marker = np.pad(APRILTAGS.generateImageMarker(40, 24), 3, constant_values=255)
+    for quarters, heading in ((0, 0.0), (1, 90.0), (2, 180.0), (3, -90.0)):
+        image = np.full((720, 1280), 120, np.uint8)
+        image[300:330, 700:730] = np.rot90(marker, quarters)  # counter-clockwise on the screen
+        (seen,) = DETECTOR.detect(image).poses
+        assert seen.tag == 40
+        assert abs(math.remainder(math.degrees(seen.psi) - heading, 360.0)) < 1.0
+        # Its pixels are 703 to 726 and 303 to 326: with centres at integers, the middle is at 714.5, 314.5.
+        middle = GEOMETRY.to_plane(np.array([[714.5, 314.5]]), HEIGHT_M)[0]
+        assert math.hypot(*(middle - [seen.x, seen.y])) < 2e-4  # 0.07 px
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_nothing_false_in_clutter(seed: int) -> None:
+    empty, nobody = scene(seed=seed), np.full((1, 4, 3), np.nan)
+    assert all(DETECTOR.detect(empty.render(nobody)) == Sightings((), 0) for _ in range(10))
+
+
+def test_print_that_only_reads_like_a_tag_is_refused() -> None:
+    for flipped, expected in ((0, 1), (5, 0)):  # cells; the family's code corrects 5
+        marker = APRILTAGS.generateImageMarker(40, 8)
+        marker[2, 1 : 1 + flipped] = 255 - marker[2, 1 : 1 + flipped]
+        image = np.full((720, 1280), 120, np.uint8)
+        image[300:330, 700:730] = np.kron(np.pad(marker, 1, constant_values=255), np.ones((3, 3), np.uint8))
+        sightings = DETECTOR.detect(image)
+        assert (len(sightings.poses), sightings.refused) == (expected, 1 - expected)
+
+
+def test_same_tag_twice_is_refused() -> None:
+    twice = scene((1, 1, 2))
+    image = twice.render(still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), (0.0, 0.5, 2.0)]))
+    sightings = DETECTOR.detect(image)
+    assert [pose.tag for pose in sightings.poses] == [2]
+    assert sightings.refused == 2
+
+
+def test_tag_of_another_fleet_is_no_tag() -> None:
+    stranger = scene((5,))
+    assert DETECTOR.detect(stranger.render(still([(0.0, 0.0, 0.0)]))) == Sightings((), 0)
+
+
+def test_tag_of_a_wrong_size_is_refused(renderer: SceneRenderer) -> None:
+    image = renderer.render(np.array([[(0.0, 0.0, 0.0), *3 * [(np.nan, np.nan, np.nan)]]]))
+    assert TagDetector(GEOMETRY, IDS, 0.05, HEIGHT_M).detect(image) == Sightings((), 1)
+
+
+def test_tag_over_the_image_edge_is_not_seen(renderer: SceneRenderer) -> None:
+    corners = GEOMETRY.to_plane(np.array([[0.0, 0.0], [1279.0, 300.0], [640.0, 719.0]]), HEIGHT_M)
+    poses = still([(x, y, 0.4) for x, y in corners] + [(9.0, -40.0, 0.0)])
+    assert DETECTOR.detect(renderer.render(poses)).poses == ()
+
+
+def test_black_image_shows_nothing() -> None:
+    assert DETECTOR.detect(np.zeros((720, 1280), np.uint8)) == Sightings((), 0)

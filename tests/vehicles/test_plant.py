@@ -1,0 +1,118 @@
+"""The simulated robot: ideal it follows arcs, and each imperfection does what it says."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.interface import Imperfections, WheelSpeeds
+from robofleet.vehicles.plant import Plant
+
+Make = Callable[..., Plant]
+
+
+def drive_for(plant: Plant, wheels: tuple[float, float], seconds: float, step: float = 0.01) -> None:
+    for _ in range(round(seconds / step)):
+        plant.step(WheelSpeeds(*wheels), step)
+
+
+def test_an_ideal_robot_follows_exact_arcs(ideal_but: Make, drive: DifferentialDrive) -> None:
+    plant = ideal_but(pose=(0.3, -0.2, 3.0))
+    pose = (0.3, -0.2, 3.0)
+    for wheels in ((5.0, 8.0), (-3.0, 2.0), (12.5, 12.5), (0.0, 0.0), (7.0, -7.0)):
+        drive_for(plant, wheels, 0.7)
+        body = body_from_wheels(*wheels, drive.wheel_radius, drive.wheel_base)
+        pose = arc(*pose, *body, 0.7)
+        assert plant.truth() == pytest.approx((*pose, *body), abs=1e-12)
+    assert plant.reading().left_angle == pytest.approx(0.7 * (5 - 3 + 12.5 + 7), abs=1e-9)
+
+
+def gains(plant: Plant, drive: DifferentialDrive) -> tuple[float, float]:
+    """Return (forward, turning) gain of a plant against the drive that the controller believes in."""
+    drive_for(plant, (5.0, 5.0), 0.01)
+    v = plant.truth().v / body_from_wheels(5.0, 5.0, drive.wheel_radius, drive.wheel_base)[0]
+    drive_for(plant, (-5.0, 5.0), 0.01)
+    omega = plant.truth().omega / body_from_wheels(-5.0, 5.0, drive.wheel_radius, drive.wheel_base)[1]
+    return v, omega
+
+
+def test_gains_stay_within_their_spread_and_fill_it(ideal_but: Make, drive: DifferentialDrive) -> None:
+    both = np.array([gains(ideal_but(seed, wheel_gain_spread=0.03), drive) for seed in range(300)])
+    assert np.abs(both - 1.0).max() <= 0.03 + 1e-12
+    assert both.min() < 0.98  # uniform over the spread, not a number near 1
+    assert both.max() > 1.02
+    base = np.array([gains(ideal_but(seed, wheel_base_spread=0.01), drive) for seed in range(300)])
+    assert base[:, 0] == pytest.approx(1.0, abs=1e-12)  # a wrong base turns, it does not drive
+    assert np.abs(1.0 / base[:, 1] - 1.0).max() <= 0.01 + 1e-12
+    assert np.abs(base[:, 1] - 1.0).max() > 0.007
+
+
+def test_the_same_generator_gives_the_same_robot(drive: DifferentialDrive, worn: Imperfections) -> None:
+    def end(seed: int) -> tuple[float, ...]:
+        plant = Plant(drive, worn, (0.0, 0.0, 0.0), np.random.default_rng(seed))
+        drive_for(plant, (6.0, 9.0), 3.0)
+        return tuple(plant.truth())
+
+    assert end(5) == end(5)
+    assert end(5) != end(6)
+
+
+def test_top_speed_sags_with_the_battery(ideal_but: Make, drive: DifferentialDrive) -> None:
+    plant = ideal_but(top_speed_sag=0.2, battery_life=10.0)
+    speeds = []
+    for _ in range(12):
+        drive_for(plant, (50.0, -50.0), 1.0)
+        speeds.append(plant.reading().left_speed)
+    limit = drive.max_wheel_speed
+    expected = [limit * (1 - 0.2 * min(1.0, (k + 1) / 10)) for k in range(12)]
+    assert speeds == pytest.approx(expected, rel=1e-9)
+    assert plant.charge == 0.0
+    assert ideal_but().reading().battery == 1.0
+
+
+def test_slip_costs_yaw(ideal_but: Make, drive: DifferentialDrive) -> None:
+    _, omega = body_from_wheels(-6.0, 6.0, drive.wheel_radius, drive.wheel_base)
+    plant = ideal_but(slip=0.02)
+    drive_for(plant, (-6.0, 6.0), 0.1)
+    assert plant.truth().omega == pytest.approx(omega * (1 - 0.02 * omega), rel=1e-9)
+    straight = ideal_but(slip=0.02, slip_noise=0.5)
+    drive_for(straight, (6.0, 6.0), 0.1)
+    assert straight.truth().v == pytest.approx(6.0 * drive.wheel_radius, rel=1e-12)  # no turn, no slip
+    noisy = ideal_but(slip=0.02, slip_noise=0.2)
+    lost = []
+    for _ in range(400):
+        noisy.step(WheelSpeeds(-6.0, 6.0), 0.01)
+        lost.append(1 - noisy.truth().omega / omega)
+    mean = 0.02 * omega
+    assert np.mean(lost) == pytest.approx(mean, rel=0.05)
+    assert np.std(lost) == pytest.approx(0.2 * mean / math.sqrt(2), rel=0.2)  # two wheels, each its own
+
+
+def test_blocked_motors_do_not_move(drive: DifferentialDrive, worn: Imperfections) -> None:
+    plant = Plant(drive, worn, (0.1, 0.2, 0.3), np.random.default_rng(1))
+    drive_for(plant, (8.0, 8.0), 1.0)
+    before, angle = plant.truth(), plant.reading().left_angle
+    for _ in range(50):
+        plant.step(WheelSpeeds(12.0, 12.0), 0.01, blocked=True)
+    assert plant.truth() == (*before[:3], 0.0, 0.0)
+    assert plant.reading().left_angle == angle
+    assert plant.reading().left_speed == 0.0
+    drive_for(plant, (8.0, 8.0), 0.08)  # and starts from rest afterwards
+    assert 0.0 < plant.reading().left_speed < 7.0
+
+
+@pytest.mark.parametrize("step", [0.001, 0.0025, 0.005])
+def test_how_time_is_cut_does_not_matter(drive: DifferentialDrive, worn: Imperfections, step: float) -> None:
+    def end(step: float) -> np.ndarray:
+        p = replace(worn, slip_noise=0.0)  # noise is drawn once a step
+        plant = Plant(drive, p, (0.0, 0.0, 0.0), np.random.default_rng(3))
+        for wheels in ((6.0, 9.0), (3.0, -3.0), (0.6, 8.0), (0.0, 0.0), (10.0, 10.0)):
+            drive_for(plant, wheels, 0.6, step)
+        return np.array(plant.truth()[:3])
+
+    difference = np.abs(end(step) - end(0.01))
+    assert difference[:2].max() < 0.0005  # of about 0.2 m driven
+    assert difference[2] < 0.005
