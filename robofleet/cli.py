@@ -9,23 +9,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robofleet.clock import WallClock, utc_now
-from robofleet.configload import ConfigError, load_config
+from robofleet.config.load import ConfigError, load_config
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robofleet.config import Config
+    from robofleet.config.tree import Config
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 Overrides = Annotated[
-    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable.")
+    list[str],
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
 ]
 LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
 
 
-class _Refused(Exception):
+class RefusedError(Exception):
     """Bad input; one line a fault."""
 
 
@@ -120,7 +121,7 @@ def driver(
         names = tuple(robots.split(","))
         known = [robot.id for robot in tree.robots]
         for unknown in (name for name in names if name not in known):
-            raise _Refused(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+            raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
     child.driver(tree, Lifeline(lifeline), names)
 
 
@@ -134,7 +135,7 @@ def _bad_input() -> "Iterator[None]":
     """End with exit code 2 and one line a fault."""
     try:
         yield
-    except (ConfigError, _Refused) as error:
+    except (ConfigError, RefusedError) as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
 
@@ -152,7 +153,7 @@ def _settled(tree: "Config") -> "Config":
     try:
         endpoint = bind_endpoint(tree.bus.endpoint)
     except OSError as error:
-        raise _Refused(
+        raise RefusedError(
             f"bus.endpoint: {tree.bus.endpoint} cannot be used ({error.strerror}): "
             "end the run that has it, or take port 0 for any free one"
         ) from error
@@ -162,10 +163,10 @@ def _settled(tree: "Config") -> "Config":
 def _new_folder(folder: Path) -> Path:
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise _Refused(f"--out: {folder} is there already and not empty: name another folder")
+            raise RefusedError(f"--out: {folder} is there already and not empty: name another folder")
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _Refused(f"--out: {folder} cannot be made: {error.strerror}") from error
+        raise RefusedError(f"--out: {folder} cannot be made: {error.strerror}") from error
     return folder
 
 
@@ -177,12 +178,14 @@ def _run(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool
         if lockstep:
             from robofleet.processes.lockstep import Lockstep  # noqa: PLC0415
 
-            run_ = Lockstep(tree)
-            outcome, cause = run_.run(view)
+            lockstep_run = Lockstep(tree)
+            outcome, cause = lockstep_run.run(view)
+            recording = lockstep_run.recording
         else:
             from robofleet.processes.launcher import Launcher  # noqa: PLC0415
 
-            run_ = Launcher(tree, folder, view)
-            outcome, cause = run_.run()
+            launcher = Launcher(tree, folder, view)
+            outcome, cause = launcher.run()
+            recording = launcher.recording
     mode = "lockstep" if lockstep else "realtime"
-    return summary(run_.recording, name=name, mode=mode, outcome=outcome, cause=cause)
+    return summary(recording, name=name, mode=mode, outcome=outcome, cause=cause)

@@ -87,5 +87,3 @@ def stopwatch_ns() -> int:
 def utc_now() -> datetime:
     """Return the date and time, for names of folders."""
     return datetime.now(UTC)
-
-

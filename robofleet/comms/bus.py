@@ -181,5 +181,3 @@ class _MemoryRequest:
 
     def reply(self, text: str) -> None:
         """Lockstep's asker does not wait."""
-
-

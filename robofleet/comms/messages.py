@@ -188,7 +188,12 @@ class ListLayout(Generic[M]):
 
     def dtype(self, count: int) -> np.dtype[Any]:
         """Return the layout of a message of ``count`` items, for reading many at once."""
-        return np.dtype([*((n, self.head_dtype[n]) for n in self.head_dtype.names or ()), ("items", self.item_dtype, (count,))])
+        return np.dtype(
+            [
+                *((n, self.head_dtype[n]) for n in self.head_dtype.names or ()),
+                ("items", self.item_dtype, (count,)),
+            ]
+        )
 
     def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
         """Return the head's fields alone, or None where length or version is wrong."""
@@ -216,7 +221,7 @@ class ListLayout(Generic[M]):
         rows = list(self._item.iter_unpack(payload[self._head.size :]))
         if not math.isfinite(sum(map(sum, rows))):
             return None
-        return self._make(*head, tuple(map(self._make_item._make, rows)))
+        return self._make._make([*head, tuple(map(self._make_item._make, rows))])
 
 
 FLEET_POSES = ListLayout(FleetPoses, "IIqqIqqI", TagPose, "Hddd")

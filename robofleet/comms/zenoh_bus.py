@@ -96,7 +96,7 @@ class ZenohBus:
         """Leave the bus. Idempotent."""
         if not self._closed:
             self._closed = True
-            self._session.close()
+            self._session.close()  # type: ignore[no-untyped-call]
 
 
 class _Ring:

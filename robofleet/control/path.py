@@ -50,7 +50,7 @@ class Path:
     def tangent(self, sigma: Array | float) -> Array:
         """Return the unit tangent r' / |r'|, shape (..., 2)."""
         derivative = self.derivative(sigma)
-        return derivative / np.linalg.norm(derivative, axis=-1, keepdims=True)
+        return np.asarray(derivative / np.linalg.norm(derivative, axis=-1, keepdims=True))
 
     def length(self) -> float:
         """Return the length of a lap [m]."""

@@ -76,9 +76,7 @@ class Platoon:
         n = len(self.vehicles)
         self.u, self.reference_parameter, self._nearest_parameter = np.empty((n, 2)), np.empty(n), np.empty(n)
         self.restart()
-        self._limits = np.array(
-            [(v.wheel_radius, v.wheel_base, v.max_wheel_speed, v.max_speed) for v in self.vehicles]
-        )
+        self._limits = np.array([(v.wheel_radius, v.wheel_base, v.max_wheel_speed, v.max_speed) for v in self.vehicles])
         s = self.settings
         self._gain = integrator_gain(s.alpha, s.tick, s.integrator)
         self._offset = s.point_ahead if s.track == "centre" else 0.0

@@ -10,9 +10,9 @@ from pathlib import Path as FilePath
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config import Config, Group
-from robofleet.configfaults import Complaint
-from robofleet.configload import ConfigFile
+from robofleet.config.faults import Complaint
+from robofleet.config.load import ConfigFile
+from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 
 Array = NDArray[np.float64]
@@ -58,9 +58,7 @@ class Lap:
     omega: Array  # of the body [rad/s]
 
 
-def load_checked(
-    file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None
-) -> Config:
+def load_checked(file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column."""
     source = ConfigFile(file, overrides, faults_file)
     source.refuse(refusals(source.config))
@@ -74,9 +72,7 @@ def refusals(config: Config) -> list[Complaint]:
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
             value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
-            complaints.append(
-                (bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}")
-            )
+            complaints.append((bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}"))
     return complaints
 
 

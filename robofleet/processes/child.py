@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.processes.node import Lifeline, Node, Waker, realtime_priority, run
 from robofleet.processes.slices import entropy
 
@@ -27,7 +27,7 @@ def router(config: Config, lifeline: Lifeline) -> None:
         while not lifeline.cut:
             threading.Event().wait(0.05)
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
 
 
 def controller(config: Config, lifeline: Lifeline) -> None:

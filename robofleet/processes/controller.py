@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.clock import S, Clock, TickGrid
+from robofleet.clock import Clock, S, TickGrid
 from robofleet.comms.bus import Bus, Inbox
 from robofleet.comms.keys import COMMAND, POSES, STATE, STATUS, TICK
 from robofleet.comms.messages import (
@@ -18,7 +18,7 @@ from robofleet.comms.messages import (
     RobotStatus,
     WheelCommand,
 )
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
 from robofleet.processes import slices
@@ -130,9 +130,7 @@ class Controller:
         exposure_ns = self._consumed[1]
         for publish, status, (left, right) in zip(self._commands, self._newest, wheels, strict=True):
             if status is not None:
-                command = WheelCommand(
-                    _EPOCH, self._index, status.boot_id, status.nonce, exposure_ns, left, right
-                )
+                command = WheelCommand(_EPOCH, self._index, status.boot_id, status.nonce, exposure_ns, left, right)
                 publish(WHEEL_COMMAND.encode(command))
 
     def _publish_record(
@@ -165,7 +163,14 @@ def compile_kernels(config: Config) -> None:
 def _platoon(config: Config) -> Platoon:
     group, c = config.groups[0], config.controller
     settings = PlatoonSettings(
-        c.alpha, c.horizon_s, c.point_ahead_m, group.spacing_m, group.path_rate, c.tick_s, c.integrator, group.track
+        c.alpha,
+        c.horizon_s,
+        c.point_ahead_m,
+        group.spacing_m,
+        group.path_rate,
+        c.tick_s,
+        c.integrator,
+        group.track,
     )
     drives = tuple(slices.drive(robot.vehicle) for robot in config.platoon)
     return Platoon(Path.hermite(*slices.knots(group)), settings, drives)
@@ -173,7 +178,5 @@ def _platoon(config: Config) -> Platoon:
 
 def _filter(config: Config) -> FleetFilter:
     f = config.controller.filter
-    noise = FilterNoise(
-        f.position_noise_m, f.heading_noise_rad, f.position_drift_m, f.heading_drift_rad, f.gate_sigma
-    )
+    noise = FilterNoise(f.position_noise_m, f.heading_noise_rad, f.position_drift_m, f.heading_drift_rad, f.gate_sigma)
     return FleetFilter(tuple(slices.drive(robot.vehicle) for robot in config.platoon), noise)

@@ -21,7 +21,7 @@ from robofleet.comms.messages import (
 from robofleet.comms.messages import (
     TRUTH as TRUTH_LAYOUT,
 )
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes import slices
 from robofleet.safety import gate
@@ -122,7 +122,13 @@ class DriverProcess:
     """The robots of one driver process: a 100 Hz loop that also wakes for a message and for a gate's deadline."""
 
     def __init__(
-        self, config: Config, robot_ids: tuple[str, ...], bus: Bus, clock: Clock, wake: Wake, rng: np.random.Generator
+        self,
+        config: Config,
+        robot_ids: tuple[str, ...],
+        bus: Bus,
+        clock: Clock,
+        wake: Wake,
+        rng: np.random.Generator,
     ) -> None:
         self._robots: list[GatedRobot] = []
         for robot_id in robot_ids:

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from robofleet.clock import S, Clock, WallClock
+from robofleet.clock import Clock, S, WallClock
 from robofleet.comms.keys import STATE, STATUS, TICK, everything, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.config import Config
-from robofleet.configload import resolved_yaml
-from robofleet.processes.controller import compile_kernels
+from robofleet.config.load import resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.processes import controller, tracker
 from robofleet.recording.metrics import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
 
@@ -37,7 +37,7 @@ class RunError(Exception):
     """The run ended by a fault; the message is its cause."""
 
 
-class Interrupted(Exception):
+class InterruptedRunError(Exception):
     """The operator asked for the end; ``at_once`` when asked twice."""
 
 
@@ -164,14 +164,15 @@ class Launcher:
                 return self._drive(fleet, interrupts)
             except RunError as error:
                 return "fault", str(error)
-            except Interrupted:
+            except InterruptedRunError:
                 return "stopped", "the operator interrupted"
             finally:
                 fleet.reap()
 
     def _start(self, fleet: Fleet, interrupts: _Interrupts) -> None:
         self._watch(self.recording, "compiling")
-        compile_kernels(self._config)
+        controller.compile_kernels(self._config)
+        tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
         fleet.start("router", "router")
         fleet.wait_ready(self._clock)
@@ -181,7 +182,7 @@ class Launcher:
             fleet.start(f"driver-{robot.id}", "driver", "--robots", robot.id)
         fleet.wait_ready(self._clock)
         if interrupts.count:
-            raise Interrupted
+            raise InterruptedRunError
 
     def _drive(self, fleet: Fleet, interrupts: _Interrupts) -> tuple[str, str | None]:
         bus = ZenohBus(self._config.arena.name, self._config.bus.endpoint, "launcher", self._clock)
@@ -208,7 +209,7 @@ class Launcher:
         while (state := self._newest(self._state_key, RUN_STATE)) is None or state.phase != Phase.RUNNING:
             self._poll(fleet)
             if interrupts.count:
-                raise Interrupted
+                raise InterruptedRunError
             if self._clock.now_ns() > deadline_ns:
                 raise RunError(f"the fleet was not ready after {_ARMED_WITHIN_S:.0f} s: {self._missing()}")
 

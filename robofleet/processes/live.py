@@ -11,11 +11,11 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from robofleet.clock import S, Clock
+from robofleet.clock import Clock, S
 from robofleet.comms.keys import POSES, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, FleetPoses, RobotTick, TickRecord
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.recording.metrics import Recording
 from robofleet.safety.gate import GateStatus
@@ -26,7 +26,7 @@ _WINDOW = 300  # ticks, for the percentiles
 
 
 class LiveView:
-    """Call it with what came so far; it draws five times a second, or writes plain lines where stderr is no terminal."""
+    """Call it with what came so far; it draws five times a second, or writes lines where stderr is no terminal."""
 
     def __init__(self, config: Config, clock: Clock, *, quiet: bool) -> None:
         self._config, self._clock, self._quiet = config, clock, quiet

@@ -8,12 +8,13 @@ import gc
 import hashlib
 import heapq
 from collections.abc import Callable
+from functools import partial
 
 from robofleet.clock import S, SimulatedClock, stopwatch_ns
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.node import Node
@@ -73,13 +74,9 @@ class Lockstep:
         seed, clock, bus = config.run.seed, self.clock, self.bus
         for robot in config.robots:
             rng = generator(seed, "driver", robot.id)
-            self._add(lambda wake, i=robot.id, r=rng: DriverProcess(config, (i,), bus, clock, wake, r))
-        self._tracker = self._add(
-            lambda wake: Tracker(
-                config, bus, clock, wake, generator(seed, "tracker"),
-                charge_ns=round(config.lockstep.tracker_delay_s * S),
-            )  # fmt: skip
-        )
+            self._add(partial(DriverProcess, config, (robot.id,), bus, clock, rng=rng))
+        charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
+        self._tracker = self._add(partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
         self._add(lambda _: Supervisor(config, bus, clock))
         self._controller = self._add(lambda _: Controller(config, bus, clock))
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)

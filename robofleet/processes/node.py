@@ -8,7 +8,7 @@ import sys
 import threading
 from typing import Protocol
 
-from robofleet.clock import MS, S, Clock
+from robofleet.clock import MS, Clock, S
 
 _EXIT_WITHIN_S = 0.8  # of the parent's pipe closing; then the process is ended as it is
 
@@ -94,8 +94,6 @@ def run(node: Node, clock: Clock, lifeline: Lifeline, waker: Waker, *, precise: 
                 waker.wait_until(clock, next_ns)
     finally:
         node.close()
-
-
 
 
 def realtime_priority(level: int) -> None:

@@ -4,7 +4,7 @@ import secrets
 
 import numpy as np
 
-from robofleet.config import Config, Group, Robot, Vehicle
+from robofleet.config.tree import Config, Group, Robot, Vehicle
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections, Stall
 

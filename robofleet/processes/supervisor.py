@@ -1,6 +1,6 @@
 """The supervisor: it owns the run's state and says every 40 ms to every driver whether its wheels may move."""
 
-from robofleet.clock import MS, S, Clock
+from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Inbox
 from robofleet.comms.keys import ENABLE, STATE, STATUS, TICK
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
@@ -13,7 +13,7 @@ from robofleet.comms.messages import (
     RunState,
     TickRecord,
 )
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.safety import supervisor
 from robofleet.safety.supervisor import NOBODY, Event, RunStatus
 

@@ -5,12 +5,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from robofleet.clock import MS, S, Clock
-from robofleet.comms.bus import Bus, Wake
+from robofleet.clock import MS, S, Clock, SimulatedClock
+from robofleet.comms.bus import Bus, MemoryBus, Wake
 from robofleet.comms.keys import POSES
 from robofleet.comms.messages import FLEET_POSES, FleetPoses, TagPose
 from robofleet.comms.ticks import TickFollower
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.controller import CAMERA
 from robofleet.simulation.sources import TruthSource
@@ -47,7 +47,14 @@ class Tracker:
     """Observes, says how long after which tick the image was taken, and publishes."""
 
     def __init__(
-        self, config: Config, bus: Bus, clock: Clock, wake: Wake, rng: np.random.Generator, *, charge_ns: int = 0
+        self,
+        config: Config,
+        bus: Bus,
+        clock: Clock,
+        wake: Wake,
+        rng: np.random.Generator,
+        *,
+        charge_ns: int = 0,
     ) -> None:
         self._tick_ns = round(config.controller.tick_s * S)
         self._ticks = TickFollower(bus, self._tick_ns, wake)
@@ -98,6 +105,14 @@ class Tracker:
         self._publish(FLEET_POSES.encode(message))
 
 
+def compile_kernels(config: Config) -> None:
+    """Compile the simulated camera's numba kernels, or load them from the cache, before its first image."""
+    if config.tracker.source == "camera" and config.camera.source == "simulated":
+        clock = SimulatedClock()
+        bus = MemoryBus(config.arena.name, clock, 0)
+        Tracker(config, bus, clock, lambda _: None, np.random.default_rng(0))
+
+
 class _CameraPoses:
     """A camera's images through the detector."""
 
@@ -130,9 +145,7 @@ class _CameraPoses:
         if frame is None:
             return None
         sightings = self._detector.detect(frame.image)
-        return Observation(
-            frame.exposure_ns, tuple(TagPose(*pose) for pose in sightings.poses), sightings.refused
-        )
+        return Observation(frame.exposure_ns, tuple(TagPose(*pose) for pose in sightings.poses), sightings.refused)
 
     def close(self) -> None:
         self._camera.close()

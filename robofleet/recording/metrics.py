@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robofleet.comms.keys import POSES, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, Layout
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.safety.gate import GateStatus
 
@@ -76,9 +76,7 @@ class Run:
         for truth in truths:
             stamps = truth["stamp_ns"]
             psi = np.unwrap(truth["psi_rad"])
-            columns.append(
-                [np.interp(self.ticks["stamp_ns"], stamps, y) for y in (truth["x_m"], truth["y_m"], psi)]
-            )
+            columns.append([np.interp(self.ticks["stamp_ns"], stamps, y) for y in (truth["x_m"], truth["y_m"], psi)])
         return np.array(columns).transpose(2, 0, 1)
 
     def points(self) -> Array | None:
@@ -94,9 +92,7 @@ class Run:
         return np.asarray(self.t >= start_s)
 
 
-def summary(
-    recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None
-) -> Figures:
+def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None) -> Figures:
     """Return the figures of a run as ``summary.json`` has them."""
     run, config = Run(recording), recording.config
     duration_s = float(run.t[-1]) if len(run.t) else 0.0
@@ -158,7 +154,8 @@ def _true_errors(run: Run, counted: NDArray[np.bool_]) -> Figures:
 def _path_errors(path: Path, points: Array) -> Array:
     """Distances (K, N) of points (K, N, 2) from the path [m]."""
     flat = points.reshape(-1, 2)
-    return np.linalg.norm(path.position(path.nearest(flat)) - flat, axis=-1).reshape(points.shape[:2])
+    distances = np.linalg.norm(path.position(path.nearest(flat)) - flat, axis=-1)
+    return np.asarray(distances).reshape(points.shape[:2])
 
 
 def _timed_errors(run: Run, points: Array, centres: Array, t: Array) -> Array:

@@ -142,9 +142,7 @@ def _floor(xy: Array, side: float, rng: np.random.Generator) -> Array:
         cells[1:-1, 1:-1] = rng.integers(0, 2, (_CELLS - 2, _CELLS - 2))
         _paste(floor, 30 + 180 * np.pad(cells, 1, constant_values=1), side, rng)
     at = ((xy - low) / _FLOOR_M).astype(np.float32)
-    floor = np.asarray(
-        cv2.GaussianBlur(floor, (0, 0), _BLUR_PX * 1.5), np.uint8
-    )  # a pixel is 1.5 of the floor's
+    floor = np.asarray(cv2.GaussianBlur(floor, (0, 0), _BLUR_PX * 1.5), np.uint8)  # a pixel is 1.5 of the floor's
     return np.asarray(cv2.remap(floor, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
 
 

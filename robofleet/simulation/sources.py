@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.clock import S, Clock
+from robofleet.clock import Clock, S
 from robofleet.comms.bus import Bus, Stream
 from robofleet.comms.keys import TRUTH, key
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.config import Config
+from robofleet.config.tree import Config
 from robofleet.simulation.arena import TruthHistory
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.simulation.trigger import Ticks, Trigger

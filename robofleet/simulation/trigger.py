@@ -2,8 +2,8 @@
 
 from typing import Protocol
 
-from robofleet.clock import S, Clock
-from robofleet.config import Config
+from robofleet.clock import Clock, S
+from robofleet.config.tree import Config
 
 
 class Ticks(Protocol):

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robofleet.config import CameraModel
+from robofleet.config.tree import CameraModel
 
 Array = NDArray[np.float64]
 
@@ -46,9 +46,7 @@ class CameraGeometry:
 
     def project(self, points_world: Array) -> Array:
         """Return the pixels (N, 2) where points (N, 3) [m; world] in front of the camera appear."""
-        pixels, _ = cv2.projectPoints(
-            points_world, self._rotation, self._translation, self.K, self.distortion
-        )
+        pixels, _ = cv2.projectPoints(points_world, self._rotation, self._translation, self.K, self.distortion)
         return np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def to_plane(self, pixels: Array, height_m: float) -> Array:

@@ -5,6 +5,7 @@ commands' instants) and a first-order motor lag; an image's pose corrects it at 
 prediction for the future is the same motion continued with the commands that are under way.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,9 +51,10 @@ class FleetFilter:
         self._pose = np.zeros((n, 3))
         self._covariance = np.zeros((n, 3, 3))
         self._wheels = np.zeros((n, 2))  # as modelled, at the filter's instant [rad/s]
-        self._instant_ns = np.int64(0)
+        self._instant_ns = 0
         self._act_ns = np.zeros(_HISTORY, dtype=np.int64)
         self._commands = np.zeros((_HISTORY, n, 2))
+        self._moved = np.zeros((n, 3))  # as modelled, since the newest measurement used
         self._outliers = np.zeros(n, dtype=np.int64)
         self._outlier_pose = np.full((n, 3), np.nan)
         self.measured_ns = np.zeros(n, dtype=np.int64)  # newest measurement used; 0: never seen
@@ -72,14 +74,14 @@ class FleetFilter:
         """
         used = np.zeros(len(poses), dtype=np.int64)
         if self._instant_ns == 0:
-            self._instant_ns = np.int64(exposure_ns - 1)
+            self._instant_ns = exposure_ns - 1
         if exposure_ns > self._instant_ns:
             _observe(
                 self._pose, self._covariance, self._wheels, self._instant_ns, exposure_ns, self._act_ns,
                 self._commands, self._motion, self._drift, self._variance, self._gate, poses,
-                self._outliers, self._outlier_pose, self.measured_ns, used,
+                self._moved, self._outliers, self._outlier_pose, self.measured_ns, used,
             )  # fmt: skip
-            self._instant_ns = np.int64(exposure_ns)
+            self._instant_ns = exposure_ns
         return used
 
     def predict(self, first_ns: int, second_ns: int) -> tuple[Array, Array]:
@@ -89,7 +91,15 @@ class FleetFilter:
             return first, first.copy()
         _advance(first, wheels, self._instant_ns, first_ns, self._act_ns, self._commands, self._motion)
         second = first.copy()
-        _advance(second, wheels, max(self._instant_ns, first_ns), second_ns, self._act_ns, self._commands, self._motion)
+        _advance(
+            second,
+            wheels,
+            max(self._instant_ns, first_ns),
+            second_ns,
+            self._act_ns,
+            self._commands,
+            self._motion,
+        )
         return first, second
 
 
@@ -135,19 +145,26 @@ def _lagged(speed: float, command: float, lag: float, duration: float) -> tuple[
 def _observe(
     pose: Array, covariance: Array, wheels: Array, start_ns: int, exposure_ns: int, act_ns: Instants,
     commands: Array, motion: Array, drift: Array, variance: Array, gate: float, measured: Array,
-    outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
+    moved: Array, outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
 ) -> None:  # fmt: skip
     before = pose.copy()
     _advance(pose, wheels, start_ns, exposure_ns, act_ns, commands, motion)
     duration = (exposure_ns - start_ns) * 1e-9
     for i in range(len(pose)):
         p = covariance[i]
-        _predict_covariance(p, pose[i] - before[i], drift * duration)
+        step = pose[i] - before[i]
+        step[2] = _wrapped(step[2])
+        _predict_covariance(p, step, drift * duration)
+        moved[i] += step
         if np.isnan(measured[i, 0]):
             continue
         innovation = measured[i] - pose[i]
         innovation[2] = _wrapped(innovation[2])
-        if measured_ns[i] > 0 and _correct(pose[i], p, innovation, variance, gate):
+        known = measured_ns[i] > 0
+        if known and (
+            _correct(pose[i], p, p, innovation, variance, gate)
+            or _correct(pose[i], p, _held_up(p, moved[i]), innovation, variance, gate)
+        ):
             outliers[i] = 0
             used[i] = USED
         else:
@@ -155,7 +172,7 @@ def _observe(
             agrees = away[0] < 0.03 and away[1] < 0.03 and abs(_wrapped(away[2])) < 0.3
             outliers[i] = outliers[i] + 1 if agrees else 1
             outlier_pose[i] = measured[i]
-            if measured_ns[i] > 0 and outliers[i] < _CARRIED_AFTER:
+            if known and outliers[i] < _CARRIED_AFTER:
                 continue
             pose[i] = measured[i]
             p[:] = np.diag(variance)
@@ -163,6 +180,7 @@ def _observe(
             used[i] = CARRIED
         pose[i, 2] = _wrapped(pose[i, 2])
         measured_ns[i] = exposure_ns
+        moved[i] = 0.0
 
 
 @njit(cache=True)
@@ -177,9 +195,26 @@ def _predict_covariance(p: Array, moved: Array, drift: Array) -> None:
 
 
 @njit(cache=True)
-def _correct(pose: Array, p: Array, innovation: Array, variance: Array, gate: float) -> bool:
-    """Correct by the three coordinates one after the other, unless they are together beyond the gate."""
-    x, gain, trial = np.zeros(3), np.empty(3), p.copy()
+def _held_up(p: Array, moved: Array) -> Array:
+    """The covariance of a robot that may have done all, none or twice of the motion since it was seen last.
+
+    Blocked motors and spinning wheels are no outliers: without this a robot that is held up would be refused for
+    several images, and believed to drive on.
+    """
+    wide = p.copy()
+    for i in range(3):
+        for j in range(3):
+            wide[i, j] += moved[i] * moved[j]
+    return wide
+
+
+@njit(cache=True)
+def _correct(pose: Array, p: Array, prior: Array, innovation: Array, variance: Array, gate: float) -> bool:
+    """Correct pose and covariance ``p``, with ``prior`` in its place, unless the innovation is beyond the gate.
+
+    The three coordinates are independent measurements: they correct one after the other.
+    """
+    x, gain, trial = np.zeros(3), np.empty(3), prior.copy()
     distance = 0.0
     for k in range(3):
         s = trial[k, k] + variance[k]
@@ -203,4 +238,4 @@ def _correct(pose: Array, p: Array, innovation: Array, variance: Array, gate: fl
 @njit(cache=True)
 def _wrapped(angle: float) -> float:
     """Return the angle in (-pi, pi]."""
-    return angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))

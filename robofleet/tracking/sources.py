@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from robofleet.clock import Clock
 from robofleet.comms.bus import Bus, Wake
 from robofleet.comms.ticks import TickFollower
-from robofleet.config import Config
+from robofleet.config.tree import Config
 
 
 class Frame(NamedTuple):

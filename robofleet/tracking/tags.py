@@ -25,9 +25,7 @@ Complex = NDArray[np.complex128]
 _CELLS = 8  # of the pattern, black rim included
 _SAMPLES = 24  # along a side of the fitted square, about one a pixel
 _REACH = 0.56  # half the fitted square [sides]: it goes half a white cell beyond the black rim
-_BLUR = (
-    0.03  # standard deviation expected of lens, pixel and interpolation [sides]; a wrong one does not bias
-)
+_BLUR = 0.03  # standard deviation expected of lens, pixel and interpolation [sides]; a wrong one does not bias
 _STEPS = 2  # Gauss-Newton
 _ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _SIZE = (0.8, 1.25)  # of a square on the plane, over the true one
@@ -50,17 +48,13 @@ class Sightings(NamedTuple):
     """What one image shows."""
 
     poses: tuple[TagSighting, ...]
-    refused: (
-        int  # squares that read as the fleet's and cannot be: an id seen twice, a wrong size, shape or look
-    )
+    refused: int  # squares that read as the fleet's and cannot be: an id seen twice, a wrong size, shape or look
 
 
 class TagDetector:
     """Finds a fleet's tags; other ids of the family are not in its dictionary."""
 
-    def __init__(
-        self, geometry: CameraGeometry, tag_ids: Sequence[int], side_m: float, height_m: float
-    ) -> None:
+    def __init__(self, geometry: CameraGeometry, tag_ids: Sequence[int], side_m: float, height_m: float) -> None:
         """Take the fleet's ids, the side of the tags' black square and the height at which all lie."""
         self._geometry, self._ids, self._side, self._height = geometry, tag_ids, side_m, height_m
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -84,9 +78,7 @@ class TagDetector:
             centre, psi, alike = self._polish(image, index, centre, psi)
         good = plausible & (alike > _ALIKE) & (np.bincount(index)[index] == 1)
         rows = zip(index[good].tolist(), centre[good].tolist(), psi[good].tolist(), strict=True)
-        seen = tuple(
-            TagSighting(self._ids[i], c.real, c.imag, math.remainder(a, math.tau)) for i, c, a in rows
-        )
+        seen = tuple(TagSighting(self._ids[i], c.real, c.imag, math.remainder(a, math.tau)) for i, c, a in rows)
         return Sightings(seen, len(index) - len(seen))
 
     def _square(self, corners: Complex) -> tuple[Complex, Array, NDArray[np.bool_]]:

@@ -49,9 +49,7 @@ def feasible_ratio(left: float, right: float, radius: float, max_wheel_speed: fl
     return 1.0 if fastest <= _INSIDE else _INSIDE / fastest
 
 
-def arc(
-    x: float, y: float, psi: float, v: float, omega: float, duration: float
-) -> tuple[float, float, float]:
+def arc(x: float, y: float, psi: float, v: float, omega: float, duration: float) -> tuple[float, float, float]:
     """Return the pose after ``duration`` [s] of constant body velocity: an exact arc; psi in (-pi, pi]."""
     turn = omega * duration
     half = turn / 2.0

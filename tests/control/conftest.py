@@ -9,13 +9,11 @@ import pytest
 import yaml
 
 from robofleet.control.path import Path
-from robofleet.control.platoon import Platoon, PlatoonSettings
+from robofleet.control.platoon import WHEELS, Column, Platoon, PlatoonSettings
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
 
 CONFIGS = File(__file__).parent.parent.parent / "configs"
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.0
-)
+DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.0)
 PAPER = PlatoonSettings(
     alpha=45.0,
     horizon=0.6,
@@ -72,7 +70,7 @@ def platoon_of(platoon_path: Path) -> Callable[..., Platoon]:
 
 @pytest.fixture(scope="session")
 def line_up(platoon_path: Path) -> Callable[..., np.ndarray]:
-    """Return poses (N, 3) whose points p stand on the path, on parameters and turned off the tangent by an angle."""
+    """Return poses (N, 3) whose points p are on the path, turned off the tangent by an angle."""
 
     def make(sigma: np.ndarray, turned: np.ndarray | float = 0.0, path: Path = platoon_path) -> np.ndarray:
         tangent = path.tangent(sigma)
@@ -89,10 +87,18 @@ class Moment:
 
     t: float
     poses: np.ndarray  # (N, 3)
-    points: np.ndarray  # (N, 2)
-    wheels: np.ndarray  # (N, 2) decided now
-    control_error: np.ndarray  # (N,)
+    decisions: np.ndarray  # (N, 11)
     platoon: Platoon
+
+    @property
+    def points(self) -> np.ndarray:
+        """Return the points p (N, 2) [m]."""
+        return self.decisions[:, [Column.POINT_X, Column.POINT_Y]]
+
+    @property
+    def wheels(self) -> np.ndarray:
+        """Return left and right (N, 2) [rad/s]."""
+        return self.decisions[:, WHEELS]
 
     @property
     def gaps(self) -> np.ndarray:
@@ -102,7 +108,7 @@ class Moment:
 
 @pytest.fixture(scope="session")
 def drive_platoon() -> Callable[..., Iterator[Moment]]:
-    """Return the closed loop of a platoon with ideal robots, tick by tick; motors that ``blocked`` names stand still."""
+    """Return the closed loop with ideal robots, tick by tick; those that ``blocked`` names stand still."""
 
     def run(
         platoon: Platoon,
@@ -116,8 +122,8 @@ def drive_platoon() -> Callable[..., Iterator[Moment]]:
             t = k * tick
             allowed = np.ones(len(poses), dtype=np.bool_) if driving is None else driving(t)
             decisions = platoon.tick(t, poses, allowed)
-            wheels, error = decisions[:, 8:10], decisions[:, 7]
-            yield Moment(t, poses.copy(), decisions[:, 0:2], wheels, error, platoon)
+            yield Moment(t, poses.copy(), decisions, platoon)
+            wheels = decisions[:, WHEELS]
             for i, pose in enumerate(poses):
                 if i not in blocked(t):
                     body = body_from_wheels(*wheels[i], DRIVE.wheel_radius, DRIVE.wheel_base)

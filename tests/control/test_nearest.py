@@ -9,13 +9,13 @@ from robofleet.control.path import Path
 
 
 def smallest_distance(path: Path, q: np.ndarray) -> float:
-    """Return the distance of q from the path by the roots of every side's quintic (numpy's companion matrix)."""
+    """Return the distance of q from the path by the roots of every side's quintic, numpy's way."""
     best = np.inf
     for c in path.coefficients:
         x, y = np.polynomial.Polynomial(c[:, 0]) - q[0], np.polynomial.Polynomial(c[:, 1]) - q[1]
         squared = x * x + y * y
         roots = squared.deriv().roots()
-        real = roots.real[np.abs(roots.imag) < 1e-4]  # a double root may split; between 0 and 1 each is a point
+        real = roots.real[np.abs(roots.imag) < 1e-4]  # a double root may split
         inside = real[(real > 0.0) & (real < 1.0)]
         best = min(best, squared(np.concatenate([inside, [0.0, 1.0]])).min())
     return float(np.sqrt(max(best, 0.0)))

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.config import Config, Group
-from robofleet.configload import ConfigError, load_config
+from robofleet.config.load import ConfigError, load_config
+from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.processes.check import drive_lap, load_checked, proofs, refusals
 
@@ -36,9 +36,7 @@ def test_no_wheel_passes_its_limit_along_the_whole_path() -> None:
     path, vehicle = path_of(group), config.robots[0].vehicle
     step = 0.005  # Runge-Kutta over two laps; the second one counts
     grid = np.arange(0.0, 2 * path.sides / group.path_rate + step, step / 2)
-    rates: list[list[float]] = (
-        path.derivative(group.path_rate * grid % path.sides) * group.path_rate
-    ).tolist()
+    rates: list[list[float]] = (path.derivative(group.path_rate * grid % path.sides) * group.path_rate).tolist()
 
     def turn(psi: float, k: int) -> float:
         return (-math.sin(psi) * rates[k][0] + math.cos(psi) * rates[k][1]) / l
@@ -89,9 +87,7 @@ def test_a_tracked_centre_turns_with_the_paths_curvature() -> None:
     assert lap.v == pytest.approx(lap.speed * group.path_rate)
 
 
-CUSP = (
-    "groups.0.path={knots: [{at_m: [-1, 0], derivative_m: [0, 0]}, {at_m: [1, 0.5], derivative_m: [1, -1]}]}"
-)
+CUSP = "groups.0.path={knots: [{at_m: [-1, 0], derivative_m: [0, 0]}, {at_m: [1, 0.5], derivative_m: [1, -1]}]}"
 EULER = ["controller.integrator=euler"]
 REFUSED = [
     ([*EULER, "controller.alpha=61"], "controller.alpha", "below 60.6"),
@@ -147,9 +143,7 @@ def test_what_just_works_is_not_refused(overrides: list[str]) -> None:
 @given(st.floats(0.08, 10.0))
 def test_the_path_rate_that_a_refusal_proposes_fits(rate: float) -> None:
     complaints = refusals(platoon(f"groups.0.path_rate={rate}"))
-    proposed = min(
-        float(found[1]) for _, text in complaints if (found := re.search(r"path_rate (\S+) fits", text))
-    )
+    proposed = min(float(found[1]) for _, text in complaints if (found := re.search(r"path_rate (\S+) fits", text)))
     assert refusals(platoon(f"groups.0.path_rate={proposed}")) == []
     assert refusals(platoon(f"groups.0.path_rate={proposed * 1.02}"))
 

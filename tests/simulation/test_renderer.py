@@ -9,7 +9,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from robofleet.config import CameraModel
+from robofleet.config.tree import CameraModel
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 
@@ -40,9 +40,7 @@ def renderer() -> SceneRenderer:
 def rays(u: Array, v: Array) -> Array:
     """Directions (..., 3) [world] of pixels: Newton's method on the distortion, without OpenCV."""
     k1, k2, p1, p2, k3 = MODEL.distortion
-    target = np.stack(
-        [(u - MODEL.centre_px[0]) / MODEL.focal_px[0], (v - MODEL.centre_px[1]) / MODEL.focal_px[1]]
-    )
+    target = np.stack([(u - MODEL.centre_px[0]) / MODEL.focal_px[0], (v - MODEL.centre_px[1]) / MODEL.focal_px[1]])
     a, b = target
     for _ in range(30):
         r2 = a * a + b * b
@@ -158,9 +156,7 @@ def test_robots_outside_and_at_the_edge_are_clipped() -> None:
     corners = GEOMETRY.to_plane(np.array([[0.0, 0.0], [1279.0, 0.0], [0.0, 719.0], [1279.0, 719.0]]), HEIGHT)
     image = four.render(np.column_stack([corners, np.zeros(4)])[None])
     changed = image != empty
-    assert all(
-        corner.any() for corner in (changed[:9, :9], changed[:9, -9:], changed[-9:, :9], changed[-9:, -9:])
-    )
+    assert all(corner.any() for corner in (changed[:9, :9], changed[:9, -9:], changed[-9:, :9], changed[-9:, -9:]))
     assert not changed[50:-50, 50:-50].any()
 
 

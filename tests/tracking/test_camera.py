@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.config import CameraModel
+from robofleet.config.tree import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 
 ROOT = Path(__file__).parents[2]
@@ -52,9 +52,7 @@ def test_integer_coordinates_are_pixel_centres() -> None:
     geometry = CameraGeometry([[100.0, 0.0, 1.0], [0.0, 100.0, 1.0], [0.0, 0.0, 1.0]], np.zeros(5), down)
     assert geometry.project(np.zeros((1, 3))) == pytest.approx(np.array([[1.0, 1.0]]))
     # The image's left edge is half a pixel left of the centre of pixel 0.
-    assert geometry.to_plane(np.array([[-0.5, 1.0]]), 0.0) == pytest.approx(
-        np.array([[-1.5 * 2.0 / 100, 0.0]])
-    )
+    assert geometry.to_plane(np.array([[-0.5, 1.0]]), 0.0) == pytest.approx(np.array([[-1.5 * 2.0 / 100, 0.0]]))
 
 
 def test_overhead_camera_sees_the_arena_and_a_tags_margin() -> None:
@@ -68,8 +66,6 @@ def test_overhead_camera_sees_the_arena_and_a_tags_margin() -> None:
 def test_overhead_camera_is_tilted_and_upright() -> None:
     rotation = GEOMETRY.T_world_camera[:3, :3]
     assert math.degrees(math.acos(-rotation[2, 2])) == pytest.approx(2.0, abs=1e-6)
-    ahead, left = GEOMETRY.project(np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])) - GEOMETRY.project(
-        np.zeros((1, 3))
-    )
+    ahead, left = GEOMETRY.project(np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])) - GEOMETRY.project(np.zeros((1, 3)))
     assert ahead[0] > 30 and abs(ahead[1]) < 1  # world +x is the image's right
     assert left[1] < -30 and abs(left[0]) < 1  # world +y is its top

@@ -40,9 +40,7 @@ WORN = Imperfections(
 
 @pytest.fixture(scope="session")
 def drive() -> DifferentialDrive:
-    return DifferentialDrive(
-        wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08
-    )
+    return DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
 
 
 @pytest.fixture(scope="session")
@@ -54,9 +52,7 @@ def worn() -> Imperfections:
 def ideal_but(drive: DifferentialDrive) -> Callable[..., Plant]:
     """Return a plant at the origin with only the imperfections named."""
 
-    def make(
-        seed: int = 1, pose: tuple[float, float, float] = (0.0, 0.0, 0.0), **imperfections: float
-    ) -> Plant:
+    def make(seed: int = 1, pose: tuple[float, float, float] = (0.0, 0.0, 0.0), **imperfections: float) -> Plant:
         return Plant(drive, replace(IDEAL, **imperfections), pose, np.random.default_rng(seed))
 
     return make

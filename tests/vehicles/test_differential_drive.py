@@ -27,9 +27,7 @@ EXACT = settings(deadline=None, derandomize=True)
 @EXACT
 @given(wheel, wheel, radius, base)
 def test_wheels_to_body_and_back(left: float, right: float, r: float, b: float) -> None:
-    assert wheels_from_body(*body_from_wheels(left, right, r, b), r, b) == pytest.approx(
-        (left, right), abs=1e-10
-    )
+    assert wheels_from_body(*body_from_wheels(left, right, r, b), r, b) == pytest.approx((left, right), abs=1e-10)
 
 
 def test_signs() -> None:
@@ -43,9 +41,7 @@ def test_signs() -> None:
 
 @EXACT
 @given(velocity, st.floats(-3.0, 3.0), angle, ahead)
-def test_body_from_point_inverts_the_motion_of_the_point(
-    v: float, omega: float, psi: float, l: float
-) -> None:
+def test_body_from_point_inverts_the_motion_of_the_point(v: float, omega: float, psi: float, l: float) -> None:
     h = 1e-5  # the pose on the arc, by its definition, a moment before and after
 
     def p(t: float) -> tuple[float, float]:
@@ -60,15 +56,11 @@ def test_body_from_point_inverts_the_motion_of_the_point(
 
 @EXACT
 @given(velocity, velocity, angle, st.floats(-10.0, 10.0), ahead)
-def test_turning_the_world_changes_no_wheel(
-    u_x: float, u_y: float, psi: float, turn: float, l: float
-) -> None:
+def test_turning_the_world_changes_no_wheel(u_x: float, u_y: float, psi: float, turn: float, l: float) -> None:
     c, s = math.cos(turn), math.sin(turn)
     turned = body_from_point(c * u_x - s * u_y, s * u_x + c * u_y, psi + turn, l)
     before = body_from_point(u_x, u_y, psi, l)
-    assert wheels_from_body(*turned, 0.016, 0.105) == pytest.approx(
-        wheels_from_body(*before, 0.016, 0.105), abs=1e-8
-    )
+    assert wheels_from_body(*turned, 0.016, 0.105) == pytest.approx(wheels_from_body(*before, 0.016, 0.105), abs=1e-8)
 
 
 @EXACT

@@ -23,9 +23,7 @@ def speed_after(plant: Plant, command: float, seconds: float) -> float:
 
 def test_lag_reaches_63_percent_after_its_time_constant(ideal_but: Make) -> None:
     for tau in (0.05, 0.08, 0.2):
-        assert speed_after(ideal_but(motor_lag=tau), 6.0, tau) == pytest.approx(
-            6.0 * (1 - math.exp(-1)), rel=1e-9
-        )
+        assert speed_after(ideal_but(motor_lag=tau), 6.0, tau) == pytest.approx(6.0 * (1 - math.exp(-1)), rel=1e-9)
 
 
 def test_lag_costs_the_distance_of_one_time_constant(ideal_but: Make) -> None:

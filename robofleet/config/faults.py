@@ -7,7 +7,7 @@ from typing import get_args
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from robofleet.config import ENDPOINT_PATTERN, NAME_PATTERN, Config
+from robofleet.config.tree import ENDPOINT_PATTERN, NAME_PATTERN, Config
 
 Complaint = tuple[str, str]  # dotted path, message
 
@@ -63,9 +63,7 @@ def cross_checks(config: Config) -> list[Complaint]:
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
     for key, taken, calibrated in sizes:
         if taken != calibrated:
-            message = (
-                f"{taken} px, but its model is calibrated for {calibrated}: mend one, or calibrate again"
-            )
+            message = f"{taken} px, but its model is calibrated for {calibrated}: mend one, or calibrate again"
             complaints.append((f"camera.{key}", message))
     return complaints
 

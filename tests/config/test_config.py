@@ -9,11 +9,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.config import Config
-from robofleet.configload import ConfigError, load_config, resolved_yaml
-from robofleet.yamlfile import Source, parse_yaml
+from robofleet.config.load import ConfigError, load_config, resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.config.yamlfile import Source, parse_yaml
 
-CONFIGS = Path(__file__).parent.parent / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 TEXT = (CONFIGS / "platoon.yaml").read_text()
 HERE = "«"  # in an edit: where the fault is to be reported
 
@@ -349,9 +349,7 @@ def configs(draw: st.DrawFn) -> Config:
     """Configurations with extreme values where the models allow any."""
     tree: dict[str, Any] = load_config(CONFIGS / "platoon.yaml").model_dump()
     ids = draw(st.lists(names, min_size=4, max_size=4, unique=True))
-    for robot, robot_id, driver in zip(
-        tree["robots"], ids, draw(st.lists(texts, min_size=4, max_size=4)), strict=True
-    ):
+    for robot, robot_id, driver in zip(tree["robots"], ids, draw(st.lists(texts, min_size=4, max_size=4)), strict=True):
         robot.update(id=robot_id, driver=driver)
     tree["robots"][0]["start"] = {key: draw(finite) for key in ("x_m", "y_m", "heading_deg")}
     tree["robots"][0]["vehicle"]["simulated"]["battery_life_s"] = draw(positive)

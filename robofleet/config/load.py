@@ -13,11 +13,11 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
-from robofleet.config import Config
-from robofleet.configfaults import Complaint, cross_checks, did_you_mean, plain_words
-from robofleet.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, parse_yaml, read_yaml
+from robofleet.config.faults import Complaint, cross_checks, did_you_mean, plain_words
+from robofleet.config.tree import Config
+from robofleet.config.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, parse_yaml, read_yaml
 
-_SHIPPED = Path(__file__).resolve().parent.parent / "configs"
+_SHIPPED = Path(__file__).resolve().parents[2] / "configs"
 _FOLDERS = {
     ("robots", "*", "vehicle"): "robots",
     ("groups", "*", "path"): "paths",
@@ -87,9 +87,7 @@ class ConfigFile:
             for error in errors:
                 loc = error["loc"]
                 # Pydantic leaves invalid items out of its count.
-                if error["type"] == "too_short" and any(
-                    loc == other[: len(loc)] for other in locs if other != loc
-                ):
+                if error["type"] == "too_short" and any(loc == other[: len(loc)] for other in locs if other != loc):
                     continue
                 self._complain(loc, plain_words(error), at_key=error["type"] == "extra_forbidden")
             raise self._error() from None

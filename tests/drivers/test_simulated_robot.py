@@ -1,0 +1,135 @@
+"""The simulated robot's driver: at rest until told, the same however often it is asked, stalls when it must."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.simulated import SimulatedRobot
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import (
+    STOP,
+    DriverContext,
+    Imperfections,
+    SimulatedDriver,
+    Simulation,
+    Stall,
+    WheelSpeeds,
+)
+
+MS, S = 1_000_000, 1_000_000_000
+START = (0.4, -0.3, 1.0)
+DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+WORN = Imperfections(
+    motor_lag=0.08,
+    speed_quantum=0.2244,
+    loop_period=0.01,
+    deadband=0.5,
+    breakaway=0.7,
+    wheel_gain_spread=0.03,
+    wheel_base_spread=0.01,
+    slip=0.02,
+    slip_noise=0.2,
+    top_speed_sag=0.1,
+    battery_life=2400.0,
+)
+IDEAL = replace(WORN, motor_lag=0.0, speed_quantum=0.0, deadband=0.0, breakaway=0.0, wheel_gain_spread=0.0, slip=0.0)
+
+
+class Bench:
+    """A robot and the clock that it is given."""
+
+    def __init__(self, imperfections: Imperfections = WORN, stalls: tuple[Stall, ...] = ()) -> None:
+        self.now_ns = 5 * S
+        simulation = Simulation(imperfections, START, stalls, np.random.default_rng(4))
+        self.robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: self.now_ns))
+
+    def wait(self, ns: int, asked_every: int | None = None) -> None:
+        for _ in range(ns // (asked_every or ns)):
+            self.now_ns += asked_every or ns
+            self.robot.read()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.robot.close()
+
+
+def test_it_rests_until_it_is_told(bench: Bench) -> None:
+    bench.wait(S)
+    assert bench.robot.truth() == (*START, 0.0, 0.0)
+    assert bench.robot.read()[:4] == (0.0, 0.0, 0.0, 0.0)
+    assert bench.robot.read().faults == 0
+    assert 0.99 < bench.robot.read().battery < 1.0
+
+
+def test_it_drives_by_the_clock_it_was_given(bench: Bench) -> None:
+    bench.robot.write(WheelSpeeds(6.0, 6.0))
+    assert bench.robot.truth()[:3] == START  # no time has passed
+    bench.wait(2 * S)
+    x, y, _, v, _ = bench.robot.truth()
+    driven = (x - START[0]) * np.cos(START[2]) + (y - START[1]) * np.sin(START[2])
+    assert driven == pytest.approx(6.0 * 0.016 * (2.0 - 0.08), rel=0.04)
+    assert v == pytest.approx(0.096, rel=0.05)
+
+
+def test_asking_twice_changes_nothing(bench: Bench) -> None:
+    bench.robot.write(WheelSpeeds(3.0, 7.0))
+    bench.wait(S)
+    reading, truth = bench.robot.read(), bench.robot.truth()
+    bench.robot.write(WheelSpeeds(3.0, 7.0))
+    assert (bench.robot.read(), bench.robot.truth()) == (reading, truth)
+
+
+def test_how_often_it_is_asked_does_not_matter() -> None:
+    ends = []
+    for asked_every in (None, 20 * MS, 33 * MS // 3):
+        bench = Bench(replace(WORN, slip_noise=0.0))
+        bench.robot.write(WheelSpeeds(4.0, 6.0))
+        bench.wait(1_980 * MS, asked_every)
+        ends.append(np.array(bench.robot.truth()[:3]))
+    assert np.abs(np.array(ends) - ends[0]).max(axis=0) == pytest.approx([0.0] * 3, abs=5e-4)
+
+
+def test_closing_stops_it_and_closing_again_is_fine(bench: Bench) -> None:
+    bench.robot.write(WheelSpeeds(6.0, 6.0))
+    bench.wait(S)
+    bench.robot.close()
+    bench.robot.close()
+    bench.wait(2 * S)
+    rest = bench.robot.truth()
+    assert rest[3:] == (0.0, 0.0)
+    bench.robot.close()
+    bench.wait(S)
+    assert bench.robot.truth() == rest
+
+
+def travelled(bench: Bench, ns: int) -> float:
+    before = bench.robot.read().left_angle
+    bench.wait(ns)
+    return bench.robot.read().left_angle - before
+
+
+def test_a_stall_counts_from_the_first_motion_command() -> None:
+    bench = Bench(IDEAL, (Stall(0.5, 1.2),))
+    bench.robot.write(STOP)
+    bench.wait(3 * S)  # standing about does not count
+    bench.robot.write(WheelSpeeds(5.0, 5.0))
+    assert travelled(bench, 500 * MS) == pytest.approx(2.5)
+    assert travelled(bench, 700 * MS) == 0.0
+    assert bench.robot.truth()[3:] == (0.0, 0.0)
+    assert travelled(bench, 300 * MS) == pytest.approx(1.5)
+
+
+def test_stalls_may_be_many() -> None:
+    bench = Bench(IDEAL, (Stall(0.1, 0.2), Stall(0.4, 0.6)))
+    bench.robot.write(WheelSpeeds(5.0, 5.0))
+    moved = [travelled(bench, ms * MS) for ms in (100, 100, 200, 200, 100)]
+    assert moved == pytest.approx([0.5, 0.0, 1.0, 0.0, 0.5])
+
+
+def test_it_knows_the_truth() -> None:
+    assert isinstance(Bench().robot, SimulatedDriver)
