@@ -38,6 +38,7 @@ class LiveView:
         )
         self._next_ns = 0
         self._phase = ""
+        self._reached_s = 0.0
 
     def __enter__(self) -> Self:
         """Take the terminal."""
@@ -66,45 +67,50 @@ class LiveView:
 
     def _line(self, recording: Recording) -> str:
         tick = self._newest(recording, TICK, TICK_RECORD)
-        if tick is None or tick.run_tick < 0:
+        if self._phase != "running" or tick is None:
             return self._phase
         errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
-        return f"{self._phase}: {self._time(tick):.0f} s, control errors [mm] {errors}, {tick.overruns} overruns"
+        return f"running {self._time(tick):5.1f} s: control errors {errors} mm, {tick.overruns} overruns"
 
     def _picture(self, recording: Recording) -> Group:
         tick = self._newest(recording, TICK, TICK_RECORD)
         duration_s = self._config.run.duration_s
-        time_s = max(0.0, self._time(tick)) if tick is not None else 0.0
-        head = Text.assemble((f"{self._phase:<10}", "bold green" if self._phase == "running" else "bold yellow"))
-        head.append(f"{time_s:5.1f} s of {duration_s:g} s")
-        parts: list[Any] = [head, ProgressBar(duration_s, min(time_s, duration_s), width=78)]
-        if tick is not None:
-            parts += [self._robots(recording, tick), self._health(recording, tick)]
-        return Group(*parts)
+        if tick is not None and tick.run_tick >= 0:
+            self._reached_s = min(self._time(tick), duration_s)
+        head = Text(f"{self._phase:<10}", "bold green" if self._phase == "running" else "bold yellow")
+        head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default")
+        line = Table.grid()
+        line.add_row(head, ProgressBar(duration_s, self._reached_s, width=50))
+        if tick is None:
+            return Group(line)
+        return Group(line, "", self._robots(recording, tick), "", self._health(recording, tick))
 
     def _robots(self, recording: Recording, tick: TickRecord) -> Table:
-        table = Table("robot", box=None, padding=(0, 2), header_style="bold")
-        for column in ("control [mm]", "path [mm]", "timed [mm]", "spacing [mm]", "wheels [rad/s]", "gate"):
+        table = Table("robot", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        for column in ("control mm", "path mm", "timed mm", "spacing mm", "wheels rad/s", "gate"):
             table.add_column(column, justify="right")
         points, true = self._points(recording, tick)
         for row, (robot, item) in enumerate(zip(self._config.platoon, tick.robots, strict=True)):
-            table.add_row(robot.id, *self._cells(row, points, item, tick), self._gate(recording, robot.id))
-        table.caption = None if true else "estimated: no truth is known"
+            cells = self._cells(row, points, item, tick) if tick.run_tick >= 0 else ["-"] * 4
+            wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
+            table.add_row(robot.id, *cells, wheels, self._gate(recording, robot.id))
+        if not true:
+            table.caption = "estimated: no truth is known"
         return table
 
     def _cells(self, row: int, points: list[Any], item: RobotTick, tick: TickRecord) -> list[str]:
+        """Control error, distance from the path, distance from where it should be now, spacing."""
         path, group = self._path, self._config.groups[0]
         here = points[row]
         off = np.linalg.norm(path.position(path.nearest(here[None])[0]) - here)
         if row == 0:
-            should, gap = group.path_rate * max(0.0, self._time(tick)) % path.sides, ""
+            should, gap = group.path_rate * self._time(tick) % path.sides, ""
         else:
             ahead = points[row - 1]
             should = path.back(path.nearest(ahead[None]), group.spacing_m)[0]
             gap = f"{np.linalg.norm(here - ahead) * 1e3:.1f}"
         timed = np.linalg.norm(here - path.position(should))
-        wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
-        return [f"{item.control_error_m * 1e3:.2f}", f"{off * 1e3:.1f}", f"{timed * 1e3:.1f}", gap, wheels]
+        return [f"{item.control_error_m * 1e3:.2f}", f"{off * 1e3:.1f}", f"{timed * 1e3:.1f}", gap]
 
     def _health(self, recording: Recording, tick: TickRecord) -> Text:
         arena = self._config.arena.name
@@ -134,9 +140,12 @@ class LiveView:
             )
         return poses, True
 
-    def _gate(self, recording: Recording, robot: str) -> str:
+    def _gate(self, recording: Recording, robot: str) -> Text:
         status = self._newest(recording, STATUS, ROBOT_STATUS, robot)
-        return "silent" if status is None else GateStatus(status.gate).name.lower().replace("_", " ")
+        if status is None:
+            return Text("silent", "red")
+        name = GateStatus(status.gate).name.lower().replace("_", " ")
+        return Text(name, "green" if status.gate == GateStatus.OPEN else "yellow")
 
     def _time(self, tick: TickRecord) -> float:
         return tick.run_tick * self._config.controller.tick_s

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from robofleet.clock import MS, S, Clock, SimulatedClock
+from robofleet.clock import MS, Clock, S, SimulatedClock
 from robofleet.comms.bus import Bus, MemoryBus, Wake
 from robofleet.comms.keys import POSES
 from robofleet.comms.messages import FLEET_POSES, FleetPoses, TagPose

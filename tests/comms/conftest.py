@@ -1,0 +1,77 @@
+"""Every layout with messages to fill it, and a memory bus with its clock."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from robofleet.clock import SimulatedClock
+from robofleet.comms import messages
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.messages import Layout, ListLayout
+
+LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
+    "WheelCommand": (messages.WHEEL_COMMAND, messages.WheelCommand),
+    "RobotStatus": (messages.ROBOT_STATUS, messages.RobotStatus),
+    "Enable": (messages.ENABLE, messages.Enable),
+    "RunState": (messages.RUN_STATE, messages.RunState),
+    "Truth": (messages.TRUTH, messages.Truth),
+    "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
+    "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
+}
+ITEMS: dict[str, type[Any]] = {"FleetPoses": messages.TagPose, "TickRecord": messages.RobotTick}
+
+
+def _value(kind: np.dtype[Any]) -> st.SearchStrategy[Any]:
+    if kind.kind == "f":
+        return st.floats(-1e300, 1e300)
+    limits = np.iinfo(kind)
+    return st.integers(int(limits.min), int(limits.max))
+
+
+def _row(dtype: np.dtype[Any], skip: tuple[str, ...] = ()) -> st.SearchStrategy[tuple[Any, ...]]:
+    return st.tuples(*(_value(dtype[name]) for name in dtype.names or () if name not in skip))
+
+
+@st.composite
+def any_message(draw: st.DrawFn, name: str) -> Any:
+    layout, make = LAYOUTS[name]
+    if isinstance(layout, Layout):
+        return make(*draw(_row(layout.dtype, ("version",))))
+    head = draw(_row(layout.head_dtype, ("version", "count")))
+    items = draw(st.lists(_row(layout.item_dtype), max_size=5))
+    return make(*head, tuple(ITEMS[name](*item) for item in items))
+
+
+@pytest.fixture(scope="session", params=list(LAYOUTS))
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="session")
+def layout(kind: str) -> Layout[Any] | ListLayout[Any]:
+    return LAYOUTS[kind][0]  # type: ignore[no-any-return]
+
+
+@pytest.fixture(scope="session")
+def any_of(kind: str) -> st.SearchStrategy[Any]:
+    """Return the strategy for messages of this kind."""
+    return any_message(kind)
+
+
+@pytest.fixture(scope="session", params=list(ITEMS))
+def listed(request: pytest.FixtureRequest) -> tuple[ListLayout[Any], st.SearchStrategy[Any]]:
+    """Return a layout with a list at its end, and the strategy for its messages."""
+    return LAYOUTS[request.param][0], any_message(request.param)
+
+
+@pytest.fixture
+def clock() -> SimulatedClock:
+    return SimulatedClock()
+
+
+@pytest.fixture
+def memory_bus(clock: SimulatedClock) -> Callable[[int], MemoryBus]:
+    return lambda delay_ns: MemoryBus("lab", clock, delay_ns)

@@ -1,0 +1,122 @@
+"""The bus inside one process: delay, order, newest only, bounded streams."""
+
+from collections.abc import Callable
+
+import pytest
+
+from robofleet.clock import SimulatedClock
+from robofleet.comms.bus import Inbox, MemoryBus
+from robofleet.comms.keys import COMMAND, REQUEST, STATUS, TICK, key
+from robofleet.comms.messages import RUN_STATE, RunState
+
+MakeBus = Callable[[int], MemoryBus]
+
+
+def test_a_message_arrives_after_the_delay_and_not_before(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus = memory_bus(100)
+    publish, inbox = bus.publisher(TICK), bus.newest(TICK)
+    clock.advance_to(1000)
+    publish(b"a")
+    assert inbox.take() is None
+    clock.advance_to(1099)
+    assert inbox.take() is None
+    clock.advance_to(1100)
+    assert inbox.take() == b"a"
+    assert inbox.arrival_ns == 1100
+    assert inbox.take() is None
+
+
+def test_a_subscription_keeps_the_newest_of_those_that_arrived(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus = memory_bus(100)
+    inbox, publish = bus.newest(TICK), bus.publisher(TICK)
+    for instant, payload in ((0, b"a"), (10, b"b"), (60, b"c")):
+        clock.advance_to(instant)
+        publish(payload)
+    clock.advance_to(120)
+    assert inbox.take() == b"b"
+    assert inbox.arrival_ns == 110
+    assert inbox.take() is None
+    clock.advance_to(160)
+    assert inbox.take() == b"c"
+
+
+def test_newest_means_newest_also_when_nobody_looked_for_long(memory_bus: MakeBus) -> None:
+    bus = memory_bus(0)
+    inbox, publish = bus.newest(TICK), bus.publisher(TICK)
+    for k in range(1000):
+        publish(str(k).encode())
+    assert inbox.take() == b"999"
+    assert inbox.take() is None
+
+
+def test_a_stream_gives_everything_in_order_and_drops_the_oldest(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus = memory_bus(5)
+    stream, publish = bus.stream(key("lab", STATUS, "r1"), 3), bus.publisher(STATUS, "r1")
+    for k in range(5):
+        publish(bytes([k]))
+    assert stream.drain() == []
+    clock.advance_to(5)
+    assert stream.drain() == [("rf/lab/robot/r1/status", bytes([k])) for k in (2, 3, 4)]
+    assert stream.drain() == []
+
+
+def test_everybody_gets_his_own_copy_of_his_own_key(memory_bus: MakeBus) -> None:
+    bus = memory_bus(0)
+    early = bus.newest(COMMAND, "r1")
+    publish, publish_other = bus.publisher(COMMAND, "r1"), bus.publisher(COMMAND, "r2")
+    late, other = bus.newest(COMMAND, "r1"), bus.newest(COMMAND, "r2")  # after the publisher: heard the same
+    publish(b"a")
+    assert (early.take(), late.take(), other.take()) == (b"a", b"a", None)
+    publish_other(b"b")
+    assert (early.take(), other.take()) == (None, b"b")
+    publish(b"nobody is told what was said before")
+    assert bus.newest(COMMAND, "r1").take() is None
+
+
+def test_a_wake_is_called_with_the_instant_of_the_arrival(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus = memory_bus(40)
+    woken: list[int] = []
+    bus.newest(COMMAND, "r1", wake=woken.append)
+    clock.advance_to(7)
+    bus.publisher(COMMAND, "r1")(b"a")
+    bus.publisher(COMMAND, "r2")(b"b")
+    assert woken == [47]
+
+
+def test_a_tap_hears_all_at_the_moment_of_saying(memory_bus: MakeBus) -> None:
+    bus = memory_bus(1000)
+    heard: list[tuple[str, bytes]] = []
+    bus.tap(heard.append)
+    bus.publisher(COMMAND, "r1")(b"a")
+    bus.publisher(TICK)(b"b")
+    assert heard == [("rf/lab/robot/r1/cmd", b"a"), ("rf/lab/tick", b"b")]
+
+
+def test_requests_reach_the_process_that_serves_them(memory_bus: MakeBus) -> None:
+    bus = memory_bus(0)
+    take, other = bus.serve("supervisor"), bus.serve("tracker")
+    bus.ask("supervisor", "start")
+    request = take()
+    assert request is not None
+    assert request.text == "start"
+    request.reply("done")
+    assert take() is None
+    assert other() is None
+    assert key("lab", REQUEST, "supervisor") == "rf/lab/request/supervisor"
+
+
+@pytest.mark.parametrize("damaged", [b"", b"\0" * 14, b"\1too short"])
+def test_an_inbox_counts_and_drops_what_cannot_be_read(memory_bus: MakeBus, damaged: bytes) -> None:
+    bus = memory_bus(0)
+    inbox, publish = Inbox(bus.newest(TICK), RUN_STATE), bus.publisher(TICK)
+    assert inbox.take() is None
+    assert inbox.rejected == 0
+    publish(damaged)
+    assert inbox.take() is None
+    assert inbox.rejected == 1
+    message = RunState(1, 2, 3, 4, 5)
+    publish(RUN_STATE.encode(message))
+    assert inbox.take() == message
+    assert inbox.rejected == 1
+    bus.close()
+    bus.close()
