@@ -15,7 +15,7 @@ def load(group: str, name: str) -> Any:
         module, _, attribute = name.partition(":")
         try:
             return getattr(import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
+        except (ImportError, AttributeError, TypeError, ValueError) as error:
             raise PluginError(f"{name!r} cannot be loaded: {error}") from error
     found = {point.name: point for point in entry_points(group=group)}
     if name not in found:

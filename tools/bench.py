@@ -1,0 +1,167 @@
+"""Every speed that the README states, beside what a user would pick instead, in the same run.
+
+    .venv/bin/python tools/bench.py [--json]
+
+The machine is shared: each row takes turns between the candidates and gives medians, so trust the ratios.
+"""
+
+import argparse
+import json
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.clock import S, stopwatch_ns
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.control.path import Path as Curve
+from robofleet.control.path import nearest
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.slices import knots
+from robofleet.simulation.camera import SceneRenderer
+from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.tags import TagDetector
+
+ROOT = Path(__file__).resolve().parents[1]
+Row = dict[str, Any]
+Candidates = dict[str, Callable[[], object]]
+
+
+def main() -> None:
+    """Print the rows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
+    as_json = parser.parse_args().json
+    cv2.setNumThreads(1)
+    config = load_config(ROOT / "configs" / "platoon.yaml")
+    rows = [*tags(config), *nearest_points(config), *lockstep()]
+    if as_json:
+        print(json.dumps({"rows": rows}))
+        return
+    for row in rows:
+        print(f"{row['what']:<58} {row['who']:<34} {row['value']:>9.4g} {row['unit']:<3} {row['ratio']:>8.3g} x")
+
+
+def tags(config: Config) -> list[Row]:
+    """Find and place four tags in an image, by each library's defaults and by robofleet."""
+    detector = TagDetector(
+        CameraGeometry.from_model(config.camera.model),
+        [robot.tag for robot in config.platoon],
+        config.tracker.tag_side_m,
+        config.tracker.tag_height_m,
+    )
+    images = _images(config)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    plain = cv2.aruco.ArucoDetector(dictionary)
+    refined = cv2.aruco.DetectorParameters()
+    refined.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    subpixel = cv2.aruco.ArucoDetector(dictionary, refined)
+    turn = iter(range(10**9))
+
+    def each(detect: Callable[[NDArray[np.uint8]], object]) -> Callable[[], object]:
+        return lambda: detect(images[next(turn) % len(images)])
+
+    candidates = {
+        "robofleet": each(detector.detect),
+        "OpenCV, default parameters": each(plain.detectMarkers),
+        "OpenCV, subpixel corners": each(subpixel.detectMarkers),
+    }
+    try:
+        from pyapriltags import Detector  # noqa: PLC0415
+
+        library = Detector(families="tag36h11", nthreads=1, quad_decimate=2.0)
+        candidates["pyapriltags, decimate 2"] = each(library.detect)
+    except ImportError:
+        print("pyapriltags is not installed (pip install pyapriltags): its row is left out")
+    return _rows("find and place 4 tags, 1280 x 720", candidates, 1e3, "ms", 60)
+
+
+def nearest_points(config: Config) -> list[Row]:
+    """The nearest points of the path to four robots, exactly: this project's kernel, and numpy's roots."""
+    path = Curve.hermite(*knots(config.groups[0]))
+    points = np.random.default_rng(1).uniform((-1.5, -0.9), (1.5, 0.9), (4, 2))
+
+    def kernel(near: float) -> list[float]:
+        return [nearest(path.coefficients, x, y, near) for x, y in points.tolist()]
+
+    def roots() -> list[float]:
+        return [_nearest_by_roots(path.coefficients, point) for point in points]
+
+    candidates: Candidates = {
+        "robofleet, half a side around": lambda: kernel(0.3),
+        "robofleet, whole path": lambda: kernel(np.nan),
+        "numpy.roots, whole path": roots,
+    }
+    return _rows("exact nearest points of the path, 4 robots", candidates, 1e6, "us", 200)
+
+
+def lockstep() -> list[Row]:
+    """A lap of the platoon in lockstep, as times real time."""
+    rows = []
+    for source in ("camera", "truth"):
+        config = load_config(ROOT / "configs" / "platoon.yaml", [f"tracker.source={source}"])
+        factors = []
+        for _ in range(3):
+            run = Lockstep(config)
+            run.run()
+            factors.append(config.run.duration_s / run.recording.elapsed_s)
+        factor = statistics.median(factors)
+        rows.append(_row(f"a lap in lockstep, tracker.source={source}", "robofleet", factor, "x", factor))
+    return rows
+
+
+def _images(config: Config) -> list[NDArray[np.uint8]]:
+    rng = np.random.default_rng(1)
+    renderer = SceneRenderer(
+        CameraGeometry.from_model(config.camera.model),
+        (config.camera.width, config.camera.height),
+        [robot.tag for robot in config.platoon],
+        config.tracker.tag_side_m,
+        config.tracker.tag_height_m,
+        config.camera.noise_gray,
+        rng,
+    )
+    corners = np.array([(-0.8, -0.5, 0), (-0.8, 0.5, 0), (0.8, -0.5, 0), (0.8, 0.5, 0)])
+    spread = np.array((0.6, 0.3, np.pi))
+    return [renderer.render((corners + rng.uniform(-spread, spread, (4, 3)))[None]).copy() for _ in range(12)]
+
+
+def _nearest_by_roots(coefficients: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    best, best_distance = 0.0, np.inf
+    for side, c in enumerate(coefficients):
+        x, y = (np.polynomial.Polynomial(c[:, axis] - point[axis] * np.eye(4)[0]) for axis in (0, 1))
+        squared = x * x + y * y
+        roots = np.roots(squared.deriv().coef[::-1])
+        inside = roots[np.abs(roots.imag) < 1e-9].real
+        for s in (0.0, 1.0, *inside[(inside >= 0) & (inside <= 1)]):
+            if squared(s) < best_distance:
+                best, best_distance = side + float(s), squared(s)
+    return best
+
+
+def _rows(what: str, candidates: Candidates, scale: float, unit: str, rounds: int) -> list[Row]:
+    """Time the candidates in turns; the ratio is to the first."""
+    for run in candidates.values():
+        run()
+    times: dict[str, list[int]] = {who: [] for who in candidates}
+    for _ in range(rounds):
+        for who, run in candidates.items():
+            started_ns = stopwatch_ns()
+            run()
+            times[who].append(stopwatch_ns() - started_ns)
+    medians = {who: statistics.median(samples) / S * scale for who, samples in times.items()}
+    first = next(iter(medians.values()))
+    return [_row(what, who, value, unit, value / first) for who, value in medians.items()]
+
+
+def _row(what: str, who: str, value: float, unit: str, ratio: float) -> Row:
+    return {"what": what, "who": who, "value": value, "unit": unit, "ratio": ratio}
+
+
+if __name__ == "__main__":
+    main()
