@@ -178,12 +178,12 @@ TRUTH = Layout(Truth, "IIq", 5)
 
 
 class ListLayout(Generic[M]):
-    """A layout with a list at its end: version byte, count, the head's fields, then equal items."""
+    """A layout with a list at its end: version byte, the head's fields, the items' count, then equal items."""
 
     def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
         self._make, self._make_item = make, make_item
-        self._head, self._item = Struct(f"<BH{head}"), Struct(f"<{item}")
-        self.head_dtype = np.dtype([("version", "u1"), ("count", "<u2"), *_columns(make, head)])
+        self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
+        self.head_dtype = np.dtype([("version", "u1"), *_columns(make, head), ("count", "<u2")])
         self.item_dtype = np.dtype(_columns(make_item, item))
 
     def dtype(self, count: int) -> np.dtype[Any]:
@@ -199,7 +199,7 @@ class ListLayout(Generic[M]):
         """Return the head's fields alone, or None where length or version is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
-        _, count, *head = self._head.unpack_from(payload)
+        _, *head, count = self._head.unpack_from(payload)
         return tuple(head) if len(payload) == self._head.size + count * self._item.size else None
 
     def encode(self, message: M) -> bytes:
@@ -209,13 +209,13 @@ class ListLayout(Generic[M]):
 
     def encode_parts(self, head: tuple[Any, ...], count: int, items: bytes) -> bytes:
         """Return the payload from items that are packed already."""
-        return self._head.pack(VERSION, count, *head) + items
+        return self._head.pack(VERSION, *head, count) + items
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length, version or finiteness is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
-        _, count, *head = self._head.unpack_from(payload)
+        _, *head, count = self._head.unpack_from(payload)
         if len(payload) != self._head.size + count * self._item.size:
             return None
         rows = list(self._item.iter_unpack(payload[self._head.size :]))

@@ -149,7 +149,7 @@ class _ZenohRequest:
     def reply(self, text: str) -> None:
         """Answer it."""
         self._query.reply(self._query.key_expr, text.encode())
-        self._query.drop()  # the answer is delivered when the query ends
+        self._query.drop()  # type: ignore[no-untyped-call] # the answer is delivered when the query ends
 
 
 def _open(settings: dict[str, Any]) -> zenoh.Session:

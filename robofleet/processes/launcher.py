@@ -103,15 +103,16 @@ class Fleet:
                 how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
                 raise RunError(f"the {child.name} was {how}{child.last_lines()}")
 
-    def reap(self) -> None:
+    def reap(self, clock: Clock) -> None:
         """End every child: the router last, so that the others can take their leave; kill what does not answer."""
         others, routers = self.children[1:], self.children[:1]
         for group in (others, routers):
             for child in group:
                 child.lifeline.close()
+            deadline_ns = clock.now_ns() + round(_EXIT_WITHIN_S * S)
             for child in group:
                 try:
-                    child.process.wait(_EXIT_WITHIN_S)
+                    child.process.wait(max(0.0, (deadline_ns - clock.now_ns()) / S))
                 except subprocess.TimeoutExpired:
                     child.process.kill()
                     child.process.wait()
@@ -167,7 +168,7 @@ class Launcher:
             except InterruptedRunError:
                 return "stopped", "the operator interrupted"
             finally:
-                fleet.reap()
+                fleet.reap(self._clock)
 
     def _start(self, fleet: Fleet, interrupts: _Interrupts) -> None:
         self._watch(self.recording, "compiling")

@@ -24,9 +24,9 @@ class World:
     """The true poses that the simulated drivers publish: all that a simulated source knows."""
 
     def __init__(self, config: Config, bus: Bus) -> None:
-        self.tags = [robot.tag for robot in config.platoon]
+        self.tags = [robot.tag for robot in config.robots]
         self._streams: list[Stream] = [
-            bus.stream(key(config.arena.name, TRUTH, robot.id), _HISTORY) for robot in config.platoon
+            bus.stream(key(config.arena.name, TRUTH, robot.id), _HISTORY) for robot in config.robots
         ]
         self._histories = [TruthHistory(_HISTORY) for _ in self._streams]
 

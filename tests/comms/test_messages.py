@@ -98,7 +98,7 @@ def test_numpy_reads_the_same_values(layout: AnyLayout, any_of: Messages, data: 
         return
     *head, items = message
     (row,) = np.frombuffer(payload, layout.dtype(len(items)))
-    assert [row[name] for name in layout.head_dtype.names or ()] == [VERSION, len(items), *head]
+    assert [row[name] for name in layout.head_dtype.names or ()] == [VERSION, *head, len(items)]
     assert [tuple(item) for item in row["items"].tolist()] == [tuple(item) for item in items]
 
 
