@@ -54,7 +54,7 @@ def run(
     if seed is not None:
         changes.append(f"run.seed={seed}")
     with _bad_input():
-        tree = _checked(config, changes, faults)
+        tree = _checked(config, changes, faults, lockstep=lockstep)
         if not lockstep:
             tree = _settled(tree)
         folder = _new_folder(out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}")
@@ -78,7 +78,7 @@ def run(
 def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
     """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved."""
     with _bad_input():
-        tree = _checked(config, overrides, None)
+        tree = _checked(config, overrides, None, lockstep=False)
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
@@ -140,10 +140,10 @@ def _bad_input() -> "Iterator[None]":
         raise typer.Exit(2) from error
 
 
-def _checked(config: Path, overrides: list[str], faults: Path | None) -> "Config":
+def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockstep: bool) -> "Config":
     from robofleet.processes.check import load_checked  # noqa: PLC0415
 
-    return load_checked(config, overrides, faults)
+    return load_checked(config, overrides, faults, lockstep=lockstep)
 
 
 def _settled(tree: "Config") -> "Config":

@@ -22,6 +22,8 @@ TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW")
 REQUEST = Topic("request/{}", 0.0, "REAL_TIME", reliable=True)
 ALIVE = Topic("alive/{}", 0.0, "DATA", reliable=True)
 
+CAMERA = "overhead"  # the one camera's name, in the key of its poses
+
 TOPICS = (COMMAND, STATUS, ENABLE, POSES, TICK, STATE, TRUTH, REQUEST, ALIVE)
 
 

@@ -14,6 +14,9 @@ from robofleet.config.faults import Complaint
 from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
+from robofleet.plugins import PluginError, load
+from robofleet.tracking.sources import ScheduledCamera
+from robofleet.vehicles.interface import SimulatedDriver
 
 Array = NDArray[np.float64]
 
@@ -58,16 +61,21 @@ class Lap:
     omega: Array  # of the body [rad/s]
 
 
-def load_checked(file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None) -> Config:
+def load_checked(
+    file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None, *, lockstep: bool = False
+) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column."""
     source = ConfigFile(file, overrides, faults_file)
-    source.refuse(refusals(source.config))
+    source.refuse(refusals(source.config, lockstep=lockstep))
     return source.config
 
 
-def refusals(config: Config) -> list[Complaint]:
-    """Return what cannot work: (dotted path, what is wrong and how to mend it)."""
-    complaints = list(_endpoint(config))
+def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
+    """Return what cannot work: (dotted path, what is wrong and how to mend it).
+
+    Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
+    """
+    complaints = [*_endpoint(config), *_plugins(config, lockstep)]
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
@@ -83,7 +91,7 @@ def proofs(config: Config) -> list[tuple[str, str, str]]:
         if bound.what not in tightest or bound.tightness > tightest[bound.what].tightness:
             tightest[bound.what] = bound
     return [
-        (b.what, _shown(b.value, b.unit), ("at least " if b.at_least else "") + _shown(b.limit, b.unit))
+        (b.what, _shown(b.value, b.unit), ("at least " if b.at_least else "at most ") + _shown(b.limit, b.unit))
         for b in tightest.values()
     ]
 
@@ -228,6 +236,23 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
         yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
     if int(port) > 65535:
         yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
+
+
+def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
+    named: list[tuple[str, str, str, type]] = [
+        (f"robots.{i}.driver", "robofleet.drivers", robot.driver, SimulatedDriver)
+        for i, robot in enumerate(config.robots)
+    ]
+    if config.tracker.source == "camera":
+        named.append(("camera.source", "robofleet.cameras", config.camera.source, ScheduledCamera))
+    for path, group, name, simulated in named:
+        try:
+            found = load(group, name)
+        except PluginError as error:
+            yield path, str(error)
+        else:
+            if lockstep and not issubclass(found, simulated):
+                yield path, f"{name!r} is real, and lockstep's time is not: run without --lockstep"
 
 
 def _shown(value: float, unit: str) -> str:

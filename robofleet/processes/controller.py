@@ -7,7 +7,7 @@ import numpy as np
 
 from robofleet.clock import Clock, S, TickGrid
 from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import COMMAND, POSES, STATE, STATUS, TICK
+from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
 from robofleet.comms.messages import (
     FLEET_POSES,
     ROBOT_STATUS,
@@ -25,7 +25,6 @@ from robofleet.processes import slices
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
 
-CAMERA = "overhead"
 _EPOCH = 1
 _UNSEEN = [math.nan] * 3
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still

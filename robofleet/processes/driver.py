@@ -75,18 +75,14 @@ class GatedRobot:
         command, permission = self._commands.take(), self._enables.take()
         if command is None and permission is None and (self._deadline_ns is None or now_ns < self._deadline_ns):
             return self._deadline_ns  # the gate's output changes by a message or at its deadline
-        self._gate, output = gate.step(
-            self._gate,
-            self._drive,
-            None if command is None else _command(command),
-            None if permission is None else _permission(permission),
-            now_ns,
-        )
+        asked = None if command is None else _command(command)
+        allowed = None if permission is None else _permission(permission)
+        self._gate, output = gate.step(self._gate, self._drive, asked, allowed, now_ns)
         self._status = output.status
         if command is not None or output.target != self._written:
             self._driver.write(output.target)
             self._written = output.target
-            if command is not None and output.status is GateStatus.OPEN:
+            if command is not None and asked is not None and output.target is asked.wheels:  # it was not refused
                 self._applied = _Applied(command.exposure_ns, now_ns)
         self._deadline_ns = output.deadline_ns
         return output.deadline_ns
@@ -153,17 +149,17 @@ class DriverProcess:
     def step(self, now_ns: int) -> int:
         """Pass on what arrived; every 10 ms read and publish."""
         due = now_ns >= self._loop_ns
-        next_ns = self._loop_ns + _LOOP_NS if due else self._loop_ns
+        if due:
+            self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
+            self._loops += 1
+        next_ns = self._loop_ns
         for robot in self._robots:
             deadline_ns = robot.pass_on(now_ns)
             if deadline_ns is not None and deadline_ns < next_ns:
                 next_ns = deadline_ns
             if due:
-                robot.publish(now_ns, status=self._loops % 2 == 0)
-        if due:
-            self._loops += 1
-            self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
-        return min(next_ns, self._loop_ns)
+                robot.publish(now_ns, status=self._loops % 2 == 1)
+        return next_ns
 
     def close(self) -> None:
         """Motors off, every robot, whatever one of them does."""

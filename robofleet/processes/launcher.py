@@ -19,6 +19,7 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
+from robofleet.processes.readiness import missing
 from robofleet.recording.metrics import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
 
@@ -82,11 +83,13 @@ class Fleet:
             )
         self.children.append(Child(name, process, ours, log))
 
-    def wait_ready(self, clock: Clock) -> None:
+    def wait_ready(self, clock: Clock, interrupts: "_Interrupts") -> None:
         """Return when every child has said that it is ready."""
         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
         while waiting := [child for child in self.children if not child.ready]:
             self.check()
+            if interrupts.count:
+                raise InterruptedRunError
             if clock.now_ns() > deadline_ns:
                 names = ", ".join(child.name for child in waiting)
                 raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s")
@@ -176,14 +179,12 @@ class Launcher:
         tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
         fleet.start("router", "router")
-        fleet.wait_ready(self._clock)
+        fleet.wait_ready(self._clock, interrupts)
         for name in ("supervisor", "tracker", "controller"):
             fleet.start(name, name)
         for robot in self._config.robots:
             fleet.start(f"driver-{robot.id}", "driver", "--robots", robot.id)
-        fleet.wait_ready(self._clock)
-        if interrupts.count:
-            raise InterruptedRunError
+        fleet.wait_ready(self._clock, interrupts)
 
     def _drive(self, fleet: Fleet, interrupts: _Interrupts) -> tuple[str, str | None]:
         bus = ZenohBus(self._config.arena.name, self._config.bus.endpoint, "launcher", self._clock)
@@ -212,7 +213,7 @@ class Launcher:
             if interrupts.count:
                 raise InterruptedRunError
             if self._clock.now_ns() > deadline_ns:
-                raise RunError(f"the fleet was not ready after {_ARMED_WITHIN_S:.0f} s: {self._missing()}")
+                raise RunError(f"the fleet was not ready after {_ARMED_WITHIN_S:.0f} s: {missing(self.recording)}")
 
     def _lap(self, fleet: Fleet, interrupts: _Interrupts) -> tuple[str, str | None]:
         """Watch the run until its time is over, the operator interrupts, or the supervisor stops it."""
@@ -258,21 +259,6 @@ class Launcher:
             status is not None and max(abs(status.left_rad_s), abs(status.right_rad_s)) < _AT_REST_RAD_S
             for status in statuses
         )
-
-    def _missing(self) -> str:
-        """Say who is not ready, and what to look at."""
-        tick = self._newest(self._tick_key, TICK_RECORD)
-        if tick is None:
-            return "no tick of the controller came"
-        silent = [
-            robot.id
-            for robot, full in zip(self._config.platoon, self._status_keys, strict=True)
-            if self._newest(full, ROBOT_STATUS) is None
-        ]
-        if silent:
-            return f"no status of {', '.join(silent)}"
-        lost = [f"{r.id} (tag {r.tag})" for r, t in zip(self._config.platoon, tick.robots, strict=True) if t.lost]
-        return f"the tracker does not see {', '.join(lost)}" if lost else "the supervisor did not start the run"
 
 
 def bind_endpoint(endpoint: str) -> str:

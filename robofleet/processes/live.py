@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.clock import Clock, S
-from robofleet.comms.keys import POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, FleetPoses, RobotTick, TickRecord
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.tree import Config
@@ -122,7 +122,7 @@ class LiveView:
         text.append(f"{overruns} overruns\n", "red" if overruns else "")
         frames = [
             frame
-            for payload in recording.messages.get(key(arena, POSES, "overhead"), [])[-_WINDOW:]
+            for payload in recording.messages.get(key(arena, POSES, CAMERA), [])[-_WINDOW:]
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
         return text.append(_tracker_line(frames, len(self._config.platoon)))

@@ -18,6 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.node import Node
+from robofleet.processes.readiness import missing
 from robofleet.processes.slices import generator
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
@@ -107,7 +108,8 @@ class Lockstep:
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
         if self._status.phase is not Phase.RUNNING:
-            return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s"
+            why = missing(self.recording)
+            return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s: {why}"
         while self._run_tick < last_tick:
             self._run_until(lambda: self._status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
             watch(self.recording, "running")

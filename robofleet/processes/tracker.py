@@ -7,12 +7,11 @@ import numpy as np
 
 from robofleet.clock import MS, Clock, S, SimulatedClock
 from robofleet.comms.bus import Bus, MemoryBus, Wake
-from robofleet.comms.keys import POSES
+from robofleet.comms.keys import CAMERA, POSES
 from robofleet.comms.messages import FLEET_POSES, FleetPoses, TagPose
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.plugins import load
-from robofleet.processes.controller import CAMERA
 from robofleet.simulation.sources import TruthSource
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, CameraReader, ScheduledCamera

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.keys import POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, Layout
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.tree import Config
@@ -67,7 +67,7 @@ class Run:
         )
         truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
         self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
-        poses = recording.messages.get(key(arena, POSES, "overhead"), ())
+        poses = recording.messages.get(key(arena, POSES, CAMERA), ())
         self.frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:

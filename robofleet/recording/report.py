@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -17,69 +18,62 @@ def summary_table(summary: Summary) -> Table:
     table = Table(
         title=Text(f"{summary['config']}: {summary['outcome']}{cause}", "bold"),
         title_justify="left",
-        caption="true errors after the spacing has settled; the paper's robots were real, these are simulated",
+        caption="errors and deviations: mean (max), on the true poses; times: p50, p99",
         caption_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
     )
-    table.add_column("figure")
-    table.add_column("unit")
+    table.add_column("\nfigure", no_wrap=True)
     table.add_column("this run\n(simulation)", justify="right")
     table.add_column("the paper\n(hardware)", justify="right")
-    table.add_column("per robot\n" + " ".join(f"{robot:>5}" for robot in summary["robots"]))
+    table.add_column("each robot\n" + " ".join(f"{robot:>5}" for robot in summary["robots"]))
     for row in (*_errors(summary), *_health(summary)):
         table.add_row(*row)
     return table
 
 
-def _errors(s: Summary) -> list[tuple[str, str, str, str, str]]:
+def _errors(s: Summary) -> list[tuple[str, str, str, str]]:
     rows = []
     for name, label, paper in (
-        ("control_error_mm", "control error, mean (max)", f"about {PAPER_CONTROL_ERROR_MM:g}"),
-        ("timed_error_mm", "timed error, mean (max)", "-"),
-        ("path_error_mm", "point from the path, mean (max)", "-"),
-        ("centre_error_mm", "centre from the path, mean (max)", "-"),
+        ("control_error_mm", "control error, mm", f"about {PAPER_CONTROL_ERROR_MM:g}"),
+        ("timed_error_mm", "timed error, mm", "-"),
+        ("path_error_mm", "point off the path, mm", "-"),
+        ("centre_error_mm", "centre off the path, mm", "-"),
     ):
         figure = s[name]
         if figure is None:
-            rows.append((label, "mm", "not measured", paper, ""))
+            rows.append((label, "not measured", paper, ""))
         else:
             each = " ".join(f"{value:5.2f}" for value in figure["per_robot_mean"])
-            rows.append((label, "mm", f"{figure['mean']:.2f} ({figure['max']:.1f})", paper, each))
+            rows.append((label, f"{figure['mean']:.2f} ({figure['max']:.1f})", paper, each))
     spacing = s["spacing_m"]
     if spacing is not None:
-        mean = " ".join(f"{value * 1e3:5.1f}" for value in spacing["mean"])
-        rows.append(
-            (
-                "spacing, mean",
-                "mm",
-                f"{1e3 * sum(spacing['mean']) / len(spacing['mean']):.1f}",
-                f"target {PAPER_SPACING_M * 1e3:g}",
-                " " * 6 + mean,
-            )
-        )
-        rows.append(("spacing, largest deviation", "mm", f"{spacing['max_deviation_mm']:.1f}", "-", ""))
+        each = " " * 6 + " ".join(f"{value * 1e3:5.1f}" for value in spacing["mean"])
+        mean = f"{1e3 * sum(spacing['mean']) / len(spacing['mean']):.1f}"
+        rows.append(("spacing, mm", mean, f"target {PAPER_SPACING_M * 1e3:g}", each))
+        rows.append(("spacing's deviation, mm", f"({spacing['max_deviation_mm']:.1f})", "-", ""))
     return rows
 
 
-def _health(s: Summary) -> list[tuple[str, str, str, str, str]]:
+def _health(s: Summary) -> list[tuple[str, str, str, str]]:
     rows = []
     if s["min_gap_mm"] is not None:
-        rows.append(("smallest gap between two bodies", "mm", f"{s['min_gap_mm']:.0f}", "-", ""))
+        rows.append(("smallest body gap, mm", f"{s['min_gap_mm']:.0f}", "-", ""))
     if s["pose_error"] is not None:
         p = s["pose_error"]
-        rows.append(("filter's pose, rms", "mm, deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}", "-", ""))
+        rows.append(("pose, rms, mm and deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}", "-", ""))
     tracker, tick = s["tracker"], s["tick"]
     if tracker["frames"]:
-        work = tracker["frame_ms"]
-        note = f"{tracker['frames']} images, {work['p50']:.1f} ms each"
-        rows.append(("tags found", "%", f"{100 * tracker['measured_fraction']:.1f}", "-", note))
+        note = f"{tracker['frames']} images, {tracker['frame_ms']['p50']:.1f} ms each"
+        rows.append(("tags found, %", f"{100 * tracker['measured_fraction']:.1f}", "-", note))
     if tick["compute_us"] is not None:
         value = f"{tick['compute_us']['p50']:.0f}, {tick['compute_us']['p99']:.0f}"
-        rows.append(("tick's computing, p50, p99", "us", value, "-", f"of {tick['period_ms'] * 1e3:g} us"))
-        rows.append(("overruns", "ticks", str(tick["overruns"]), "-", f"of {s['ticks']}"))
+        rows.append(("computing a tick, us", value, "-", f"of {tick['period_ms'] * 1e3:g}"))
+        rows.append(("overruns", str(tick["overruns"]), "-", f"of {s['ticks']} ticks"))
     if s["latency_ms"] is not None:
         latency = s["latency_ms"]["exposure_to_wheel"]
-        rows.append(("exposure to wheel, p50, p99", "ms", f"{latency['p50']:.1f}, {latency['p99']:.1f}", "-", ""))
+        rows.append(("exposure to wheel, ms", f"{latency['p50']:.1f}, {latency['p99']:.1f}", "-", ""))
     if s["stops"]:
         stops = "; ".join(f"{stop['robot']} at {stop['t_s']:.1f} s: {stop['cause']}" for stop in s["stops"][:4])
-        rows.append(("gates closed during the run", "", str(len(s["stops"])), "-", stops))
+        rows.append(("gates closed on the way", str(len(s["stops"])), "-", stops))
     return rows

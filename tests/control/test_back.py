@@ -15,6 +15,17 @@ def away(path: Path, sigma: float, parameters: np.ndarray) -> np.ndarray:
     return np.linalg.norm(path.position(parameters) - path.position(sigma), axis=-1)
 
 
+def test_the_whole_lap_is_searched(any_path: Callable[[int], Path]) -> None:
+    """Also the rest of the side on which it began."""
+    for seed in range(60):
+        path = any_path(seed)
+        lap = np.linspace(0.0, path.sides, 2001)
+        for sigma in np.linspace(0.0, path.sides, 23):
+            distances = away(path, float(sigma), lap)
+            tau = path.back(np.array([sigma]), 0.999 * distances.max())[0]
+            assert away(path, float(sigma), np.array([tau]))[0] == pytest.approx(0.999 * distances.max())
+
+
 @settings(deadline=None, derandomize=True)
 @given(st.integers(0, 40), st.floats(0.0, 1.0, exclude_max=True), st.floats(0.02, 1.5))
 def test_it_is_the_first_and_at_the_distance(

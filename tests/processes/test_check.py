@@ -157,9 +157,9 @@ def test_each_kind_of_robot_is_held_to_its_own_limits() -> None:
 
 def test_the_proofs_show_the_tightest_value_beside_its_limit() -> None:
     table = {what: (value, limit) for what, value, limit in proofs(platoon("controller.integrator=euler"))}
-    assert table["Euler's gain, alpha * tick_s,"] == ("1.485", "2")
-    assert table["point_ahead_m"] == ("0.08 m", "0.125 m")
-    assert table["the fastest wheel along the path"][1] == "12.5 rad/s"
+    assert table["Euler's gain, alpha * tick_s,"] == ("1.485", "at most 2")
+    assert table["point_ahead_m"] == ("0.08 m", "at most 0.125 m")
+    assert table["the fastest wheel along the path"][1] == "at most 12.5 rad/s"
     assert table["the distance between two robots at the start"] == ("0.1892 m", "at least 0.11 m")
 
 
@@ -175,3 +175,14 @@ def test_a_refusal_is_reported_at_its_line_and_column(tmp_path: FilePath) -> Non
     assert speed.startswith(f"{file}:{line}:16: groups.0.path_rate: the highest speed")
     assert ahead.startswith("--set controller.point_ahead_m=0.2: controller.point_ahead_m: ")
     assert load_checked(PLATOON) == platoon()
+
+
+class RealRobot:
+    """A driver that is not a simulation: it has no truth."""
+
+
+def test_lockstep_refuses_a_real_robot_and_a_real_camera() -> None:
+    real = f"{__name__}:RealRobot"
+    config = platoon(f"robots.1.driver={real}", f"camera.source={real}")
+    assert refusals(config) == []
+    assert [path for path, _ in refusals(config, lockstep=True)] == ["robots.1.driver", "camera.source"]

@@ -1,0 +1,145 @@
+"""Configurations, lockstep runs, and a bench: one process alone on a bus without delay."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from robofleet.clock import S, SimulatedClock
+from robofleet.comms import keys, messages
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import Topic, key
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.node import Node
+from robofleet.recording.metrics import summary
+from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+LAYOUTS: dict[Topic, Any] = {
+    keys.COMMAND: messages.WHEEL_COMMAND,
+    keys.STATUS: messages.ROBOT_STATUS,
+    keys.ENABLE: messages.ENABLE,
+    keys.STATE: messages.RUN_STATE,
+    keys.TRUTH: messages.TRUTH,
+    keys.POSES: messages.FLEET_POSES,
+    keys.TICK: messages.TICK_RECORD,
+}
+
+
+@pytest.fixture(scope="session")
+def platoon_of() -> Callable[..., Config]:
+    """Return the shipped platoon with keys changed."""
+    return lambda *overrides: load_config(PLATOON, overrides)
+
+
+@pytest.fixture(scope="session")
+def lockstep() -> Callable[..., dict[str, Any]]:
+    """Return the summary of a lockstep run of the shipped platoon with keys changed."""
+
+    def run(*overrides: str) -> dict[str, Any]:
+        lockstep_run = Lockstep(load_config(PLATOON, overrides))
+        outcome, cause = lockstep_run.run()
+        return summary(lockstep_run.recording, name="platoon", mode="lockstep", outcome=outcome, cause=cause)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def truth(lockstep: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
+    """Return the summary of a lockstep run without pixels."""
+    return lambda *overrides: lockstep("tracker.source=truth", *overrides)
+
+
+class Bench:
+    """A process alone: what the others would say is said by the test, what it says is kept."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.clock = SimulatedClock()
+        self.clock.advance_to(S)  # 0 means "never" in many fields
+        self.bus = MemoryBus(config.arena.name, self.clock, 0)
+        self.woken: list[int] = []
+        self._said: list[tuple[str, bytes]] = []
+        self.bus.tap(self._said.append)
+
+    @property
+    def now_ns(self) -> int:
+        return self.clock.now_ns()
+
+    def wait(self, ns: int) -> None:
+        self.clock.advance_to(self.now_ns + ns)
+
+    def say(self, topic: Topic, message: Any, name: str = "") -> None:
+        self.bus.publisher(topic, name)(LAYOUTS[topic].encode(message))
+
+    def heard(self, topic: Topic, name: str = "") -> list[Any]:
+        """Return every message of a topic so far."""
+        full = key(self.config.arena.name, topic, name)
+        return [LAYOUTS[topic].decode(payload) for said, payload in self._said if said == full]
+
+    def run(self, node: Node, ns: int, *others: tuple[int, Callable[[], None]]) -> None:
+        """Step a process whenever it asks to be, and after every act of ``others``: (period [ns], act)."""
+        end_ns = self.now_ns + ns
+        due = [self.now_ns for _ in others]
+        next_ns = node.step(self.now_ns)
+        while (instant_ns := min([next_ns, *due])) <= end_ns:
+            self.clock.advance_to(max(instant_ns, self.now_ns))
+            for k, (period_ns, act) in enumerate(others):
+                if due[k] <= self.now_ns:
+                    act()
+                    due[k] += period_ns
+            next_ns = node.step(self.now_ns)
+            assert next_ns > self.now_ns, "a step asked for a step in the past"
+        self.clock.advance_to(end_ns)
+
+
+@pytest.fixture(scope="session")
+def bench_of() -> Callable[[Config], Bench]:
+    return Bench
+
+
+class RecordingDriver:
+    """A robot that keeps what it was told. It exists, so it knows no truth."""
+
+    made: ClassVar[dict[str, "RecordingDriver"]] = {}
+    stuck: ClassVar[set[str]] = set()  # robots whose driver can no longer be written to
+
+    def __init__(self, context: DriverContext) -> None:
+        self.made[context.robot] = self
+        self._robot, self._now_ns = context.robot, context.now_ns
+        self.writes: list[tuple[int, WheelSpeeds]] = []
+        self.closed = 0
+
+    @property
+    def target(self) -> WheelSpeeds:
+        return self.writes[-1][1] if self.writes else STOP
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        if self._robot in self.stuck:
+            raise OSError(f"{self._robot} is unplugged")
+        self.writes.append((self._now_ns(), wheels))
+
+    def read(self) -> DriverReading:
+        return DriverReading(0.0, 0.0, *self.target, float("nan"), 0)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def recording_driver() -> Iterator[type[RecordingDriver]]:
+    """Return the class; ``made`` finds the driver of a robot, ``stuck`` lets one fail."""
+    RecordingDriver.made.clear()
+    RecordingDriver.stuck.clear()
+    yield RecordingDriver
+    RecordingDriver.stuck.clear()
+
+
+@pytest.fixture(scope="session")
+def recorded() -> Callable[..., list[str]]:
+    """Return what makes robots of the platoon RecordingDrivers: config changes."""
+    name = f"{RecordingDriver.__module__}:{RecordingDriver.__qualname__}"
+    return lambda *rows: [f"robots.{row}.driver='{name}'" for row in rows]

@@ -1,0 +1,202 @@
+"""The controller's step alone: its grid, what it believes, and what it says."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
+from robofleet.comms.messages import FleetPoses, RobotStatus, RunState, TagPose
+from robofleet.processes.controller import Controller
+from robofleet.safety.supervisor import NOBODY, Event, Phase
+
+Make = Callable[..., Any]
+TICK_NS = 33 * MS
+STRANGER = 99
+
+
+class Stand:
+    """A controller, and the robots standing at their start."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench = bench
+        self.robots = bench.config.platoon
+        self.origin_ns = bench.now_ns
+        self.node = Controller(bench.config, bench.bus, bench.clock)
+
+    @property
+    def tick(self) -> int:
+        return int((self.bench.now_ns - self.origin_ns) // TICK_NS)
+
+    @property
+    def newest(self) -> Any:
+        return self.bench.heard(TICK)[-1]
+
+    def next_tick(self, ticks: float = 1) -> int:
+        """Let some ticks' time pass and step once."""
+        self.bench.wait(round(ticks * TICK_NS))
+        return int(self.node.step(self.bench.now_ns))
+
+    def poses(self, echo_tick: int, since_ns: int = 15 * MS, *, but: str = "") -> None:
+        """Say that the robots were seen at their start."""
+        seen = [
+            TagPose(r.tag, r.start.x_m, r.start.y_m, r.start.psi) for r in self.robots if r.id != but
+        ] + [TagPose(STRANGER, 0.0, 0.0, 0.0)]  # fmt: skip
+        now_ns = self.bench.now_ns
+        self.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
+
+    def state(self, phase: Phase) -> None:
+        self.bench.say(STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY))
+
+    def status(self, robot: str, nonce: int) -> None:
+        message = RobotStatus(1, 1, 5, nonce, 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self.bench.say(STATUS, message, robot)
+
+    def seen(self, ticks: int, *, but: str = "") -> None:
+        """Let ticks pass, each with a fresh image."""
+        for _ in range(ticks):
+            self.poses(self.tick, but=but)
+            self.next_tick()
+
+
+@pytest.fixture
+def stand(bench_of: Make, platoon_of: Make) -> Stand:
+    return Stand(bench_of(platoon_of()))
+
+
+def test_ticks_fall_on_the_grid(stand: Stand) -> None:
+    stand.bench.run(stand.node, S)
+    records = stand.bench.heard(TICK)
+    assert [record.tick for record in records] == list(range(1, S // TICK_NS + 1))
+    assert [record.stamp_ns for record in records] == [stand.origin_ns + k * TICK_NS for k in range(1, 31)]
+    assert {(record.overruns, record.lateness_ns) for record in records} == {(0, 0)}
+
+
+def test_missed_ticks_are_counted_and_never_made_up(stand: Stand) -> None:
+    stand.next_tick()
+    for _ in range(3):  # the same instant again is no tick
+        next_ns = stand.next_tick(0)
+    assert next_ns == stand.origin_ns + 2 * TICK_NS
+    next_ns = stand.next_tick(5.25)
+    for _ in range(3):
+        assert stand.next_tick(0) == next_ns == stand.origin_ns + 7 * TICK_NS
+    late = stand.newest
+    assert len(stand.bench.heard(TICK)) == 2
+    assert (late.tick, late.overruns) == (6, 4)
+    assert late.stamp_ns == stand.origin_ns + 6 * TICK_NS
+    assert late.lateness_ns == round(0.25 * TICK_NS)
+    stand.next_tick()
+    assert (stand.newest.tick, stand.newest.overruns) == (7, 4)
+
+
+@pytest.mark.parametrize(("behind", "used"), [(0, True), (1, True), (15, True), (16, False), (90, False), (-1, False)])
+def test_poses_that_echo_an_old_tick_are_not_used(stand: Stand, behind: int, used: bool) -> None:
+    stand.next_tick(100)
+    stand.poses(stand.tick + 1 - behind)
+    stand.next_tick()
+    assert {robot.measured for robot in stand.newest.robots} == {float(used)}
+    assert {robot.lost for robot in stand.newest.robots} == {float(not used)}
+    assert (stand.newest.poses_seq > 0) == used
+
+
+def test_poses_that_echo_no_tick_are_not_used(stand: Stand) -> None:
+    stand.next_tick()
+    stand.poses(0)
+    stand.next_tick()
+    assert {robot.measured for robot in stand.newest.robots} == {0.0}
+
+
+def test_the_exposure_is_placed_by_the_tick_that_it_echoes(stand: Stand) -> None:
+    """The tracker's own stamps are another host's: only the newest tick and the time since count."""
+    stand.next_tick(10)
+    far = 10**15
+    robot = stand.robots[0]
+    seen = (TagPose(robot.tag, 0.1, 0.2, 0.3),)
+    message = FleetPoses(1, 1, far, far, stand.tick, 15 * MS, 0, 0, seen)
+    stand.bench.say(POSES, message, CAMERA)
+    stand.next_tick()
+    here = stand.newest.robots[0]
+    assert here.measured == 1
+    assert here.lost == 0
+    assert (here.x_m, here.y_m, here.psi_rad) == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_robots_are_told_apart_by_their_tags(stand: Stand) -> None:
+    stand.seen(5, but="r3")
+    measured = [robot.measured for robot in stand.newest.robots]
+    assert measured == [1, 1, 0, 1]
+    assert [robot.lost for robot in stand.newest.robots] == [0, 0, 1, 0]
+    for robot, here in zip(stand.robots, stand.newest.robots, strict=True):
+        if robot.id != "r3":
+            assert (here.x_m, here.y_m) == pytest.approx((robot.start.x_m, robot.start.y_m))
+
+
+def test_wheels_turn_in_running_alone_and_only_of_robots_that_are_seen(stand: Stand) -> None:
+    def moving() -> list[bool]:
+        return [(robot.left_rad_s, robot.right_rad_s) != (0.0, 0.0) for robot in stand.newest.robots]
+
+    stand.seen(5, but="r3")
+    assert moving() == [False] * 4
+    stand.state(Phase.RUNNING)
+    stand.seen(5, but="r3")
+    assert moving() == [True, True, False, True]
+    stand.next_tick()
+    assert any(moving()), "one image may be missed"
+    for _ in range(20):
+        stand.next_tick()
+    assert {robot.lost for robot in stand.newest.robots} == {1.0}
+    assert moving() == [False] * 4
+    stand.seen(2)
+    assert any(moving())
+    stand.state(Phase.FAULT)
+    stand.seen(1)
+    assert moving() == [False] * 4
+
+
+def test_the_run_counts_from_its_start(stand: Stand) -> None:
+    stand.seen(3)
+    stand.state(Phase.RUNNING)
+    stand.seen(3)
+    stand.state(Phase.IDLE)
+    stand.seen(1)
+    stand.state(Phase.RUNNING)
+    stand.seen(2)
+    assert [record.run_tick for record in stand.bench.heard(TICK)] == [-1, -1, -1, 0, 1, 2, -1, 0, 1]
+
+
+def test_commands_echo_the_newest_status(stand: Stand) -> None:
+    stand.seen(1)
+    assert stand.bench.heard(COMMAND, "r1") == [], "nobody to echo yet"
+    stand.status("r1", 10)
+    stand.status("r1", 20)
+    stand.seen(2)
+    stand.status("r1", 30)
+    stand.seen(1)
+    commands = stand.bench.heard(COMMAND, "r1")
+    assert [(command.boot_id, command.nonce) for command in commands] == [(5, 20), (5, 20), (5, 30)]
+    assert [command.seq for command in commands] == [2, 3, 4]
+    assert stand.bench.heard(COMMAND, "r2") == []
+
+
+def test_what_is_commanded_is_what_is_recorded(stand: Stand) -> None:
+    for robot in stand.robots:
+        stand.status(robot.id, 1)
+    stand.state(Phase.RUNNING)
+    stand.seen(10)
+    limit = stand.robots[0].vehicle.max_wheel_speed_rad_s
+    for row, robot in enumerate(stand.robots):
+        commanded = [(c.left_rad_s, c.right_rad_s) for c in stand.bench.heard(COMMAND, robot.id)]
+        recorded = [(r.robots[row].left_rad_s, r.robots[row].right_rad_s) for r in stand.bench.heard(TICK)]
+        assert commanded == recorded
+        assert 0 < np.abs(commanded).max() < limit
+
+
+def test_rubbish_disturbs_nothing(stand: Stand) -> None:
+    stand.seen(3)
+    for topic, name in ((POSES, CAMERA), (STATE, ""), (STATUS, "r1")):
+        stand.bench.bus.publisher(topic, name)(b"\x01rubbish")
+    stand.next_tick()
+    assert [robot.measured for robot in stand.newest.robots] == [0] * 4
+    assert stand.newest.phase == Phase.IDLE

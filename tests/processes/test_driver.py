@@ -1,0 +1,199 @@
+"""The driver process: nothing moves without command and permission, both fresh; nothing blocks it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.comms.keys import COMMAND, ENABLE, STATUS, TRUTH
+from robofleet.comms.messages import Enable, WheelCommand
+from robofleet.processes.driver import DriverProcess
+from robofleet.safety.gate import GateStatus
+from robofleet.safety.supervisor import Phase
+from robofleet.vehicles.interface import STOP, WheelSpeeds
+
+Make = Callable[..., Any]
+FORWARD = WheelSpeeds(3.0, 4.0)
+EXPOSURE_NS = 77
+
+
+class Stand:
+    """A driver process with RecordingDrivers, a controller and a supervisor that can be silenced."""
+
+    def __init__(self, bench: Any, robots: tuple[str, ...], drivers: Any) -> None:
+        self.bench, self.made = bench, drivers.made
+        self.seen: dict[str, int] = {}
+        self.node = DriverProcess(
+            bench.config, robots, bench.bus, bench.clock, lambda _: None, np.random.default_rng(1)
+        )
+
+    def newest(self, robot: str) -> Any:
+        statuses = self.bench.heard(STATUS, robot)
+        return statuses[-1] if statuses else None
+
+    def command(self, robot: str, wheels: WheelSpeeds = FORWARD, exposure_ns: int = EXPOSURE_NS, age: int = 1) -> None:
+        """Command as the controller does; ``age`` 2 echoes the status before the newest."""
+        statuses = self.bench.heard(STATUS, robot)[-age:]
+        if statuses:
+            self.seen[robot] = statuses[0].nonce
+            echo = statuses[0].boot_id, statuses[0].nonce
+            self.bench.say(COMMAND, WheelCommand(1, 1, *echo, exposure_ns, *wheels), robot)
+
+    def enable(self, robot: str, phase: Phase = Phase.RUNNING) -> None:
+        if (status := self.newest(robot)) is not None:
+            self.bench.say(ENABLE, Enable(1, 1, status.boot_id, status.nonce, phase), robot)
+
+    def run(self, ns: int, *, commands: bool = True, enables: bool = True, robot: str = "r1") -> None:
+        others = []
+        if commands:
+            others.append((33 * MS, lambda: self.command(robot)))
+        if enables:
+            others.append((40 * MS, lambda: self.enable(robot)))
+        self.bench.run(self.node, ns, *others)
+
+
+@pytest.fixture
+def stand(bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any) -> Stand:
+    return Stand(bench_of(platoon_of(*recorded(0, 1))), ("r1", "r2"), recording_driver)
+
+
+def moves(stand: Stand, robot: str = "r1") -> list[tuple[int, WheelSpeeds]]:
+    return [(at, wheels) for at, wheels in stand.made[robot].writes if wheels != STOP]
+
+
+def test_commands_without_a_permission_move_nothing(stand: Stand) -> None:
+    stand.run(S // 2, enables=False)
+    assert moves(stand) == []
+    assert stand.newest("r1").gate == GateStatus.NO_ENABLE
+    assert stand.newest("r1").rejected == 0
+
+
+def test_a_permission_without_commands_moves_nothing(stand: Stand) -> None:
+    stand.run(S // 2, commands=False)
+    assert moves(stand) == []
+    assert stand.newest("r1").gate == GateStatus.NO_COMMAND
+
+
+@pytest.mark.parametrize("phase", [phase for phase in Phase if phase is not Phase.RUNNING])
+def test_wheels_move_in_running_alone(stand: Stand, phase: Phase) -> None:
+    others = ((33 * MS, lambda: stand.command("r1")), (40 * MS, lambda: stand.enable("r1", phase)))
+    stand.bench.run(stand.node, S // 5, *others)
+    assert moves(stand) == []
+
+
+def test_with_both_the_wheels_do_what_they_are_told(stand: Stand) -> None:
+    stand.run(S // 2)
+    assert {wheels for _, wheels in moves(stand)} == {FORWARD}
+    assert stand.made["r1"].target == FORWARD
+    status = stand.newest("r1")
+    assert (status.gate, status.applied_exposure_ns) == (GateStatus.OPEN, EXPOSURE_NS)
+    assert stand.bench.now_ns - status.applied_ns <= 33 * MS + 20 * MS
+
+
+@pytest.mark.parametrize("silent", ["commands", "enables"])
+def test_wheels_stop_when_the_newest_echo_is_120_ms_old(stand: Stand, silent: str) -> None:
+    stand.run(S // 2)
+    before = stand.bench.now_ns
+    stand.run(S // 2, **{silent: False})
+    stops = [at for at, wheels in stand.made["r1"].writes if wheels == STOP and at > before]
+    assert stops
+    nonce = stand.seen["r1"] if silent == "commands" else before
+    assert nonce < stops[0] <= nonce + 120 * MS
+    assert stand.made["r1"].target == STOP
+    expected = GateStatus.NO_COMMAND if silent == "commands" else GateStatus.NO_ENABLE
+    assert stand.newest("r1").gate == expected
+
+
+def test_what_comes_late_moves_nothing_however_much_comes(stand: Stand) -> None:
+    """A network that stood still and resumes."""
+    stand.run(S // 2, commands=False)
+    late = 7  # statuses, 20 ms apart
+    stand.bench.run(
+        stand.node, S // 2, (5 * MS, lambda: stand.command("r1", age=late)), (40 * MS, lambda: stand.enable("r1"))
+    )
+    assert moves(stand) == []
+    assert stand.newest("r1").rejected > 20
+
+
+def test_a_refused_command_is_not_the_one_that_reached_the_wheels(stand: Stand) -> None:
+    stand.run(S // 2)
+    applied = stand.newest("r1").applied_exposure_ns
+    stand.command("r1", WheelSpeeds(99.0, 99.0), exposure_ns=EXPOSURE_NS + 1)
+    stand.bench.run(stand.node, 30 * MS)
+    status = stand.newest("r1")
+    assert (status.applied_exposure_ns, status.rejected, status.gate) == (applied, 1, GateStatus.OPEN)
+    assert stand.made["r1"].target == FORWARD
+
+
+def test_rubbish_is_counted_and_has_no_other_effect(stand: Stand) -> None:
+    stand.run(S // 2)
+    stand.bench.bus.publisher(COMMAND, "r1")(b"\x01rubbish")
+    stand.bench.run(stand.node, 30 * MS)
+    assert stand.newest("r1").rejected == 1
+    assert stand.made["r1"].target == FORWARD
+
+
+def test_one_process_keeps_its_robots_apart(stand: Stand) -> None:
+    stand.run(S // 2, robot="r2")
+    assert moves(stand, "r1") == []
+    assert stand.made["r2"].target == FORWARD
+    one, other = stand.newest("r1"), stand.newest("r2")
+    assert one.boot_id != other.boot_id
+    assert (one.gate, other.gate) == (GateStatus.NO_ENABLE, GateStatus.OPEN)
+
+
+def test_a_status_every_20_ms_and_the_truth_every_10(bench_of: Make, platoon_of: Make) -> None:
+    bench = bench_of(platoon_of())
+    node = DriverProcess(bench.config, ("r1", "r2"), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1))
+    bench.run(node, S)
+    for robot in ("r1", "r2"):
+        statuses, truths = bench.heard(STATUS, robot), bench.heard(TRUTH, robot)
+        assert set(np.diff([status.stamp_ns for status in statuses])) == {20 * MS}
+        assert set(np.diff([truth.stamp_ns for truth in truths])) == {10 * MS}
+        assert len({status.nonce for status in statuses}) == len(statuses)
+        assert len({status.boot_id for status in statuses}) == 1
+    start = bench.config.robot("r2").start
+    truth = bench.heard(TRUTH, "r2")[-1]
+    assert (truth.x_m, truth.y_m, truth.psi_rad) == pytest.approx((start.x_m, start.y_m, start.psi))
+
+
+def test_a_robot_that_exists_has_no_truth_to_tell(stand: Stand) -> None:
+    stand.run(S // 10)
+    assert stand.bench.heard(STATUS, "r1")
+    assert not stand.bench.heard(TRUTH, "r1")
+    assert stand.newest("r1").battery == -1.0
+
+
+def test_a_missed_loop_is_not_made_up(stand: Stand) -> None:
+    stand.run(S // 10)
+    before = len(stand.bench.heard(STATUS, "r1"))
+    stand.bench.wait(S)
+    for _ in range(5):
+        next_ns = stand.node.step(stand.bench.now_ns)
+        assert 0 < next_ns - stand.bench.now_ns <= 10 * MS
+    assert len(stand.bench.heard(STATUS, "r1")) - before <= 1
+
+
+def test_a_message_wakes_the_process(bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any) -> None:
+    bench = bench_of(platoon_of(*recorded(0)))
+    DriverProcess(bench.config, ("r1",), bench.bus, bench.clock, bench.woken.append, np.random.default_rng(1))
+    assert recording_driver.made
+    bench.say(ENABLE, Enable(1, 1, 1, 1, Phase.RUNNING), "r2")
+    assert bench.woken == []
+    bench.say(ENABLE, Enable(1, 1, 1, 1, Phase.RUNNING), "r1")
+    bench.say(COMMAND, WheelCommand(1, 1, 1, 1, 0, 0.0, 0.0), "r1")
+    assert bench.woken == [bench.now_ns] * 2
+
+
+def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Stand, recording_driver: Any) -> None:
+    stand.run(S // 2, robot="r2")
+    assert stand.made["r2"].target == FORWARD
+    recording_driver.stuck.add("r1")
+    with pytest.raises(ExceptionGroup) as caught:
+        stand.node.close()
+    assert [str(error) for error in caught.value.exceptions] == ["r1 is unplugged"]
+    assert stand.made["r2"].target == STOP
+    stand.node.close()
+    assert (stand.made["r1"].closed, stand.made["r2"].closed) == (1, 1)

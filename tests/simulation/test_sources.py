@@ -1,0 +1,203 @@
+"""Poses without pixels, and the rendered camera: noise, delay, dropout, triggers."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S, SimulatedClock
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import TRUTH
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import Truth
+from robofleet.config.load import load_config
+from robofleet.simulation.sources import SimulatedCamera, TruthSource, World
+from robofleet.simulation.trigger import Trigger
+from robofleet.tracking.sources import CameraContext, ScheduledCamera
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+TICK_NS = 33 * MS
+LEAD_NS = 18 * MS
+
+
+class Ticks:
+    """The controller's newest tick, as the test says."""
+
+    newest = 0
+    newest_stamp_ns = 0
+
+    def update(self) -> None:
+        """Nothing comes by itself."""
+
+
+class Floor:
+    """Robots that drive along x at their own speed, on a bus without delay."""
+
+    def __init__(self, *overrides: str) -> None:
+        self.config = load_config(PLATOON, [f"camera.trigger_lead_s={LEAD_NS / S}", *overrides])
+        self.clock = SimulatedClock()
+        self.clock.advance_to(S)
+        self.bus = MemoryBus("platoon", self.clock, 0)
+        self.ticks = Ticks()
+        self.silent: set[str] = set()
+        self.rng = np.random.default_rng(1)
+
+    def source(self) -> TruthSource:
+        return TruthSource(self.config, self.bus, self.ticks, self.clock, self.rng)
+
+    def camera(self) -> Any:
+        ticks: Any = self.ticks
+        return SimulatedCamera(CameraContext(self.config, self.clock, self.bus, ticks, self.rng, 0))
+
+    def where(self, row: int, instant_ns: int) -> tuple[float, float, float]:
+        start = self.config.robots[row].start
+        return start.x_m + 0.05 * row * (instant_ns - S) / S, start.y_m, start.psi
+
+    def drive_to(self, instant_ns: int) -> None:
+        """Let time pass; every robot says every 10 ms where it is."""
+        while self.clock.now_ns() < instant_ns:
+            self.clock.advance_to(min(self.clock.now_ns() + 10 * MS, instant_ns))
+            now_ns = self.clock.now_ns()
+            for row, robot in enumerate(self.config.robots):
+                if robot.id not in self.silent:
+                    message = Truth(1, 1, now_ns, *self.where(row, now_ns), 0.0, 0.0)
+                    self.bus.publisher(TRUTH, robot.id)(TRUTH_LAYOUT.encode(message))
+
+    def tick(self) -> None:
+        self.ticks.newest += 1
+        self.ticks.newest_stamp_ns = self.clock.now_ns()
+
+    def observe(self, source: Any, ticks: int) -> list[Any]:
+        """Let the controller tick; return what the source says of each."""
+        seen = []
+        for _ in range(ticks):
+            self.tick()
+            self.drive_to(source.ready_ns())
+            seen.append(source.read())
+            self.drive_to(self.ticks.newest_stamp_ns + TICK_NS)
+        return seen
+
+
+def errors(floor: Floor, seen: list[Any]) -> np.ndarray:
+    """Return pose minus truth at mid-exposure, (poses, 3)."""
+    return np.array(
+        [
+            np.subtract(pose, floor.where(tag - 1, observed.exposure_ns))
+            for observed in seen
+            for tag, *pose in observed.poses
+        ]
+    )
+
+
+def test_without_errors_it_is_the_truth_at_mid_exposure() -> None:
+    floor = Floor("tracker.truth={delay_s: 0.01}")
+    seen = floor.observe(floor.source(), 20)
+    assert all([pose[0] for pose in observed.poses] == [1, 2, 3, 4] for observed in seen)
+    assert np.abs(errors(floor, seen)).max() < 1e-9
+    assert {(observed.exposure_ns + LEAD_NS - S) % TICK_NS for observed in seen} == {0}
+
+
+def test_noise_is_as_configured() -> None:
+    floor = Floor("tracker.truth={position_noise_m: 0.002, heading_noise_rad: 0.03}")
+    found = errors(floor, floor.observe(floor.source(), 500))
+    assert found.std(axis=0) == pytest.approx([0.002, 0.002, 0.03], rel=0.1)
+    assert np.abs(found.mean(axis=0) / [0.002, 0.002, 0.03]).max() < 0.1
+    assert np.abs(np.corrcoef(found.T) - np.eye(3)).max() < 0.1
+
+
+def test_dropout_is_as_configured_and_each_robots_own() -> None:
+    floor = Floor("tracker.truth={dropout: 0.25}")
+    seen = floor.observe(floor.source(), 500)
+    present = np.array([[tag in [pose[0] for pose in o.poses] for tag in (1, 2, 3, 4)] for o in seen])
+    assert present.mean(axis=0) == pytest.approx([0.75] * 4, abs=0.07)
+    assert np.abs(np.corrcoef(present.T) - np.eye(4)).max() < 0.2
+
+
+def test_delay_and_jitter_are_as_configured() -> None:
+    floor = Floor("tracker.truth={delay_s: 0.006, jitter_s: 0.004}")
+    source, delays = floor.source(), []
+    for _ in range(200):
+        floor.tick()
+        delays.append(source.ready_ns() - (floor.ticks.newest_stamp_ns + TICK_NS - LEAD_NS))
+        floor.drive_to(source.ready_ns())
+        source.read()
+        floor.drive_to(floor.ticks.newest_stamp_ns + TICK_NS)
+    assert 6 * MS <= min(delays) < 6.5 * MS
+    assert 9.5 * MS < max(delays) <= 10 * MS
+
+
+def test_a_robot_that_never_spoke_is_not_seen() -> None:
+    floor = Floor("tracker.truth={}")
+    floor.silent.add("r3")
+    seen = floor.observe(floor.source(), 3)
+    assert [pose[0] for pose in seen[-1].poses] == [1, 2, 4]
+    world = World(floor.config, floor.bus)
+    assert world.poses_at(floor.clock.now_ns()) == [None] * 4
+
+
+def test_the_same_generator_gives_the_same_poses() -> None:
+    floors = [Floor("tracker.truth={position_noise_m: 0.001, dropout: 0.2}") for _ in range(2)]
+    first, again = (floor.observe(floor.source(), 20) for floor in floors)
+    assert first == again
+
+
+def test_the_cameras_images_come_after_exposure_and_readout() -> None:
+    floor = Floor("camera.exposure_s=0.006", "camera.readout_s=0.005")
+    camera = floor.camera()
+    assert isinstance(camera, ScheduledCamera)
+    assert camera.ready_ns() is None
+    floor.tick()
+    exposure_ns = floor.ticks.newest_stamp_ns + TICK_NS - LEAD_NS
+    assert camera.ready_ns() == exposure_ns + 3 * MS + 5 * MS
+    floor.drive_to(camera.ready_ns())
+    frame = camera.read()
+    assert frame.exposure_ns == exposure_ns
+    assert (frame.image.shape, frame.image.dtype) == ((720, 1280), np.uint8)
+    assert camera.ready_ns() is None, "one image a tick"
+    camera.close()
+
+
+def test_a_robot_that_never_spoke_is_not_drawn() -> None:
+    images = []
+    for silent in ("", "r2"):
+        floor = Floor()
+        floor.silent.add(silent)
+        images.append(floor.observe(floor.camera(), 1)[0].image.astype(int))
+    changed = np.abs(images[0] - images[1]) > 60
+    assert changed.sum() > 200
+    rows, columns = np.nonzero(changed)
+    assert np.ptp(rows) < 80
+    assert np.ptp(columns) < 80
+
+
+@pytest.mark.parametrize("kind", ["truth", "camera"])
+def test_a_camera_of_its_own_clock_skips_the_images_that_nobody_took(kind: str) -> None:
+    floor = Floor("camera.trigger=free", "camera.rate_hz=50", "tracker.truth={delay_s: 0.005}")
+    makers: dict[str, Callable[[], Any]] = {"truth": floor.source, "camera": floor.camera}
+    source = makers[kind]()
+    floor.drive_to(source.ready_ns())
+    first = source.read().exposure_ns
+    assert first == S + 20 * MS
+    floor.drive_to(S + 500 * MS)
+    late = source.read().exposure_ns
+    assert late == first + 20 * MS, "it was exposed in time, and is read late"
+    following = source.ready_ns() - (5 * MS if kind == "truth" else 6 * MS)
+    assert (following - first) % (20 * MS) == 0
+    assert floor.clock.now_ns() - 20 * MS <= following <= floor.clock.now_ns() + 20 * MS
+
+
+def test_a_trigger_gives_each_exposure_once() -> None:
+    floor = Floor()
+    trigger = Trigger(floor.config, floor.ticks, floor.clock)
+    assert trigger.next_ns() is None
+    floor.tick()
+    exposure_ns = trigger.next_ns()
+    assert exposure_ns == floor.ticks.newest_stamp_ns + TICK_NS - LEAD_NS
+    assert trigger.next_ns() == exposure_ns
+    trigger.fire(floor.clock.now_ns())
+    assert trigger.next_ns() is None
+    floor.drive_to(S + TICK_NS)
+    floor.tick()
+    assert trigger.next_ns() == exposure_ns + TICK_NS
