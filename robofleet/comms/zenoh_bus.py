@@ -7,11 +7,12 @@ from typing import Any
 
 import zenoh
 
-from robofleet.clock import Clock
+from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.keys import ALIVE, REQUEST, Topic, key
 
-_ANSWER_TIMEOUT_S = 1.0
+_ANSWER_WITHIN_NS = S
+_ASK_AGAIN_NS = 50 * MS
 _TRANSPORT = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -87,9 +88,13 @@ class ZenohBus:
     def ask(self, process: str, text: str) -> str:
         """Send a request to a process and return its answer."""
         full = key(self._arena, REQUEST, process)
-        for reply in self._session.get(full, payload=text.encode(), timeout=_ANSWER_TIMEOUT_S):
-            if reply.ok is not None:
-                return bytes(reply.ok.payload).decode()
+        deadline_ns = self._clock.now_ns() + _ANSWER_WITHIN_NS
+        while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
+            for reply in self._session.get(full, payload=text.encode(), timeout=left_ns / S):
+                if reply.ok is not None:
+                    return bytes(reply.ok.payload).decode()
+            # at once and without an answer: the router has not heard of that process yet
+            self._clock.sleep_until(self._clock.now_ns() + _ASK_AGAIN_NS)
         raise TimeoutError(f"{process} does not answer on {full}")
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ output is g(x, u) = x + T u (eq. 30) and dg/du = T, so that u' = (alpha / T) (r(
 import math
 from typing import Literal
 
-from numba import njit
+from robofleet.kernels import kernel
 
 
 def integrator_gain(alpha: float, step: float, integrator: Literal["exact", "euler"]) -> float:
@@ -20,7 +20,7 @@ def integrator_gain(alpha: float, step: float, integrator: Literal["exact", "eul
     return -math.expm1(-alpha * step) if integrator == "exact" else alpha * step
 
 
-@njit(cache=True)
+@kernel
 def point_update(u: float, x: float, r: float, horizon: float, gain: float) -> float:
     """Return u after one step of eq. 31, for one coordinate. x, r [m], u [m/s], horizon T [s]; r is r(t+T)."""
     return u + gain * ((r - x) / horizon - u)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from robofleet.kernels import kernel
 
 Array = NDArray[np.float64]
 
@@ -86,7 +87,7 @@ class Path:
         return result
 
 
-@njit(cache=True)
+@kernel
 def point(coefficients: Array, sigma: float) -> tuple[float, float]:
     """Return r(sigma) [m]."""
     side = int(np.floor(sigma))
@@ -98,7 +99,7 @@ def point(coefficients: Array, sigma: float) -> tuple[float, float]:
     )
 
 
-@njit(cache=True)
+@kernel
 def unit_tangent(coefficients: Array, sigma: float) -> tuple[float, float]:
     """Return r'(sigma) / |r'(sigma)|."""
     side = int(np.floor(sigma))
@@ -110,7 +111,7 @@ def unit_tangent(coefficients: Array, sigma: float) -> tuple[float, float]:
     return dx / norm, dy / norm
 
 
-@njit(cache=True)
+@kernel
 def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
     """Return the parameter of the nearest point of the path, in [0, S).
 
@@ -133,7 +134,7 @@ def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
     return best % sides
 
 
-@njit(cache=True)
+@kernel
 def back(coefficients: Array, sigma: float, distance: float) -> float:
     """Return the first parameter met going back from ``sigma`` whose point is ``distance`` from r(sigma), or NaN."""
     sides = len(coefficients)
@@ -156,7 +157,7 @@ def back(coefficients: Array, sigma: float, distance: float) -> float:
     return np.nan
 
 
-@njit(cache=True)
+@kernel
 def _squared_distance(c: Array, x: float, y: float) -> Array:
     """Coefficients (7,) of |r(s) - (x, y)|^2 on one side."""
     result = np.zeros(7)
@@ -169,7 +170,7 @@ def _squared_distance(c: Array, x: float, y: float) -> Array:
     return result
 
 
-@njit(cache=True)
+@kernel
 def _differentiate(a: Array) -> Array:
     result = np.empty(len(a) - 1)
     for j in range(1, len(a)):
@@ -177,7 +178,7 @@ def _differentiate(a: Array) -> Array:
     return result
 
 
-@njit(cache=True)
+@kernel
 def _horner(a: Array, s: float) -> float:
     value = 0.0
     for j in range(len(a) - 1, -1, -1):
@@ -185,7 +186,7 @@ def _horner(a: Array, s: float) -> float:
     return value
 
 
-@njit(cache=True)
+@kernel
 def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
     """Write the roots of the polynomial where it changes sign in (low, high), ascending; return how many.
 
@@ -216,7 +217,7 @@ def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
     return count
 
 
-@njit(cache=True)
+@kernel
 def _solve(a: Array, low: float, high: float) -> float:
     """Return the root of a polynomial that changes sign once between low and high: Newton, kept in the bracket."""
     rising = _horner(a, low) < 0.0  # as the callers tell a change of sign

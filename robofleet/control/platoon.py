@@ -10,21 +10,21 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from robofleet.control import path as paths
 from robofleet.control.flow import integrator_gain, point_update
 from robofleet.control.path import Path
+from robofleet.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
 
-_body_from_point = njit(cache=True)(differential_drive.body_from_point)
-_point_from_pose = njit(cache=True)(differential_drive.point_from_pose)
-_wheels_from_body = njit(cache=True)(differential_drive.wheels_from_body)
-_feasible_ratio = njit(cache=True)(differential_drive.feasible_ratio)
+_body_from_point = kernel(differential_drive.body_from_point)
+_point_from_pose = kernel(differential_drive.point_from_pose)
+_wheels_from_body = kernel(differential_drive.wheels_from_body)
+_feasible_ratio = kernel(differential_drive.feasible_ratio)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Platoon:
         return decisions
 
 
-@njit(cache=True)
+@kernel
 def _follow(
     coefficients: Array, predicted_x: float, predicted_y: float, d: float, near: float, before: float
 ) -> tuple[float, float]:
@@ -135,7 +135,7 @@ def _follow(
     return q, tau if advance > 0.0 else before
 
 
-@njit(cache=True)
+@kernel
 def _tick(
     coefficients: Array, leader: float, d: float, T: float, l: float, offset: float, gain: float, limits: Array,
     poses: Array, driving: NDArray[np.bool_], u: Array, nearest: Array, reference: Array, decisions: Array,

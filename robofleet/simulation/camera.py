@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from robofleet.kernels import image_kernel
 from robofleet.tracking.camera import CameraGeometry
 
 Image = NDArray[np.uint8]
@@ -155,7 +155,7 @@ def _paste(floor: Image, cells: Image, side: float, rng: np.random.Generator) ->
     cv2.warpAffine(cells, onto, floor.shape[::-1], floor, cv2.INTER_NEAREST, cv2.BORDER_TRANSPARENT)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@image_kernel
 def _draw(  # type: ignore[no-untyped-def]
     image, noise, offset, plane, gain, textures, sigmas, side, eye, poses, centres, seen
 ):
@@ -181,7 +181,7 @@ def _draw(  # type: ignore[no-untyped-def]
                     image[i, j] = min(max(int(gray + 0.5), 0), 255)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@image_kernel
 def _scale(plane, u, v):  # type: ignore[no-untyped-def]
     """Return metres a pixel of the plane at a pixel, or at the image's nearest one."""
     i, j = min(max(int(v), 1), plane.shape[0] - 1), min(max(int(u), 1), plane.shape[1] - 1)
@@ -189,7 +189,7 @@ def _scale(plane, u, v):  # type: ignore[no-untyped-def]
     return math.sqrt(abs(d_u[0] * d_v[1] - d_u[1] * d_v[0]))
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@image_kernel
 def _look(x, y, instants, texture, sigma, texel, side, eye):  # type: ignore[no-untyped-def]
     """Return how much of the floor a robot hides at x, y [m; tags' plane], and its grey times that."""
     ramp, paper, middle = 1.0 / (_RAMP * sigma), side / 2 + side / _CELLS, (texture.shape[0] - 1) / 2
@@ -208,14 +208,14 @@ def _look(x, y, instants, texture, sigma, texel, side, eye):  # type: ignore[no-
     return cover / instants.shape[0], light / instants.shape[0]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@image_kernel
 def _step(d):  # type: ignore[no-untyped-def]
     """Return the smooth step from 0 at d = -1/2 to 1 at 1/2."""
     t = min(max(d + 0.5, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@image_kernel
 def _bilinear(texture, row, column):  # type: ignore[no-untyped-def]
     """Return the texture between its four texels; its rim goes on for ever."""
     last = texture.shape[0] - 1

@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from robofleet.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -24,8 +24,8 @@ _HISTORY = 64  # commands
 _LONGEST_STEP_NS = 17_000_000
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
 
-_arc = njit(cache=True)(differential_drive.arc)
-_body_from_wheels = njit(cache=True)(differential_drive.body_from_wheels)
+_arc = kernel(differential_drive.arc)
+_body_from_wheels = kernel(differential_drive.body_from_wheels)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class FleetFilter:
         return first, second
 
 
-@njit(cache=True)
+@kernel
 def _advance(
     pose: Array, wheels: Array, start_ns: int, end_ns: int, act_ns: Instants, commands: Array, motion: Array
 ) -> None:
@@ -131,7 +131,7 @@ def _advance(
             newest += 1
 
 
-@njit(cache=True)
+@kernel
 def _lagged(speed: float, command: float, lag: float, duration: float) -> tuple[float, float]:
     """Return the mean speed over ``duration`` and the speed at its end, for a first-order lag."""
     if lag == 0.0 or duration == 0.0:
@@ -141,7 +141,7 @@ def _lagged(speed: float, command: float, lag: float, duration: float) -> tuple[
     return command + ahead * (1.0 - decay) * lag / duration, command + ahead * decay
 
 
-@njit(cache=True)
+@kernel
 def _observe(
     pose: Array, covariance: Array, wheels: Array, start_ns: int, exposure_ns: int, act_ns: Instants,
     commands: Array, motion: Array, drift: Array, variance: Array, gate: float, measured: Array,
@@ -183,7 +183,7 @@ def _observe(
         moved[i] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _predict_covariance(p: Array, moved: Array, drift: Array) -> None:
     """P <- F P F' + Q, F the derivative of the motion: a wrong heading turns the way that was covered."""
     p[0] -= moved[1] * p[2]
@@ -194,7 +194,7 @@ def _predict_covariance(p: Array, moved: Array, drift: Array) -> None:
         p[k, k] += drift[k]
 
 
-@njit(cache=True)
+@kernel
 def _held_up(p: Array, moved: Array) -> Array:
     """The covariance of a robot that may have done all, none or twice of the motion since it was seen last.
 
@@ -208,7 +208,7 @@ def _held_up(p: Array, moved: Array) -> Array:
     return wide
 
 
-@njit(cache=True)
+@kernel
 def _correct(pose: Array, p: Array, prior: Array, innovation: Array, variance: Array, gate: float) -> bool:
     """Correct pose and covariance ``p``, with ``prior`` in its place, unless the innovation is beyond the gate.
 
@@ -235,7 +235,7 @@ def _correct(pose: Array, p: Array, prior: Array, innovation: Array, variance: A
     return True
 
 
-@njit(cache=True)
+@kernel
 def _wrapped(angle: float) -> float:
     """Return the angle in (-pi, pi]."""
     return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))

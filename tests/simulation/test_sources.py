@@ -1,5 +1,6 @@
 """Poses without pixels, and the rendered camera: noise, delay, dropout, triggers."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from robofleet.tracking.sources import CameraContext, ScheduledCamera
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 LEAD_NS = 18 * MS
+SPEED = 0.05  # of a robot, times its row [m/s]
 
 
 class Ticks:
@@ -33,7 +35,7 @@ class Ticks:
 
 
 class Floor:
-    """Robots that drive along x at their own speed, on a bus without delay."""
+    """Robots that drive straight on, each at its own speed, on a bus without delay."""
 
     def __init__(self, *overrides: str) -> None:
         self.config = load_config(PLATOON, [f"camera.trigger_lead_s={LEAD_NS / S}", *overrides])
@@ -53,7 +55,8 @@ class Floor:
 
     def where(self, row: int, instant_ns: int) -> tuple[float, float, float]:
         start = self.config.robots[row].start
-        return start.x_m + 0.05 * row * (instant_ns - S) / S, start.y_m, start.psi
+        driven = SPEED * row * (instant_ns - S) / S
+        return start.x_m + driven * math.cos(start.psi), start.y_m + driven * math.sin(start.psi), start.psi
 
     def drive_to(self, instant_ns: int) -> None:
         """Let time pass; every robot says every 10 ms where it is."""
@@ -62,7 +65,7 @@ class Floor:
             now_ns = self.clock.now_ns()
             for row, robot in enumerate(self.config.robots):
                 if robot.id not in self.silent:
-                    message = Truth(1, 1, now_ns, *self.where(row, now_ns), 0.0, 0.0)
+                    message = Truth(1, 1, now_ns, *self.where(row, now_ns), SPEED * row, 0.0)
                     self.bus.publisher(TRUTH, robot.id)(TRUTH_LAYOUT.encode(message))
 
     def tick(self) -> None:

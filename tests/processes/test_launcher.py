@@ -1,0 +1,182 @@
+"""Runs in real time, with every process of theirs: they work, they end, and nothing is left of them."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from robofleet.clock import MS, S, WallClock
+from robofleet.config.load import load_config
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+GONE_WITHIN_S = 2.0
+ROBOTS = ["r1", "r2", "r3", "r4"]
+CLOCK = WallClock()
+
+
+def wait(condition: Callable[[], Any], within_s: float) -> bool:
+    """Return as soon as the condition holds, or False after a while."""
+    deadline_ns = CLOCK.now_ns() + round(within_s * S)
+    while not condition():
+        if CLOCK.now_ns() > deadline_ns:
+            return False
+        CLOCK.sleep_until(CLOCK.now_ns() + 10 * MS)
+    return True
+
+
+class RealRun:
+    """``robofleet run`` as an operator starts it, with its output in files."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.folder = folder / "run"
+        self._stdout, self._stderr = folder / "stdout", folder / "stderr"
+        command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(PLATOON), "--out", str(self.folder)]
+        with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
+            self.launcher = subprocess.Popen([*command, "--json", *arguments], stdout=out, stderr=err)
+
+    @property
+    def said(self) -> str:
+        return self._stderr.read_text()
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Return what was printed, which is what was written."""
+        printed = json.loads(self._stdout.read_text())
+        assert printed == json.loads((self.folder / "summary.json").read_text())
+        return dict(printed)
+
+    def wait_until_running(self) -> None:
+        started = wait(lambda: "\nrunning" in self.said or self.launcher.poll() is not None, 60)
+        assert started, self.said
+        assert self.launcher.poll() is None, self.said
+
+    def ended(self, within_s: float) -> int:
+        assert wait(lambda: self.launcher.poll() is not None, within_s), self.said
+        return int(self.launcher.returncode)
+
+    def children(self, *words: str) -> list[psutil.Process]:
+        """Return the living processes of this run, found by their config's path; all of them or those with words."""
+        found = []
+        for process in psutil.process_iter(["cmdline", "status"]):
+            line = process.info["cmdline"] or []
+            mine = str(self.folder / "config.yaml") in line and process.info["status"] != psutil.STATUS_ZOMBIE
+            if mine and all(word in line for word in words):
+                found.append(process)
+        return found
+
+    def kill(self, *words: str) -> None:
+        (process,) = self.children(*words)
+        process.kill()
+
+    def nothing_is_left(self) -> bool:
+        return wait(lambda: not self.children(), GONE_WITHIN_S)
+
+
+@pytest.fixture
+def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
+    runs: list[RealRun] = []
+
+    def start(*arguments: str) -> RealRun:
+        runs.append(RealRun(tmp_path, *arguments))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        for process in (run.launcher, *run.children()):
+            process.kill()
+        run.launcher.wait()
+
+
+def libraries(process: psutil.Process) -> str:
+    return "\n".join(mapped.path for mapped in process.memory_maps())
+
+
+def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) -> None:
+    run = real_run("--duration", "6")
+    run.wait_until_running()
+    assert len(run.children()) == 8
+    for robot in ROBOTS:
+        (driver,) = run.children("driver", robot)
+        loaded = libraries(driver)
+        assert "zenoh" in loaded
+        assert "llvmlite" not in loaded
+        assert "cv2" not in loaded
+    assert "cv2" in libraries(run.children("tracker")[0])
+    assert run.ended(30) == 0
+    assert run.children() == []
+
+    s = run.summary
+    assert (s["outcome"], s["cause"], s["mode"], s["stops"]) == ("completed", None, "realtime", [])
+    assert s["duration_s"] == pytest.approx(6, abs=0.2)
+    assert s["real_time_factor"] == pytest.approx(1, abs=0.1)
+    assert s["control_error_mm"]["mean"] <= 1.5
+    assert s["tick"]["overruns"] <= 5
+    assert s["tracker"]["measured_fraction"] > 0.95
+    assert s["tracker"]["false_ids"] == 0
+    assert 10 < s["latency_ms"]["exposure_to_wheel"]["p50"] < 25
+    assert s["pose_error"]["rms_mm"] < 1.0
+    assert s["rejected"] == dict.fromkeys(ROBOTS, 0)
+
+    replayed, asked = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=6"])
+    assert not replayed.bus.endpoint.endswith(":0")
+    assert replayed.model_copy(update={"bus": asked.bus}) == asked
+    for log in (run.folder / "log").iterdir():
+        assert "Traceback" not in log.read_text(), log.name
+
+
+@pytest.mark.parametrize(
+    "victim", [["controller"], ["driver", "r2"], ["router"], ["tracker"], ["supervisor"]], ids="-".join
+)
+def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: list[str]) -> None:
+    run = real_run("--set", "tracker.source=truth")
+    run.wait_until_running()
+    run.kill(*victim)
+    assert run.nothing_is_left()
+    assert run.ended(5) == 1
+    cause = f"the {'-'.join(victim)} was killed by SIGKILL"
+    assert (run.summary["outcome"], run.summary["cause"]) == ("fault", cause)
+    assert cause in run.said
+
+
+def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
+    run = real_run("--set", "tracker.source=truth")
+    run.wait_until_running()
+    assert len(run.children()) == 8
+    run.launcher.kill()
+    assert run.nothing_is_left()
+    assert run.ended(1) == -signal.SIGKILL
+
+
+def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
+    run = real_run("--set", "tracker.source=truth")
+    run.wait_until_running()
+    run.launcher.send_signal(signal.SIGINT)
+    assert run.nothing_is_left()
+    assert run.ended(5) == 1
+    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
+    assert run.summary["ticks"] > 0
+    assert "stopped: the operator interrupted" in run.said
+
+
+def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
+    run = real_run("--set", "tracker.source=truth")
+    assert wait(lambda: len(run.children()) > 1, 60), run.said
+    run.launcher.send_signal(signal.SIGINT)
+    assert run.nothing_is_left()
+    assert run.ended(5) == 1
+    assert (run.summary["outcome"], run.summary["ticks"]) == ("stopped", 0)
+    assert "running" not in run.said
+
+
+def test_a_driver_process_loads_neither_numba_nor_opencv() -> None:
+    imports = "robofleet.cli, robofleet.processes.child, robofleet.processes.driver, drivers.simulated"
+    heavy = "[name for name in ('numba', 'cv2', 'scipy') if name in sys.modules]"
+    code = f"import sys, {imports}, robofleet.comms.zenoh_bus; print({heavy}, 'zenoh' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] True"
