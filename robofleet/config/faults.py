@@ -75,6 +75,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
 
 
+def meant(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Return the known key that an unknown one is nearest to, else the unknown one."""
+    near = difflib.get_close_matches(str(loc[-1]), sorted(_known_keys(loc[:-1])), n=1)
+    return (*loc[:-1], *near) if near else loc
+
+
 def _known_keys(loc: Iterable[str | int]) -> list[str]:
     """Return the keys that the mapping at ``loc`` may have."""
     kind: type[BaseModel] = Config

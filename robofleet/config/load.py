@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
-from robofleet.config.faults import Complaint, cross_checks, did_you_mean, plain_words
+from robofleet.config.faults import Complaint, cross_checks, did_you_mean, meant, plain_words
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, parse_yaml, read_yaml
 
@@ -84,11 +84,14 @@ class ConfigFile:
         except ValidationError as invalid:
             errors = invalid.errors(include_url=False)
             locs = [error["loc"] for error in errors]
+            misspelt = {meant(error["loc"]) for error in errors if error["type"] == "extra_forbidden"}
             for error in errors:
                 loc = error["loc"]
                 # Pydantic leaves invalid items out of its count.
                 if error["type"] == "too_short" and any(loc == other[: len(loc)] for other in locs if other != loc):
                     continue
+                if error["type"] == "missing" and loc in misspelt:
+                    continue  # one typo is one fault
                 self._complain(loc, plain_words(error), at_key=error["type"] == "extra_forbidden")
             raise self._error() from None
         self.refuse(cross_checks(self.config))

@@ -224,8 +224,8 @@ def _tracker(run: Run, recording: Recording) -> Figures:
     return {
         "frames": len(frames),
         "measured_fraction": _rounded(seen / (len(frames) * n)) if frames else None,
-        "false_ids": sum(pose.tag not in tags for frame in frames for pose in frame.poses),
-        "refused": frames[-1].refused if frames else 0,
+        "false_ids": sum(pose.tag not in tags for frame in frames for pose in frame.poses) if frames else None,
+        "refused": frames[-1].refused if frames else None,
         "frame_ms": _percentiles(np.array(durations) / 1e6, (50, 99)),
     }
 
@@ -240,7 +240,7 @@ def _tick(run: Run, recording: Recording) -> Figures:
         "period_ms": run.config.controller.tick_s * 1e3,
         "compute_us": _percentiles(compute / 1e3, (50, 99, 100)),
         "lateness_us": _percentiles(ticks["lateness_ns"] / 1e3, (50, 99, 100)),
-        "overruns": int(ticks["overruns"][-1]) - int(ticks["overruns"][0]) if len(ticks) else 0,
+        "overruns": int(ticks["overruns"][-1]) - int(ticks["overruns"][0]) if len(ticks) else None,
     }
 
 

@@ -69,6 +69,7 @@ def _health(s: Summary) -> list[tuple[str, str, str, str]]:
     if tick["compute_us"] is not None:
         value = f"{tick['compute_us']['p50']:.0f}, {tick['compute_us']['p99']:.0f}"
         rows.append(("computing a tick, us", value, "-", f"of {tick['period_ms'] * 1e3:g}"))
+    if tick["overruns"] is not None:
         rows.append(("overruns", str(tick["overruns"]), "-", f"of {s['ticks']} ticks"))
     if s["latency_ms"] is not None:
         latency = s["latency_ms"]["exposure_to_wheel"]

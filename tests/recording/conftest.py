@@ -1,0 +1,156 @@
+"""Hand-made recordings: robots whose true motion, images and commands are known to the last digit."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as File
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    ROBOT_STATUS,
+    TICK_RECORD,
+    FleetPoses,
+    RobotStatus,
+    RobotTick,
+    TagPose,
+    TickRecord,
+    Truth,
+)
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.control.path import Path
+from robofleet.recording.metrics import Recording, summary
+from robofleet.safety.gate import GateStatus
+from robofleet.safety.supervisor import Phase
+
+PLATOON = File(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+TICK_NS = 33 * MS
+START_NS = 1000 * S
+
+
+@dataclass
+class Story:
+    """What happens in a hand-made run; (K, N) over ticks and robots. Points p move exactly as the path asks."""
+
+    config: Config
+    ticks: int
+    path: Path = field(init=False)
+    points: np.ndarray = field(init=False)  # (K, N, 2) [m]
+    psi: np.ndarray = field(init=False)  # (K, N) [rad]
+    estimate_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the filter: x, y [m], psi [rad]
+    control_error: np.ndarray = field(init=False)  # (K, N) [m]
+    before: int = 5  # ticks before the run
+
+    def __post_init__(self) -> None:
+        group = self.config.groups[0]
+        self.path = Path.hermite(
+            np.array([k.at_m for k in group.path.knots]), np.array([k.derivative_m for k in group.path.knots])
+        )
+        self.place(np.zeros(len(self.config.platoon)))
+        self.control_error = np.zeros((self.ticks, len(self.config.platoon)))
+
+    @property
+    def t(self) -> np.ndarray:
+        return np.arange(self.ticks) * self.config.controller.tick_s
+
+    @property
+    def centres(self) -> np.ndarray:
+        heading = np.stack([np.cos(self.psi), np.sin(self.psi)], axis=-1)
+        return np.asarray(self.points - self.config.controller.point_ahead_m * heading)
+
+    def place(self, behind: Sequence[float] | np.ndarray) -> None:
+        """Put every robot's point on the path, so many metres behind where it should be now."""
+        group, path = self.config.groups[0], self.path
+        sigma = path.back(group.path_rate * self.t % path.sides, behind[0]) if behind[0] else group.path_rate * self.t
+        columns = [sigma % path.sides]
+        for late in behind[1:]:
+            columns.append(path.back(columns[-1], group.spacing_m + late))
+        sigmas = np.stack(columns, axis=1)
+        tangent = path.tangent(sigmas)
+        self.points = path.position(sigmas)
+        self.psi = np.arctan2(tangent[..., 1], tangent[..., 0])
+
+    def aside(self, metres: float) -> None:
+        """Move every point to the left of the path."""
+        self.points = self.points + metres * np.stack([-np.sin(self.psi), np.cos(self.psi)], axis=-1)
+
+    def recording(self, *, truth: bool = True) -> Recording:
+        """Return the messages of this run: the ticks, and the truth at every tick."""
+        recording, arena = Recording(self.config), self.config.arena.name
+        for k in range(-self.before, self.ticks):
+            recording.add(key(arena, TICK), TICK_RECORD.encode(self._tick(k)))
+            for row, robot in enumerate(self.config.platoon) if truth else ():
+                at = max(k, 0)
+                pose = *self.centres[at, row], math.remainder(self.psi[at, row], math.tau)
+                message = Truth(1, 1, self.stamp(k), *pose, 0.0, 0.0)
+                recording.add(key(arena, TRUTH, robot.id), TRUTH_LAYOUT.encode(message))
+        return recording
+
+    def stamp(self, k: float) -> int:
+        """Return the instant of a tick of the run [ns]."""
+        return START_NS + round(k * TICK_NS)
+
+    def _tick(self, k: int) -> TickRecord:
+        at, items = max(k, 0), []
+        for row in range(len(self.config.platoon)):
+            off = np.array(self.estimate_off)
+            x, y, psi = np.array([*self.centres[at, row], self.psi[at, row]]) + off
+            point = x + 0.08 * math.cos(psi), y + 0.08 * math.sin(psi)
+            error = self.control_error[at, row] if k >= 0 else 9.0
+            pose = x, y, math.remainder(psi, math.tau)
+            items.append(RobotTick(*pose, *point, 0, 0, 0, 0, 0, error, 0, 0, float(row == 0 and k == 1), 1, 0))
+        phase, run_tick = (Phase.RUNNING, k) if k >= 0 else (Phase.ARMED, -1)
+        exposure_ns = self.stamp(k) - 18 * MS
+        head = 1, k + 10, run_tick, self.stamp(k), 1, exposure_ns, phase, max(k, 0) // 10 + 7, 1000 * (k + 10)
+        return TickRecord(*head, 50_000, tuple(items))
+
+
+@pytest.fixture
+def story() -> Callable[..., Story]:
+    """Return a run of ten seconds of the shipped platoon."""
+
+    def make(*overrides: str, ticks: int = 300) -> Story:
+        return Story(load_config(PLATOON, overrides), ticks)
+
+    return make
+
+
+@pytest.fixture
+def figures() -> Callable[[Recording], dict[str, Any]]:
+    def make(recording: Recording) -> dict[str, Any]:
+        return summary(recording, name="story", mode="lockstep", outcome="completed", cause=None)
+
+    return make
+
+
+@pytest.fixture
+def add_status() -> Callable[..., None]:
+    """Return what adds a robot's status to a recording."""
+
+    def add(
+        recording: Recording, robot: str, stamp_ns: int, *, applied: tuple[int, int] = (0, 0),
+        gate: GateStatus = GateStatus.OPEN, rejected: int = 0,
+    ) -> None:  # fmt: skip
+        message = RobotStatus(1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        recording.add(key(recording.config.arena.name, STATUS, robot), ROBOT_STATUS.encode(message))
+
+    return add
+
+
+@pytest.fixture
+def add_image() -> Callable[..., None]:
+    """Return what adds an image's poses to a recording."""
+
+    def add(recording: Recording, exposure_ns: int, tags: Sequence[int], work_ns: int = 2 * MS) -> None:
+        poses = tuple(TagPose(tag, 0.0, 0.0, 0.0) for tag in tags)
+        message = FleetPoses(1, 1, exposure_ns, exposure_ns + 10 * MS, 1, 0, work_ns, 3, poses)
+        recording.add(key(recording.config.arena.name, POSES, CAMERA), FLEET_POSES.encode(message))
+
+    return add

@@ -1,0 +1,239 @@
+"""Known runs give known figures; what was not measured is None, never 0."""
+
+import itertools
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.comms.keys import TICK, key
+from robofleet.config.load import load_config
+from robofleet.recording.metrics import Recording
+from robofleet.safety.gate import GateStatus
+
+Make = Callable[..., Any]
+EXACT = pytest.approx(0, abs=1e-3)  # [mm]; figures are rounded to 1e-4
+
+
+def test_who_follows_exactly_has_no_error(story: Make, figures: Make) -> None:
+    s = figures(story().recording())
+    for name in ("timed_error_mm", "path_error_mm", "control_error_mm"):
+        assert s[name]["per_robot_mean"] == [EXACT] * 4, name
+        assert s[name]["max"] == EXACT
+    assert s["spacing_m"] == {"mean": [0.25] * 3, "max_deviation_mm": EXACT}
+    assert (s["pose_error"]["rms_mm"], s["pose_error"]["heading_rms_deg"]) == (EXACT, EXACT)
+    assert s["centre_error_mm"]["mean"] > 0.5, "the centre cuts the corners"
+
+
+@pytest.mark.parametrize("side", [0.003, -0.003])
+def test_3_mm_to_the_side_of_the_path(story: Make, figures: Make, side: float) -> None:
+    told = story()
+    told.aside(side)
+    s = figures(told.recording())
+    assert s["path_error_mm"]["per_robot_mean"] == pytest.approx([3.0] * 4, abs=1e-3)
+    assert s["path_error_mm"]["max"] == pytest.approx(3.0, abs=1e-3)
+    assert s["timed_error_mm"]["per_robot_mean"] == pytest.approx([3.0] * 4, abs=1e-3)
+
+
+@pytest.mark.parametrize("late", range(4))
+def test_2_mm_behind_is_the_error_of_that_robot_alone(story: Make, figures: Make, late: int) -> None:
+    told = story()
+    told.place([0.002 if row == late else 0.0 for row in range(4)])
+    s = figures(told.recording())
+    timed = s["timed_error_mm"]["per_robot_mean"]
+    assert timed == pytest.approx([2.0 if row == late else 0.0 for row in range(4)], abs=2e-2)
+    assert s["path_error_mm"]["max"] == EXACT
+    deviation = s["spacing_m"]["max_deviation_mm"]
+    assert deviation == pytest.approx(2.0 if late else 0.0, abs=1e-3)
+
+
+def test_a_tracked_centre_is_measured_at_the_centre(story: Make, figures: Make) -> None:
+    told = story("groups.0.track=centre")
+    told.points = told.points + told.config.controller.point_ahead_m * np.stack(
+        [np.cos(told.psi), np.sin(told.psi)], axis=-1
+    )
+    s = figures(told.recording())
+    assert s["centre_error_mm"]["per_robot_mean"] == [EXACT] * 4
+    assert s["timed_error_mm"]["per_robot_mean"] == [EXACT] * 4
+    assert s["path_error_mm"]["mean"] > 1
+
+
+def test_control_error_counts_after_the_settling_time(story: Make, figures: Make) -> None:
+    told = story("run.settle_s=2")
+    told.control_error[:] = [0.001, 0.002, 0.003, 0.006]
+    told.control_error[told.t < 2] = 5.0
+    told.control_error[-1, 3] = 0.010
+    s = figures(told.recording())
+    last = (told.t >= 2).sum()
+    means = [1, 2, 3, 6 + 4 / last]
+    assert s["control_error_mm"]["per_robot_mean"] == pytest.approx(means, abs=1e-3)
+    assert s["control_error_mm"]["mean"] == pytest.approx(np.mean(means), abs=1e-3)
+    assert s["control_error_mm"]["max"] == pytest.approx(10)
+
+
+def test_true_errors_and_spacing_count_after_theirs(story: Make, figures: Make) -> None:
+    told = story("run.spacing_settle_s=6")
+    exact = figures(told.recording())
+    told.points[told.t < 6] += 0.1
+    s = figures(told.recording())
+    for name in ("timed_error_mm", "path_error_mm", "centre_error_mm", "spacing_m"):
+        assert s[name] == exact[name], name
+
+
+def test_the_smallest_gap_is_between_bodies_and_over_the_whole_run(story: Make, figures: Make) -> None:
+    told = story()
+    told.points[7, 2] = told.points[7, 0] + 0.08 * np.array([math.cos(told.psi[7, 2]), math.sin(told.psi[7, 2])])
+    centres = told.centres
+    s = figures(told.recording())
+    nearest = min(np.hypot(*(centres[:, i] - centres[:, j]).T).min() for i, j in itertools.combinations(range(4), 2))
+    radius = told.config.robots[0].vehicle.body_radius_m
+    assert s["min_centre_distance_mm"] == pytest.approx(nearest * 1e3, abs=1e-3)
+    assert s["min_gap_mm"] == pytest.approx((nearest - 2 * radius) * 1e3, abs=1e-3)
+    assert nearest < 0.15
+
+
+def test_pose_error_is_the_filters_at_the_tick(story: Make, figures: Make) -> None:
+    told = story()
+    told.estimate_off = 0.003, -0.004, math.radians(2)
+    told.psi[:] = math.pi - math.radians(1)  # the estimate is on the other side of the cut
+    s = figures(told.recording())["pose_error"]
+    assert (s["rms_mm"], s["max_mm"]) == (pytest.approx(5), pytest.approx(5))
+    assert s["heading_rms_deg"] == pytest.approx(2)
+
+
+def test_the_truth_is_taken_at_the_ticks_instant(story: Make, figures: Make) -> None:
+    """Drivers' stamps fall between the ticks: a robot at 0.1 m/s is 1.5 mm further 15 ms later."""
+    told = story()
+    told.psi[:] = 0.0
+    told.points[:] = 0.1 * told.t[:, None, None]
+    shifted, exact = told.recording(), told.recording()
+    stamp = told.stamp
+    told.stamp = lambda k: stamp(k) + 15 * MS
+    late = told.recording()
+    for full in shifted.messages:
+        if "/truth" in full:
+            shifted.messages[full] = late.messages[full]
+    assert figures(exact)["pose_error"]["rms_mm"] == EXACT
+    assert figures(shifted)["pose_error"]["max_mm"] == pytest.approx(1.5 * math.sqrt(2), abs=0.01)
+
+
+def test_exposure_to_wheel_is_of_every_command_that_reached_one(story: Make, figures: Make, add_status: Make) -> None:
+    told = story()
+    recording = told.recording()
+    taken_ms = {"r1": (19, 21, 23), "r2": (25,)}
+    for robot, each in taken_ms.items():
+        add_status(recording, robot, told.stamp(-3), applied=(told.stamp(-4) - 900 * MS, told.stamp(-4)))
+        for k, ms in enumerate(each):
+            at = told.stamp(10 + k) + MS
+            for _ in range(3):  # every status says it again
+                add_status(recording, robot, at + 5 * MS, applied=(at - ms * MS, at))
+    add_status(recording, "r3", told.stamp(20), applied=(0, told.stamp(20)))  # moved by no image
+    latency = figures(recording)["latency_ms"]
+    everything = [ms for each in taken_ms.values() for ms in each]
+    assert latency["exposure_to_wheel"]["p50"] == pytest.approx(np.percentile(everything, 50))
+    assert latency["exposure_to_wheel"]["max"] == pytest.approx(max(everything))
+    assert latency["stages"]["exposure_to_tick"] == {"p50": 18.0, "p99": 18.0}
+
+
+def test_stops_are_gates_that_closed_during_the_run(story: Make, figures: Make, add_status: Make) -> None:
+    told = story()
+    recording = told.recording()
+    closed = GateStatus.NO_COMMAND
+    for k, gate in (
+        (-4, GateStatus.OPEN),
+        (-3, GateStatus.NO_ENABLE),
+        (1, GateStatus.OPEN),
+        (100, closed),
+        (101, closed),
+    ):
+        add_status(recording, "r2", told.stamp(k), gate=gate)
+    for k, gate in ((1, GateStatus.OPEN), (50, GateStatus.NO_ENABLE), (52, GateStatus.OPEN), (400, closed)):
+        add_status(recording, "r1", told.stamp(k), gate=gate)
+    assert figures(recording)["stops"] == [
+        {"t_s": pytest.approx(50 * 0.033), "robot": "r1", "cause": "no enable"},
+        {"t_s": pytest.approx(100 * 0.033), "robot": "r2", "cause": "no command"},
+    ]
+
+
+def test_what_the_tracker_saw(story: Make, figures: Make, add_image: Make) -> None:
+    recording = story().recording()
+    for k, tags in enumerate(((1, 2, 3, 4), (1, 2, 4), (1, 2, 3, 4, 77), (3,))):
+        add_image(recording, S + k, tags, work_ns=(k + 1) * MS)
+    tracker = figures(recording)["tracker"]
+    assert (tracker["frames"], tracker["false_ids"], tracker["refused"]) == (4, 1, 3)
+    assert tracker["measured_fraction"] == pytest.approx(12 / 16)
+    assert tracker["frame_ms"]["p50"] == pytest.approx(2.5)
+
+
+def test_ticks_overruns_and_what_was_refused(story: Make, figures: Make, add_status: Make) -> None:
+    told = story(ticks=301)
+    recording = told.recording()
+    recording.elapsed_s = 4.95
+    add_status(recording, "r2", told.stamp(5), rejected=6)
+    s = figures(recording)
+    assert (s["ticks"], s["duration_s"]) == (301, pytest.approx(9.9))
+    assert s["real_time_factor"] == pytest.approx(2)
+    assert s["tick"]["overruns"] == 30, "those before the run are not its own"
+    assert s["tick"]["period_ms"] == pytest.approx(33)
+    assert s["tick"]["compute_us"]["p50"] == pytest.approx(50)
+    assert s["tick"]["lateness_us"]["max"] == pytest.approx(310)
+    assert s["saturated_fraction"] == pytest.approx(1 / (301 * 4), abs=1e-4)
+    assert s["rejected"] == {"r1": None, "r2": 6, "r3": None, "r4": None}
+
+
+TRUE_FIGURES = ("timed_error_mm", "path_error_mm", "centre_error_mm", "min_gap_mm", "pose_error")
+
+
+def test_without_the_truth_true_figures_are_none_and_spacing_is_estimated(story: Make, figures: Make) -> None:
+    told = story()
+    told.estimate_off = 0.5, 0.5, 0.0
+    s = figures(told.recording(truth=False))
+    assert {s[name] for name in TRUE_FIGURES} == {None}
+    assert s["spacing_m"]["mean"] == pytest.approx([0.25] * 3, abs=1e-4)
+    assert s["control_error_mm"]["mean"] == EXACT
+    assert s["tracker"] == {
+        "frames": 0, "measured_fraction": None, "false_ids": None, "refused": None, "frame_ms": None,
+    }  # fmt: skip
+    assert s["latency_ms"] is None
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 40])
+def test_a_run_too_short_to_settle_measures_nothing(story: Make, figures: Make, ticks: int) -> None:
+    s = figures(story(ticks=max(ticks, 1)).recording()) if ticks else figures(Recording(story().config))
+    assert s["control_error_mm"] is None
+    assert {s[name] for name in TRUE_FIGURES[:3]} == {None}
+    assert s["spacing_m"] is None
+    assert (s["ticks"], s["stops"]) == (ticks, [])
+    json.dumps(s, allow_nan=False)
+
+
+def test_an_empty_recording_says_that_nothing_was_measured(story: Make, figures: Make) -> None:
+    s = figures(Recording(story().config))
+    said = {"version", "config", "seed", "mode", "outcome", "robots"}
+    for name, value in s.items():
+        if name not in said:
+            leaves = value.values() if isinstance(value, dict) else [value]
+            assert all(leaf in (None, 0, 0.0, [], 33.0) for leaf in leaves), (name, value)
+    never_zero = ("overruns", s["tick"]), ("measured_fraction", s["tracker"]), ("false_ids", s["tracker"])
+    for name, figure in (*never_zero, ("saturated_fraction", s), ("filtered_fraction", s), ("real_time_factor", s)):
+        assert figure[name] is None, name
+
+
+def test_messages_of_another_size_are_left_out(story: Make, figures: Make) -> None:
+    recording = story().recording()
+    before = figures(recording)
+    recording.add(key("platoon", TICK), b"\x01rubbish")
+    assert figures(recording) == before
+
+
+def test_one_robot_alone_has_no_spacing(story: Make, figures: Make) -> None:
+    told = story("groups.0.robots=[r1]")
+    s = figures(told.recording())
+    assert (s["spacing_m"], s["min_gap_mm"]) == (None, None)
+    assert s["path_error_mm"]["per_robot_mean"] == [EXACT]
+    assert s["robots"] == ["r1"]
+    assert load_config  # the config is validated as any other
