@@ -47,6 +47,7 @@ class PlantErrors(Model):
     loop_period_s: Positive
     deadband_rad_s: NonNegative
     breakaway_rad_s: NonNegative
+    wheel_gain: Positive = 1.0  # mean of both wheels: travel over the believed one
     wheel_gain_spread: Fraction
     wheel_base_spread: Fraction
     slip_s_per_rad: NonNegative
@@ -121,6 +122,8 @@ class FilterSettings(Model):
     heading_noise_rad: Positive = 0.006
     position_drift_m: Positive = 0.0015  # after one second [m / sqrt(s)]
     heading_drift_rad: Positive = 0.06  # after one second [rad / sqrt(s)]
+    efficiency_sigma: Fraction = 0.15  # of a wheel's true travel over the believed one, in the long run
+    efficiency_time_s: Positive = 20.0  # in which it is forgotten
     gate_sigma: Positive = 5.0  # a measurement further off than this is an outlier
     lost_after_s: Positive = 0.5  # without a measurement for so long, a robot is lost and stands still
 
@@ -133,6 +136,7 @@ class ControllerSettings(Model):
     horizon_s: Positive  # T
     point_ahead_m: Positive  # l
     integrator: Literal["exact", "euler"] = "exact"
+    disturbance: Literal["estimated", "none"] = "none"  # what the law knows of wheels that do not do as asked
     command_delay_s: NonNegative = 0.002  # from the tick to the moment when its commands act
     filter: FilterSettings = FilterSettings()
 

@@ -3,6 +3,14 @@
 Decentralised: robot i uses the path and its predecessor's prediction x + T u alone. Robots are updated in platoon
 order, so that a prediction holds the newest u; and u is what the wheels can do, so that a robot that cannot move is
 not predicted to move.
+
+Offset-free (this project's extension). A velocity disturbance w (a worn wheel, slip, a dead band) makes x' = u + w,
+and eq. 31, which predicts x + T u, then comes to rest with rho - x = T u while x really moves by T (u + w): the point
+is T w off. With an estimate w^ in the prediction, u' = (alpha/T) (rho - x - T (u + w^)). Put z = u + w: where w is
+constant and w^ = w, z' = (alpha/T) (rho - x - T z) and x' = z, which is the undisturbed loop: no offset is left, and
+its poles are the same. Otherwise e = w - w^ enters that loop as an input, and e obeys the filter alone, which is
+driven by the commands and the images whatever the law does: the poles are the loop's and the filter's together, so
+the loop is stable where both are. u stays what the wheels were asked for, so that its limits bind where they are.
 """
 
 from dataclasses import dataclass, field
@@ -91,11 +99,12 @@ class Platoon:
         """Forget where a robot was along the path: it was put somewhere else."""
         self._nearest_parameter[robot] = np.nan
 
-    def tick(self, t: float, poses: Array, driving: NDArray[np.bool_]) -> Array:
+    def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
         """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.
 
         t: time since the start at the moment when the commands act [s]. poses (N, 3): x, y [m], psi [rad] of the
         centres at that moment. driving (N,): false where a robot must stand still (its u becomes 0).
+        disturbance (N, 2): w, the points' velocity beyond u as estimated [m/s; world]; None takes it as 0.
         """
         s = self.settings
         decisions = np.zeros((len(poses), len(Column)))
@@ -110,6 +119,7 @@ class Platoon:
             self._limits,
             poses,
             driving,
+            np.zeros((len(poses), 2)) if disturbance is None else disturbance,
             self.u,
             self._nearest_parameter,
             self.reference_parameter,
@@ -138,7 +148,7 @@ def _follow(
 @kernel
 def _tick(
     coefficients: Array, leader: float, d: float, T: float, l: float, offset: float, gain: float, limits: Array,
-    poses: Array, driving: NDArray[np.bool_], u: Array, nearest: Array, reference: Array, decisions: Array,
+    poses: Array, driving: NDArray[np.bool_], w: Array, u: Array, nearest: Array, reference: Array, decisions: Array,
 ) -> None:  # fmt: skip
     predicted_x, predicted_y = np.nan, np.nan  # of the robot before
     for i in range(len(poses)):
@@ -154,11 +164,12 @@ def _tick(
         if offset != 0.0:  # p is l ahead of the centre, which is what follows the path
             tangent_x, tangent_y = paths.unit_tangent(coefficients, reference[i])
             rho_x, rho_y = rho_x + offset * tangent_x, rho_y + offset * tangent_y
-        error = np.hypot(rho_x - x - T * u[i, 0], rho_y - y - T * u[i, 1])
+        drifted_x, drifted_y = x + T * w[i, 0], y + T * w[i, 1]
+        error = np.hypot(rho_x - drifted_x - T * u[i, 0], rho_y - drifted_y - T * u[i, 1])
         left, right, ratio = 0.0, 0.0, 1.0
         if driving[i]:
-            u_x = point_update(u[i, 0], x, rho_x, T, gain)
-            u_y = point_update(u[i, 1], y, rho_y, T, gain)
+            u_x = point_update(u[i, 0], drifted_x, rho_x, T, gain)
+            u_y = point_update(u[i, 1], drifted_y, rho_y, T, gain)
             radius, base, max_wheel_speed, max_speed = limits[i]
             v, omega = _body_from_point(u_x, u_y, psi, l)
             left, right = _wheels_from_body(v, omega, radius, base)
@@ -167,8 +178,8 @@ def _tick(
             u[i] = ratio * u_x, ratio * u_y
         else:
             u[i] = 0.0
-        predicted_x = x + T * u[i, 0] - offset * np.cos(psi)
-        predicted_y = y + T * u[i, 1] - offset * np.sin(psi)
+        predicted_x = drifted_x + T * u[i, 0] - offset * np.cos(psi)
+        predicted_y = drifted_y + T * u[i, 1] - offset * np.sin(psi)
         decisions[i] = (
             x, y, rho_x, rho_y, reference[i], u[i, 0], u[i, 1], error, left, right, 1.0 if ratio < 1.0 else 0.0,
         )  # fmt: skip

@@ -46,6 +46,7 @@ class Controller:
         robots, c = config.platoon, config.controller
         self._clock = clock
         self._tick_s = c.tick_s
+        self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._delay_s, self._delay_ns = c.command_delay_s, round(c.command_delay_s * S)
         self._lost_after_ns = round(c.filter.lost_after_s * S)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
@@ -87,7 +88,8 @@ class Controller:
         here, there = self._filter.predict(tick_ns, tick_ns + self._delay_ns)
         run_tick = self._index - self._start_index if self._phase is Phase.RUNNING else 0
         t = run_tick * self._tick_s + self._delay_s
-        decisions = self._platoon.tick(t, there, driving)
+        w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else None
+        decisions = self._platoon.tick(t, there, driving, w)
         self._filter.command(tick_ns + self._delay_ns, decisions[:, WHEELS])
         self._publish_commands(decisions[:, WHEELS].tolist())
         self._publish_record(tick_ns, here, measured, lost, decisions)
@@ -155,7 +157,8 @@ def compile_kernels(config: Config) -> None:
     for instant_ns in (S, 2 * S):
         fleet_filter.observe(instant_ns, np.zeros((n, 3)))
         _, there = fleet_filter.predict(instant_ns + 1, instant_ns + 2)
-        decisions = platoon.tick(0.0, there, np.ones(n, dtype=np.bool_))
+        w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
+        decisions = platoon.tick(0.0, there, np.ones(n, dtype=np.bool_), w)
         fleet_filter.command(instant_ns, decisions[:, WHEELS])
 
 
@@ -177,5 +180,13 @@ def _platoon(config: Config) -> Platoon:
 
 def _filter(config: Config) -> FleetFilter:
     f = config.controller.filter
-    noise = FilterNoise(f.position_noise_m, f.heading_noise_rad, f.position_drift_m, f.heading_drift_rad, f.gate_sigma)
+    noise = FilterNoise(
+        f.position_noise_m,
+        f.heading_noise_rad,
+        f.position_drift_m,
+        f.heading_drift_rad,
+        f.gate_sigma,
+        f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0,
+        f.efficiency_time_s,
+    )
     return FleetFilter(tuple(slices.drive(robot.vehicle) for robot in config.platoon), noise)

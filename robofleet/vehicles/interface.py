@@ -52,12 +52,13 @@ class Imperfections:
     loop_period: float  # of the firmware [s]
     deadband: float  # a turning wheel stops when commanded less [rad/s]
     breakaway: float  # a resting wheel stays at rest when commanded less (stiction) [rad/s]
-    wheel_gain_spread: float  # of each wheel's radius, relative
+    wheel_gain_spread: float  # of each wheel's travel, relative
     wheel_base_spread: float  # relative
     slip: float  # fraction of a wheel's travel lost at a yaw rate of 1 rad/s [s/rad]
     slip_noise: float  # standard deviation of the slip, relative to it
     top_speed_sag: float  # fraction of the top speed lost when the battery is empty
     battery_life: float  # [s]
+    wheel_gain: float = 1.0  # mean of both wheels' travel over the believed one
 
 
 class Stall(NamedTuple):

@@ -114,12 +114,12 @@ def test_the_exposure_is_placed_by_the_tick_that_it_echoes(stand: Stand) -> None
     far = 10**15
     robot = stand.robots[0]
     seen = (TagPose(robot.tag, 0.1, 0.2, 0.3),)
-    message = FleetPoses(1, 1, far, far, stand.tick, 15 * MS, 0, 0, seen)
-    stand.bench.say(POSES, message, CAMERA)
-    stand.next_tick()
-    here = stand.newest.robots[0]
-    assert here.measured == 1
-    assert here.lost == 0
+    for stamp_ns in (far, far - S, 1):
+        message = FleetPoses(1, 1, stamp_ns, stamp_ns, stand.tick, 15 * MS, 0, 0, seen)
+        stand.bench.say(POSES, message, CAMERA)
+        stand.next_tick()
+        here = stand.newest.robots[0]
+        assert (here.measured, here.lost) == (1, 0)
     assert (here.x_m, here.y_m, here.psi_rad) == pytest.approx((0.1, 0.2, 0.3))
 
 

@@ -106,6 +106,21 @@ def test_wheels_stop_when_the_newest_echo_is_120_ms_old(stand: Stand, silent: st
     assert stand.newest("r1").gate == expected
 
 
+def test_the_process_wakes_at_the_deadline_between_two_loops(stand: Stand) -> None:
+    """A loop that was late gave a nonce off the grid of 10 ms."""
+    next_ns = stand.node.step(stand.bench.now_ns)
+    for _ in range(20):
+        stand.bench.clock.advance_to(next_ns + 3 * MS)
+        stand.node.step(stand.bench.now_ns)
+        stand.command("r1")
+        stand.enable("r1")
+        next_ns = stand.node.step(stand.bench.now_ns)
+    assert stand.made["r1"].target == FORWARD
+    stand.bench.run(stand.node, S // 5)
+    stopped_ns, wheels = stand.made["r1"].writes[-1]
+    assert (stopped_ns, wheels) == (stand.seen["r1"] + 120 * MS, STOP)
+
+
 def test_what_comes_late_moves_nothing_however_much_comes(stand: Stand) -> None:
     """A network that stood still and resumes."""
     stand.run(S // 2, commands=False)

@@ -49,6 +49,11 @@ def test_the_robots_are_not_ideal(with_camera: Summary) -> None:
     assert with_camera["pose_error"]["rms_mm"] > 0.01
 
 
+def test_the_leader_is_where_it_should_be_now(with_camera: Summary) -> None:
+    """At 0.1 m/s a delay that is not predicted costs a millimetre every 10 ms."""
+    assert with_camera["timed_error_mm"]["per_robot_mean"][0] <= 3.0
+
+
 def test_every_robot_is_seen_where_it_is(with_camera: Summary) -> None:
     s = with_camera
     assert s["pose_error"]["rms_mm"] <= 0.6

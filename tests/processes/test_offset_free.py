@@ -1,0 +1,44 @@
+"""Robots with worn wheels, a wide dead band and a sagging battery: the paper's law, and the offset-free one."""
+
+from pathlib import Path
+
+import pytest
+
+from robofleet.config.load import load_config
+from robofleet.processes.lockstep import Lockstep
+from robofleet.recording.metrics import summary
+
+PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+WORN = ("wheel_gain=0.9", "deadband_rad_s=1.0", "breakaway_rad_s=1.2", "top_speed_sag=0.3")
+
+
+def leader_timed_error_mm(disturbance: str) -> float:
+    overrides = [f"robots.{i}.vehicle.simulated.{fault}" for i in range(4) for fault in WORN]
+    run = Lockstep(
+        load_config(
+            PLATOON,
+            [*overrides, f"controller.disturbance={disturbance}", "tracker.source=truth", "run.duration_s=40"],
+        )
+    )
+    assert run.run() == ("completed", None)
+    figures = summary(run.recording, name="worn", mode="lockstep", outcome="completed", cause=None)
+    mean: float = figures["timed_error_mm"]["per_robot_mean"][0]
+    return mean
+
+
+def test_the_offset_vanishes() -> None:
+    without, with_estimate = leader_timed_error_mm("none"), leader_timed_error_mm("estimated")
+    assert without > 5.0  # T w: 0.6 s times a tenth of about 0.1 m/s
+    assert with_estimate < 2.5
+    assert with_estimate < without / 3
+
+
+@pytest.mark.parametrize("disturbance", ["none", "estimated"])
+def test_a_stalled_robot_is_not_run_into(disturbance: str, tmp_path: Path) -> None:
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("faults:\n  - {robot: r2, kind: motor_stuck, at_s: 12, duration_s: 5}\n")
+    overrides = ["tracker.source=truth", f"controller.disturbance={disturbance}", "run.duration_s=30"]
+    run = Lockstep(load_config(PLATOON, overrides, faults))
+    assert run.run() == ("completed", None)
+    figures = summary(run.recording, name="stall", mode="lockstep", outcome="completed", cause=None)
+    assert figures["min_centre_distance_mm"] >= 110
