@@ -58,8 +58,16 @@ def run(
         if not lockstep:
             tree = _settled(tree)
         folder = _new_folder(out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}")
-    summary = _run(tree, config.stem, folder, lockstep=lockstep, quiet=quiet)
-    (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    try:
+        summary = _run(tree, config.stem, folder, lockstep=lockstep, quiet=quiet)
+    except OSError as error:
+        print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)
+        raise typer.Exit(1) from error
+    try:
+        (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    except OSError as error:
+        print(f"{folder / 'summary.json'}: {error.strerror}: here is the summary all the same", file=sys.stderr)
+        as_json = True
     if as_json:
         print(json.dumps(summary))
     else:
@@ -90,6 +98,36 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     Console().print(table)
 
 
+@app.command()
+def paper(
+    experiment: Annotated[str, typer.Argument(metavar="[NAME]", help="closed-curve, lane-change, ... or all.")] = "all",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-paper.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as one JSON object.")] = False,
+) -> None:
+    """Reproduce the paper's experiments: tables beside the paper's, figures and numbers in DIR.
+
+    robofleet paper lane-change
+    """
+    from robofleet.experiments import paper as experiments  # noqa: PLC0415
+
+    with _bad_input():
+        try:
+            names = experiments.chosen(experiment)
+        except ValueError as error:
+            raise RefusedError(str(error)) from error
+        parameters = {name: experiments.parameters_of(name) for name in names}
+        folder = _new_folder(out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-paper")
+    try:
+        contents = {name: experiments.report(name, parameters[name], folder, quiet=as_json) for name in names}
+    except experiments.ExperimentError as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(1) from error
+    if as_json:
+        print(json.dumps({"folder": str(folder), "experiments": contents}))
+    else:
+        print(folder)
+
+
 def _process(name: str) -> None:
     def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
         from robofleet.processes import child  # noqa: PLC0415
@@ -97,6 +135,7 @@ def _process(name: str) -> None:
 
         with _bad_input():
             tree = load_config(config)
+            _refuse_any_port(tree, config)
         getattr(child, name)(tree, Lifeline(lifeline))
 
     app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
@@ -118,10 +157,11 @@ def driver(
 
     with _bad_input():
         tree = load_config(config)
-        names = tuple(robots.split(","))
+        names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
         known = [robot.id for robot in tree.robots]
         for unknown in (name for name in names if name not in known):
             raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+        _refuse_any_port(tree, config)
     child.driver(tree, Lifeline(lifeline), names)
 
 
@@ -146,9 +186,18 @@ def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockste
     return load_checked(config, overrides, faults, lockstep=lockstep)
 
 
+def _refuse_any_port(tree: "Config", config: Path) -> None:
+    """One process of a run finds the others by a port that is named."""
+    if tree.bus.endpoint.endswith(":0"):
+        raise RefusedError(
+            f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
+            "name one, for example tcp/127.0.0.1:7447"
+        )
+
+
 def _settled(tree: "Config") -> "Config":
     """Choose the router's port; a port in use is refused."""
-    from robofleet.processes.launcher import bind_endpoint  # noqa: PLC0415
+    from robofleet.comms.endpoint import bind_endpoint  # noqa: PLC0415
 
     try:
         endpoint = bind_endpoint(tree.bus.endpoint)

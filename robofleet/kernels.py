@@ -7,7 +7,6 @@ with its old code. So the cache's folder is named after all sources that hold ke
 import hashlib
 import os
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -41,7 +40,7 @@ def _cache_folder() -> Path:
     name = f"kernels-{digest.hexdigest()}"
     beside = _PACKAGE / "__pycache__"
     if not os.access(beside if beside.exists() else _PACKAGE, os.W_OK):
-        return Path(tempfile.gettempdir()) / f"robofleet-{os.getuid()}" / name
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robofleet" / name
     for folder in beside.glob("kernels-*"):
         if folder.name != name:
             shutil.rmtree(folder, ignore_errors=True)

@@ -13,19 +13,28 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import S, stopwatch_ns
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.control.bicycle import bicycle_plant
+from robofleet.control.flow import NewtonRaphsonFlow
 from robofleet.control.path import Path as Curve
 from robofleet.control.path import nearest
+from robofleet.experiments import closed_curve as track
+from robofleet.experiments import comparison, simulate
+from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
+from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
+from robofleet.experiments.paper import parameters_of
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.slices import knots
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags import TagDetector
+from robofleet.vehicles.bicycle import ZHOU_2017
 
 ROOT = Path(__file__).resolve().parents[1]
 Row = dict[str, Any]
@@ -39,7 +48,7 @@ def main() -> None:
     as_json = parser.parse_args().json
     cv2.setNumThreads(1)
     config = load_config(ROOT / "configs" / "platoon.yaml")
-    rows = [*tags(config), *nearest_points(config), *lockstep()]
+    rows = [*tags(config), *nearest_points(config), *bicycle_updates(), *closed_curve(), *lockstep()]
     if as_json:
         print(json.dumps({"rows": rows}))
         return
@@ -98,6 +107,85 @@ def nearest_points(config: Config) -> list[Row]:
         "numpy.roots, whole path": roots,
     }
     return _rows("exact nearest points of the path, 4 robots", candidates, 1e6, "us", 200)
+
+
+def bicycle_updates() -> list[Row]:
+    """One update on the lane change at 19 m/s: NR flow, our setting, and what a user would pick, call by call.
+
+    Every candidate sees the same states, those of the flow's own drive; beside its name, its own drive's peak error.
+    """
+    parameters: comparison.ComparisonParameters = parameters_of("comparison")
+    problem = parameters.lane_change(max(parameters.speeds_m_s))
+    keys: tuple[Key, ...] = ("flow", "lqr", "osqp", "fatrop", "ipopt", "do-mpc")
+    peaks: list[float] = []
+    candidates: list[Controller] = []
+    for key in keys:
+        try:
+            own = drive(problem, build(key, parameters.laws, problem, 0), Conditions(problem.model), parameters.drive_m)
+            candidates.append(build(key, parameters.laws, problem, 0))
+        except MissingLibraryError as missing:
+            print(f"{missing}: its row is left out")
+            continue
+        peaks.append(own.peak_lateral_cm)
+        if key == "flow":
+            driven = own
+    alone = _Alone(parameters, problem, driven)
+    found = comparison.in_turns([alone, *candidates], driven.t, driven.states, parameters.turn)
+    values = {alone.name: found[0].p50, "robofleet, the compiled step alone": alone.compiled_us(driven.states)}
+    values["robofleet, r(t + T) looked up"] = found[1].p50
+    values["robofleet, the same, just after the others"] = statistics.median(found[1].first.tolist())
+    for one, peak, updates in zip(candidates[1:], peaks[1:], found[2:], strict=True):
+        values[f"{one.name}, {peak:.2f} cm"] = updates.p50
+    what = f"update of the bicycle, NR flow {peaks[0]:.2f} cm, {problem.speed:g} m/s"
+    return [_row(what, who, value, "us", value / found[0].p50) for who, value in values.items()]
+
+
+class _Alone:
+    """``NewtonRaphsonFlow.update``, its references r(t + T) looked up before."""
+
+    name = "robofleet, update(x, r)"
+
+    def __init__(self, parameters: comparison.ComparisonParameters, problem: Problem, driven: Drive) -> None:
+        law = parameters.laws.flow
+        self._flow = NewtonRaphsonFlow(bicycle_plant(problem.model), law.settings(problem.step), (0.0, 0.0))
+        self._references = problem.target(driven.t + law.horizon_s)
+        self._step = problem.step
+
+    def update(self, t: float, x: NDArray[np.float64]) -> Any:
+        return self._flow.update(x, self._references[round(t / self._step)])
+
+    def compiled_us(self, states: NDArray[np.float64]) -> float:
+        """Return the median of one step inside compiled code [us]."""
+        step, times = self._flow.compiled_step, []
+
+        def steps(states: NDArray[np.float64], r: NDArray[np.float64], memory: NDArray[np.float64]) -> None:
+            for k in range(len(states)):
+                step(states[k], r[k], memory)
+
+        compiled: Callable[..., None] = numba.njit(steps)  # type: ignore[assignment]
+        compiled(states, self._references, self._flow.memory)
+        for _ in range(100):
+            started = stopwatch_ns()
+            compiled(states, self._references, self._flow.memory)
+            times.append((stopwatch_ns() - started) / len(states) / 1e3)
+        return statistics.median(times)
+
+
+def closed_curve() -> list[Row]:
+    """100 s of the closed curve at 35 km/h, plant and NR flow, as printed and ours; the ratio is to real time."""
+    parameters: track.ClosedCurveParameters = parameters_of("closed-curve")
+    reference, loop, plant = parameters.track.reference(), parameters.loop(), bicycle_plant(ZHOU_2017)
+    rows = []
+    for who, law in (("paper's setting", parameters.flow), ("our setting", parameters.recommended)):
+        settings, times = law.settings(parameters.control_step_s), []
+        for _ in range(6):  # the first compiles
+            started = stopwatch_ns()
+            simulate.drive(plant, settings, loop, reference, max(parameters.speeds_km_h) / 3.6)
+            times.append((stopwatch_ns() - started) / S)
+        seconds = statistics.median(times[1:])
+        what = f"{loop.duration:g} s of the closed curve, plant at {1e3 * loop.plant_step:g} ms"
+        rows.append(_row(what, f"robofleet, {who}", seconds, "s", loop.duration / seconds))
+    return rows
 
 
 def lockstep() -> list[Row]:

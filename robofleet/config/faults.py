@@ -1,6 +1,7 @@
 """What can be wrong with a configuration, in plain words: single keys, and keys that contradict others."""
 
 import difflib
+import ipaddress
 from collections.abc import Iterable, Iterator, Sequence
 from typing import get_args
 
@@ -59,6 +60,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_repeated("id", [robot.id for robot in config.robots]),
         *_repeated("tag", [robot.tag for robot in config.robots]),
         *_members(config),
+        *_endpoint(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
     for key, taken, calibrated in sizes:
@@ -117,3 +119,16 @@ def _members(config: Config) -> Iterator[Complaint]:
     for path, robot in named:
         if robot not in known:
             yield path, f"there is no robot '{robot}': {did_you_mean(robot, known)}"
+
+
+def _endpoint(config: Config) -> Iterator[Complaint]:
+    """An address that strangers can reach is refused to every process, also to one that is started by hand."""
+    host, _, port = config.bus.endpoint.removeprefix("tcp/").rpartition(":")
+    try:
+        loopback = host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        loopback = False
+    if not loopback:
+        yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
+    if int(port) > 65535:
+        yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"

@@ -1,4 +1,4 @@
-"""The configuration: one YAML, one frozen tree. ``configload.py`` reads it and reports what is wrong where.
+"""The configuration: one YAML, one frozen tree. ``load.py`` reads it and reports what is wrong where.
 
 Every key carries its unit. World frame: the arena's centre on the floor, x along the long side, y left, z up.
 """
@@ -47,7 +47,7 @@ class PlantErrors(Model):
     loop_period_s: Positive
     deadband_rad_s: NonNegative
     breakaway_rad_s: NonNegative
-    wheel_gain: Positive = 1.0  # mean of both wheels: travel over the believed one
+    wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # of both wheels' travel, relative
     wheel_gain_spread: Fraction
     wheel_base_spread: Fraction
     slip_s_per_rad: NonNegative
@@ -146,8 +146,8 @@ class TruthSettings(Model):
 
     position_noise_m: NonNegative = 0.0
     heading_noise_rad: NonNegative = 0.0
-    delay_s: NonNegative = 0.01
-    jitter_s: NonNegative = 0.0
+    delay_s: Annotated[float, Field(ge=0, le=0.25)] = 0.01  # the simulation remembers 0.3 s
+    jitter_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     dropout: Fraction = 0.0
 
 

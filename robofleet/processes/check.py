@@ -1,6 +1,5 @@
 """What is refused before a wheel turns: settings that are right one by one and cannot work together."""
 
-import ipaddress
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -10,11 +9,13 @@ from pathlib import Path as FilePath
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.clock import S
 from robofleet.config.faults import Complaint
 from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
+from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
 from robofleet.vehicles.interface import SimulatedDriver
 
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 _STEPS = 1000  # a side: the fastest wheel is then known to about 1e-5 of itself
 _STANDSTILL = 0.01  # of the mean |r'|: a path slower than this at a point has a cusp there
 _ROUNDING = 1e-9
+_LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
 
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
-    complaints = [*_endpoint(config), *_plugins(config, lockstep)]
+    complaints = [*_plugins(config, lockstep)]
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
@@ -139,6 +141,8 @@ def _controller(config: Config) -> Iterator[Bound]:
         mend = f"lower alpha below {2 / controller.tick_s:.3g}, or take the exact integrator"
         gain = controller.alpha * controller.tick_s
         yield Bound("controller.alpha", "Euler's gain, alpha * tick_s,", gain, 2.0, "", mend, strict=True)
+    mend = "a command is valid for 120 ms and at each tick up to 30 ms old, so the gates would close between two ticks"
+    yield Bound("controller.tick_s", "tick_s", controller.tick_s, _LONGEST_TICK_S, "s", mend)
     yield Bound(
         "controller.point_ahead_m", "point_ahead_m", controller.point_ahead_m, spacing / 2, "m",
         "the point must be much closer to its robot than the next robot is, so lower it or raise spacing_m",
@@ -160,7 +164,7 @@ def _path(config: Config) -> Iterator[Bound]:
     yield from _inside(config, lap)
     if cusp.holds:
         yield from _wheels(config, lap)
-    yield from _spacing(config, path.length())
+    yield from _spacing(config, path, lap)
 
 
 def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
@@ -189,8 +193,15 @@ def _wheels(config: Config, lap: Lap) -> Iterator[Bound]:
             yield Bound("groups.0.path_rate", what, float(values[k]), limit, unit, mend)
 
 
-def _spacing(config: Config, length: float) -> Iterator[Bound]:
-    spacing, robots = config.groups[0].spacing_m, config.platoon
+def _spacing(config: Config, path: Path, lap: Lap) -> Iterator[Bound]:
+    spacing, robots, length = config.groups[0].spacing_m, config.platoon, path.length()
+    if len(robots) > 1:
+        far = lap.position[:: _STEPS // 100]
+        reach = np.linalg.norm(far[:, None] - far[None], axis=-1).max(axis=1)
+        k = int(reach.argmin())
+        fits = _rounded_down(float(reach[k]))
+        mend = f"no point of the path is so far from parameter {k / 100:.2f}, so a spacing of {fits:g} fits"
+        yield Bound("groups.0.spacing_m", "spacing_m on this path", spacing, float(reach[k]), "m", mend, strict=True)
     mend = f"a spacing of {_rounded_down(length / len(robots)):g} fits"
     what = "the platoon with a gap behind it, spacing_m a robot,"
     yield Bound("groups.0.spacing_m", what, len(robots) * spacing, length, "m", mend, strict=True)
@@ -224,18 +235,6 @@ def _camera(config: Config) -> Iterator[Bound]:
         what, mend = "the time from mid-exposure to the tick", "half the exposure and the readout go first"
         lead = camera.trigger_lead_s
         yield Bound("camera.trigger_lead_s", what, lead, needed, "s", mend, at_least=True)
-
-
-def _endpoint(config: Config) -> Iterator[Complaint]:
-    host, _, port = config.bus.endpoint.removeprefix("tcp/").rpartition(":")
-    try:
-        loopback = host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
-        yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
-    if int(port) > 65535:
-        yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
 
 
 def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:

@@ -9,11 +9,12 @@ from collections.abc import Callable
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.tree import Config
-from robofleet.processes.node import Lifeline, Node, Waker, realtime_priority, run
+from robofleet.processes.node import Lifeline, Node, Waker, ahead_of_others, realtime_priority, run
 from robofleet.processes.slices import entropy
 
 _CONTROLLER_PRIORITY = 20
 _DRIVER_PRIORITY = 15
+_SUPERVISOR_PRIORITY = 12
 _TRACKER_PRIORITY = 10
 
 Make = Callable[[Config, ZenohBus, Clock, Waker], Node]
@@ -21,6 +22,7 @@ Make = Callable[[Config, ZenohBus, Clock, Waker], Node]
 
 def router(config: Config, lifeline: Lifeline) -> None:
     """Zenoh's router, until the lifeline is cut."""
+    ahead_of_others()
     session = open_router(config.bus.endpoint)
     try:
         lifeline.ready()
@@ -70,18 +72,16 @@ def supervisor(config: Config, lifeline: Lifeline) -> None:
     """The supervisor."""
     from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
 
-    _run("supervisor", config, lifeline, lambda c, bus, clock, _: Supervisor(c, bus, clock), None)
+    _run("supervisor", config, lifeline, lambda c, bus, clock, _: Supervisor(c, bus, clock), _SUPERVISOR_PRIORITY)
 
 
-def _run(
-    name: str, config: Config, lifeline: Lifeline, make: Make, priority: int | None, *, precise: bool = False
-) -> None:
+def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:
     clock, waker = WallClock(), Waker()
+    ahead_of_others()
     bus = ZenohBus(config.arena.name, config.bus.endpoint, name, clock)
     try:
         node = make(config, bus, clock, waker)
-        if priority is not None:
-            realtime_priority(priority)
+        realtime_priority(priority)
         run(node, clock, lifeline, waker, precise=precise)
     finally:
         bus.close()

@@ -27,6 +27,7 @@ from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilt
 
 _EPOCH = 1
 _UNSEEN = [math.nan] * 3
+_PHASES = tuple(Phase)
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
@@ -71,8 +72,8 @@ class Controller:
         index = self._grid.index_at(now_ns)
         if index > self._index:
             self._timing.overruns += index - self._index - 1
+            self._timing.lateness_ns = now_ns - self._grid.instant(self._index + 1)  # of the first tick that was due
             self._index = index
-            self._timing.lateness_ns = now_ns - self._grid.instant(index)
             self._tick(self._grid.instant(index))
             self._timing.compute_ns = self._clock.now_ns() - now_ns
         return self._grid.instant(self._index + 1)
@@ -96,7 +97,7 @@ class Controller:
 
     def _read_state(self) -> None:
         state = self._state.take()
-        if state is not None and state.phase != self._phase:
+        if state is not None and state.phase != self._phase and state.phase in _PHASES:
             self._phase = Phase(state.phase)
             if self._phase is Phase.RUNNING:
                 self._start_index = self._index
@@ -110,13 +111,16 @@ class Controller:
         n = len(self._rows)
         if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
             return [False] * n
+        exposure_ns = self._exposure(message)
+        if exposure_ns > self._grid.instant(self._index + 1):  # impossible, and the filter would be blind until then
+            return [False] * n
         poses = [_UNSEEN] * n
         for tag, *pose in message.poses:
             row = self._rows.get(tag)
             if row is not None:
                 poses[row] = pose
         measured = np.array(poses)
-        used = self._filter.observe(self._exposure(message), measured).tolist()
+        used = self._filter.observe(exposure_ns, measured).tolist()
         for row, how in enumerate(used):
             if how == CARRIED:
                 self._platoon.carried(row)

@@ -90,6 +90,8 @@ class GatedRobot:
     def publish(self, now_ns: int, *, status: bool) -> None:
         """Publish the robot's status, and the truth of a simulated one."""
         self._seq += 1
+        if self._status is not GateStatus.OPEN:
+            self._driver.write(STOP)  # again and again: on its way to a real robot one may get lost
         if self._publish_truth is not None:
             self._publish_truth(TRUTH_LAYOUT.encode(Truth(_EPOCH, self._seq, now_ns, *self._truth())))
         if status:
@@ -126,7 +128,17 @@ class DriverProcess:
         wake: Wake,
         rng: np.random.Generator,
     ) -> None:
+        self._clock = clock
         self._robots: list[GatedRobot] = []
+        try:
+            self._open(config, robot_ids, bus, wake, rng)
+        except BaseException:
+            self.close()
+            raise
+        self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
+        self._loops = 0
+
+    def _open(self, config: Config, robot_ids: tuple[str, ...], bus: Bus, wake: Wake, rng: np.random.Generator) -> None:
         for robot_id in robot_ids:
             robot = config.robot(robot_id)
             context = DriverContext(
@@ -138,13 +150,11 @@ class DriverProcess:
                     slices.stalls(config, robot_id),
                     slices.generator(config.run.seed, "plant", robot_id),
                 ),
-                clock.now_ns,
+                self._clock.now_ns,
             )
             driver: Driver = load("robofleet.drivers", robot.driver)(context)
             boot_id = int(rng.integers(1, 2**63))
             self._robots.append(GatedRobot(robot_id, context, driver, boot_id, bus, wake))
-        self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
-        self._loops = 0
 
     def step(self, now_ns: int) -> int:
         """Pass on what arrived; every 10 ms read and publish."""
@@ -154,6 +164,7 @@ class DriverProcess:
             self._loops += 1
         next_ns = self._loop_ns
         for robot in self._robots:
+            now_ns = self._clock.now_ns()  # the robot before may have kept us: no gate decides by an old instant
             deadline_ns = robot.pass_on(now_ns)
             if deadline_ns is not None and deadline_ns < next_ns:
                 next_ns = deadline_ns

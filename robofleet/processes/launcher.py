@@ -123,7 +123,7 @@ class Fleet:
 
 
 class _Interrupts:
-    """Ctrl-C, SIGTERM and a closed terminal, counted."""
+    """Ctrl-C, SIGTERM, a closed terminal and Ctrl-Z (a stopped launcher would leave the robots driving), counted."""
 
     count = 0
 
@@ -134,7 +134,7 @@ class _Interrupts:
 @contextmanager
 def _interrupts() -> Iterator[_Interrupts]:
     interrupts = _Interrupts()
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
     before = {number: signal.signal(number, interrupts) for number in signals}
     try:
         yield interrupts
@@ -259,13 +259,3 @@ class Launcher:
             status is not None and max(abs(status.left_rad_s), abs(status.right_rad_s)) < _AT_REST_RAD_S
             for status in statuses
         )
-
-
-def bind_endpoint(endpoint: str) -> str:
-    """Return the endpoint with its port settled: 0 becomes a free one. OSError if the port is in use."""
-    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((host.strip("[]"), int(port)))
-        return f"tcp/{host}:{probe.getsockname()[1]}"

@@ -95,10 +95,13 @@ class Lockstep:
             outcome = self._lap(watch)
             self.bus.ask("supervisor", "stop")
             self._run_until(lambda: False, _REST_NS)
+        except KeyboardInterrupt:
+            outcome = "stopped", "the operator interrupted"
         finally:
             for slot in self._slots:
                 slot.node.close()
             gc.enable()
+            gc.unfreeze()
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
         self.recording.tick_durations_ns = self._controller.durations_ns
         self.recording.tracker_durations_ns = self._tracker.durations_ns

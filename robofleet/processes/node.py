@@ -10,6 +10,7 @@ from typing import Protocol
 
 from robofleet.clock import MS, Clock, S
 
+_NICE = -10
 _EXIT_WITHIN_S = 0.8  # of the parent's pipe closing; then the process is ended as it is
 
 
@@ -50,18 +51,21 @@ class Lifeline:
     def __init__(self, descriptor: int | None) -> None:
         self.cut = False
         self._socket = None if descriptor is None else socket.socket(fileno=descriptor)
-        signal.signal(signal.SIGTERM, self._cut_by_signal)
-        if self._socket is None:
-            signal.signal(signal.SIGINT, self._cut_by_signal)
+        if self._socket is None:  # until it is ready: Python's handlers do not run while Zenoh waits for its router
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
         else:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is the launcher's to answer
             threading.Thread(target=self._watch, daemon=True).start()
 
     def ready(self, message: str = "ready") -> None:
-        """Tell the parent that this process does its work from now on."""
+        """Tell the parent that this process does its work from now on; from now on a signal ends it well."""
+        signal.signal(signal.SIGTERM, self._cut_by_signal)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup's wish
+            signal.signal(signal.SIGHUP, self._cut_by_signal)  # a lost terminal must not leave wheels turning
         if self._socket is not None:
             self._socket.sendall(message.encode() + b"\n")
         else:
+            signal.signal(signal.SIGINT, self._cut_by_signal)
             print(message, file=sys.stderr)
 
     def _cut_by_signal(self, _number: int, _frame: object) -> None:
@@ -94,6 +98,14 @@ def run(node: Node, clock: Clock, lifeline: Lifeline, waker: Waker, *, precise: 
                 waker.wait_until(clock, next_ns)
     finally:
         node.close()
+
+
+def ahead_of_others() -> None:
+    """Let this process, with Zenoh's threads that it starts later, go before what else the machine has to do."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+    except PermissionError as error:
+        print(f"no higher priority ({error}): messages may be late when the machine is busy", file=sys.stderr)
 
 
 def realtime_priority(level: int) -> None:

@@ -35,7 +35,7 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
         slip_noise=p.slip_noise,
         top_speed_sag=p.top_speed_sag,
         battery_life=p.battery_life_s,
-        wheel_gain=p.wheel_gain,
+        wheel_gain_error=p.wheel_gain_error,
     )
 
 

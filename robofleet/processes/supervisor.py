@@ -67,7 +67,7 @@ class Supervisor:
                 self._heard_ns[row] = now_ns
         if (record := self._ticks.take()) is not None:
             self._tick, self._tick_ns = record, now_ns
-            for row, robot in enumerate(record.robots):
+            for row, robot in enumerate(record.robots[: len(self._seen_ns)]):
                 if not robot.lost:
                     self._seen_ns[row] = now_ns
 

@@ -86,7 +86,8 @@ class Tracker:
         self._refused += observation.refused
         tick, since_ns = self._ticks.newest, 0
         if tick and self._lead_ns is not None:
-            tick = self._ticks.nearest(observation.exposure_ns + self._lead_ns) - 1
+            # 0: not known, when the first records came late.
+            tick = max(0, self._ticks.nearest(observation.exposure_ns + self._lead_ns) - 1)
             since_ns = self._tick_ns - self._lead_ns  # the trigger leaves no other choice
         elif tick:
             since_ns = observation.exposure_ns - self._ticks.instant(tick)

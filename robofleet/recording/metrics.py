@@ -215,7 +215,7 @@ def _pose_error(run: Run) -> Figures | None:
 
 def _tracker(run: Run, recording: Recording) -> Figures:
     frames, n = run.frames, len(run.config.platoon)
-    tags = {robot.tag for robot in run.config.platoon}
+    tags, fleet = ({robot.tag for robot in robots} for robots in (run.config.platoon, run.config.robots))
     seen = sum(pose.tag in tags for frame in frames for pose in frame.poses)
     if recording.tracker_durations_ns is not None:
         durations = sorted(recording.tracker_durations_ns)[-len(frames) :]  # the other steps had no image
@@ -224,7 +224,7 @@ def _tracker(run: Run, recording: Recording) -> Figures:
     return {
         "frames": len(frames),
         "measured_fraction": _rounded(seen / (len(frames) * n)) if frames else None,
-        "false_ids": sum(pose.tag not in tags for frame in frames for pose in frame.poses) if frames else None,
+        "false_ids": sum(pose.tag not in fleet for frame in frames for pose in frame.poses) if frames else None,
         "refused": frames[-1].refused if frames else None,
         "frame_ms": _percentiles(np.array(durations) / 1e6, (50, 99)),
     }
@@ -270,7 +270,7 @@ def _latency(run: Run) -> Figures | None:
 
 
 def _stops(run: Run) -> list[Figures]:
-    """Times at which a gate closed while the run was on."""
+    """Times at which a robot was stopped while the run was on: its gate closed, or it was lost and stood still."""
     stops: list[Figures] = []
     if not len(run.ticks):
         return stops
@@ -282,6 +282,9 @@ def _stops(run: Run) -> list[Figures]:
                 t_s = _rounded((int(row["stamp_ns"]) - int(start)) / 1e9)
                 cause = GateStatus(row["gate"]).name.lower().replace("_", " ")
                 stops.append({"t_s": t_s, "robot": robot.id, "cause": cause})
+    for robot, lost in zip(run.config.platoon, run.items["lost"].T, strict=True):
+        for k in np.flatnonzero(np.diff(lost, prepend=0.0) > 0):
+            stops.append({"t_s": _rounded(run.t[k]), "robot": robot.id, "cause": "not seen by the tracker"})
     return sorted(stops, key=lambda stop: stop["t_s"])
 
 

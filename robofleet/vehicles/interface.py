@@ -58,7 +58,7 @@ class Imperfections:
     slip_noise: float  # standard deviation of the slip, relative to it
     top_speed_sag: float  # fraction of the top speed lost when the battery is empty
     battery_life: float  # [s]
-    wheel_gain: float = 1.0  # mean of both wheels' travel over the believed one
+    wheel_gain_error: float = 0.0  # of both wheels' travel, relative
 
 
 class Stall(NamedTuple):

@@ -71,8 +71,8 @@ class Plant:
         left, right, base = rng.uniform(-1.0, 1.0, 3).tolist()
         self._drive, self._p, self._rng = drive, p, rng
         self._base = drive.wheel_base * (1.0 + p.wheel_base_spread * base)
-        self._left = _Wheel(p, p.wheel_gain + p.wheel_gain_spread * left)
-        self._right = _Wheel(p, p.wheel_gain + p.wheel_gain_spread * right)
+        self._left = _Wheel(p, 1.0 + p.wheel_gain_error + p.wheel_gain_spread * left)
+        self._right = _Wheel(p, 1.0 + p.wheel_gain_error + p.wheel_gain_spread * right)
         self._pose = pose
         self._body = (0.0, 0.0)
         self._used = 0.0  # battery time [s]

@@ -7,9 +7,9 @@ from typing import NamedTuple, TypeVar
 import pytest
 
 from robofleet.clock import MS, S, WallClock
+from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import COMMAND, STATE, STATUS, TICK, everything
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
-from robofleet.processes.launcher import bind_endpoint
 
 CLOCK = WallClock()
 

@@ -106,10 +106,6 @@ REFUSED = [
     (["camera.trigger_lead_s=0.0059"], "camera.trigger_lead_s", "must be at least 0.006 s"),
     (["camera.exposure_s=0.03"], "camera.exposure_s", "is 0.034 s, must be at most 0.033 s"),
     (["camera.trigger=free", "camera.rate_hz=200"], "camera.exposure_s", "must be at most 0.005 s"),
-    (["bus.endpoint=tcp/192.168.1.2:7447"], "bus.endpoint", "not encrypted"),
-    (["bus.endpoint=tcp/0.0.0.0:7447"], "bus.endpoint", "not encrypted"),
-    (["bus.endpoint=tcp/lab.example:7447"], "bus.endpoint", "not encrypted"),
-    (["bus.endpoint=tcp/127.0.0.1:65536"], "bus.endpoint", "there is no port 65536"),
 ]  # fmt: skip
 
 
@@ -124,14 +120,11 @@ def test_what_cannot_work_is_refused(overrides: list[str], path: str, message: s
         [*EULER, "controller.alpha=60"],
         ["controller.alpha=90"],
         ["controller.point_ahead_m=0.125"],
-        ["groups.0.spacing_m=1.86"],
+        ["groups.0.spacing_m=1.84"],
         ["camera.trigger_lead_s=0.006"],
         ["camera.trigger_lead_s=0.001", "camera.trigger=free"],
         ["camera.trigger_lead_s=0.001", "tracker.source=truth"],
         ["groups.0.track=centre"],
-        ["bus.endpoint=tcp/localhost:7447"],
-        ["bus.endpoint=tcp/[::1]:7447"],
-        ["bus.endpoint=tcp/127.0.0.2:65535"],
     ],
     ids=str,
 )

@@ -52,8 +52,11 @@ class RealRun:
         return dict(printed)
 
     def wait_until_running(self) -> None:
-        started = wait(lambda: "\nrunning" in self.said or self.launcher.poll() is not None, 60)
-        assert started, self.said
+        self.wait_for(lambda: "\nrunning" in self.said)
+
+    def wait_for(self, condition: Callable[[], Any]) -> None:
+        """Wait for something to happen in a run that has not ended."""
+        assert wait(lambda: condition() or self.launcher.poll() is not None, 60), self.said
         assert self.launcher.poll() is None, self.said
 
     def ended(self, within_s: float) -> int:
@@ -166,12 +169,13 @@ def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
 
 def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
     run = real_run("--set", "tracker.source=truth")
-    assert wait(lambda: len(run.children()) > 1, 60), run.said
+    run.wait_for(run.children)
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
     assert run.ended(5) == 1
     assert (run.summary["outcome"], run.summary["ticks"]) == ("stopped", 0)
     assert "running" not in run.said
+    assert len(list((run.folder / "log").iterdir())) < 8, "nobody else is started then"
 
 
 def test_a_driver_process_loads_neither_numba_nor_opencv() -> None:

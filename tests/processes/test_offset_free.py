@@ -9,7 +9,7 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
-WORN = ("wheel_gain=0.9", "deadband_rad_s=1.0", "breakaway_rad_s=1.2", "top_speed_sag=0.3")
+WORN = ("wheel_gain_error=-0.1", "deadband_rad_s=1.0", "breakaway_rad_s=1.2", "top_speed_sag=0.3")
 
 
 def leader_timed_error_mm(disturbance: str) -> float:

@@ -106,6 +106,18 @@ def test_robots_are_where_they_were_at_mid_exposure(stand_of: Make, source: str,
             assert pose.psi_rad == pytest.approx(psi, abs=0.02)
 
 
+@pytest.mark.parametrize("late_ms", [20, 40, 60, 500])
+def test_a_tick_that_came_late_is_not_mistaken_for_one_before_the_first(stand_of: Make, late_ms: int) -> None:
+    stand = stand_of("tracker.source=truth")
+    stand.bench.wait(late_ms * MS)
+    stamp_ns = stand.bench.now_ns - late_ms * MS
+    stand.bench.say(TICK, TickRecord(1, 1, -1, stamp_ns, 0, 0, 0, 0, 0, 0, ()))
+    stand.bench.run(stand.node, S // 10)
+    (frame,) = stand.bench.heard(POSES, CAMERA)
+    assert frame.exposure_ns == stamp_ns + TICK_NS - LEAD_NS
+    assert frame.echo_tick in (0, 1), "0: not known, which is not used"
+
+
 def test_sequence_numbers_are_without_a_gap(stand_of: Make) -> None:
     frames = stand_of("tracker.source=truth").run(S)
     assert [frame.seq for frame in frames] == list(range(1, len(frames) + 1))

@@ -124,12 +124,12 @@ def test_the_truth_is_taken_at_the_ticks_instant(story: Make, figures: Make) -> 
 def test_exposure_to_wheel_is_of_every_command_that_reached_one(story: Make, figures: Make, add_status: Make) -> None:
     told = story()
     recording = told.recording()
-    taken_ms = {"r1": (19, 21, 23), "r2": (25,)}
+    taken_ms = {"r1": (19, 21, 29), "r2": (25,)}
     for robot, each in taken_ms.items():
         add_status(recording, robot, told.stamp(-3), applied=(told.stamp(-4) - 900 * MS, told.stamp(-4)))
         for k, ms in enumerate(each):
             at = told.stamp(10 + k) + MS
-            for _ in range(3):  # every status says it again
+            for _ in range(1 + 3 * k):  # every status says it again
                 add_status(recording, robot, at + 5 * MS, applied=(at - ms * MS, at))
     add_status(recording, "r3", told.stamp(20), applied=(0, told.stamp(20)))  # moved by no image
     latency = figures(recording)["latency_ms"]

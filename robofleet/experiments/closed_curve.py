@@ -1,0 +1,158 @@
+"""Table 1 and Figs 3-7 (III-A): the dynamic bicycle on a closed curve at 15, 25 and 35 km/h.
+
+The paper's curve is not published; ours is a rounded rectangle (``configs/paper/closed-curve.yaml``).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from robofleet.config.faults import Complaint
+from robofleet.config.tree import Model, Positive
+from robofleet.control.bicycle import bicycle_plant
+from robofleet.experiments.curves import Reference
+from robofleet.experiments.driving import (
+    OTHER_MODELS,
+    DriveParameters,
+    FlowParameters,
+    Peaks,
+    Speeds,
+    peaks,
+    road,
+    speed_table,
+    topics,
+)
+from robofleet.experiments.results import Cell, Figure, Result, Table
+from robofleet.experiments.simulate import Drive, drive
+from robofleet.vehicles.bicycle import ZHOU_2017
+
+# Table 1, by speed [km/h]: peak lateral error [cm] and heading error [deg], the paper's and its source's
+TABLE_1 = {15.0: (2.0, 36.0, 3.0, 3.3), 25.0: (5.0, 23.0, 2.8, 2.8), 35.0: (8.0, 17.0, 2.2, 2.6)}
+_NOT_GIVEN = (None, None, None, None)
+_START_UP_M = 40.0  # what is drawn of the transient
+
+
+class Track(Model):
+    """A rounded rectangle."""
+
+    straights_m: Annotated[tuple[Positive, Positive], Field(strict=False)]  # along x, along y
+    corner_radius_m: Positive
+    curvature_ramp_m: Positive  # length over which the curvature grows to 1/radius, and over which it falls
+
+    def reference(self) -> Reference:
+        """Return the track by arc length."""
+        return Reference.rounded_rectangle(self.straights_m, self.corner_radius_m, self.curvature_ramp_m)
+
+
+class ClosedCurveParameters(DriveParameters):
+    """``configs/paper/closed-curve.yaml``."""
+
+    speeds_km_h: Speeds
+    flow: FlowParameters
+    track: Track
+
+    def complaints(self) -> Iterator[Complaint]:
+        """Also: corners with no arc between their ramps."""
+        yield from super().complaints()
+        longest = self.track.corner_radius_m * np.pi / 2.0
+        if self.track.curvature_ramp_m > longest:
+            yield "track.curvature_ramp_m", f"must be at most {longest:.1f}: a corner turns 90 degrees"
+
+
+def run(parameters: ClosedCurveParameters) -> Result:
+    """Drive the track at each speed: the paper's law, its start-up transient, this project's setting."""
+    track, speeds = parameters.track.reference(), parameters.speeds_km_h
+    paper = [_drive(parameters, track, speed) for speed in speeds]
+    early = [_drive(parameters, track, speed, lead=parameters.reference_lead_s) for speed in speeds]
+    ours = [_drive(parameters, track, speed, ours=True) for speed in speeds]
+    lateral, heading = _tables(parameters, [peaks(found) for found in paper], [peaks(found) for found in ours])
+    transient = _transient(parameters, paper, early, ours)
+    return Result((lateral, heading, transient), _figures(parameters, track, paper, early), {"lap_m": track.length})
+
+
+def _drive(
+    parameters: ClosedCurveParameters, track: Reference, speed_km_h: float, *, lead: float = 0.0, ours: bool = False
+) -> Drive:
+    flow, step = parameters.recommended if ours else parameters.flow, parameters.control_step_s
+    settings = flow.settings(step, parameters.computing_delay_s if ours else 0.0)
+    return drive(bicycle_plant(ZHOU_2017), settings, parameters.loop(lead=lead), track, speed_km_h / 3.6)
+
+
+def _names(parameters: ClosedCurveParameters) -> list[str]:
+    return [f"{speed:g} km/h" for speed in parameters.speeds_km_h]
+
+
+def _tables(parameters: ClosedCurveParameters, found: list[Peaks], best: list[Peaks]) -> tuple[Table, Table]:
+    """Return Table 1, lateral and heading errors."""
+    printed = [TABLE_1.get(speed, _NOT_GIVEN) for speed in parameters.speeds_km_h]
+    lateral: dict[str, Sequence[Cell]] = {
+        "here": [p.lateral_cm for p in found],
+        "paper": [row[0] for row in printed],
+        "Zhou 17": [row[1] for row in printed],
+        "own setting": [p.lateral_cm for p in best],
+    }
+    heading: dict[str, Sequence[Cell]] = {
+        "here": [p.heading_deg for p in found],
+        "paper": [row[2] for row in printed],
+        "Zhou 17": [row[3] for row in printed],
+        "own setting": [p.heading_deg for p in best],
+    }
+    names = _names(parameters)
+    return (
+        speed_table("Table 1, closed curve: peak lateral error, cm", names, lateral, ".1f"),
+        replace(
+            speed_table("Table 1, closed curve: peak heading error, deg", names, heading, ".1f"),
+            notes=_notes(parameters),
+        ),
+    )
+
+
+def _notes(parameters: ClosedCurveParameters) -> tuple[str, ...]:
+    track = parameters.track
+    return (
+        f"here: {parameters.flow}; own setting: {parameters.recommended}, computing delay rolled forward",
+        f"track: ours, the paper's is not published: a rounded rectangle, counterclockwise, straights "
+        f"{track.straights_m[0]:g} m and {track.straights_m[1]:g} m, corners of radius {track.corner_radius_m:g} m, "
+        f"curvature ramps of {track.curvature_ramp_m:g} m; start in the middle of a long straight at the speed",
+        *parameters.statement(),
+        f"Zhou 17: {OTHER_MODELS}",
+    )
+
+
+def _transient(parameters: ClosedCurveParameters, paper: list[Drive], early: list[Drive], ours: list[Drive]) -> Table:
+    after = [peaks(found, parameters.settle_s) for found in paper]
+    during, best = [peaks(found) for found in early], [peaks(found) for found in ours]
+    rows: tuple[tuple[Cell, ...], ...] = (
+        ("control error, later, cm", *(p.control_error_cm for p in after), "about 2"),
+        ("control error, start, cm", *(p.control_error_cm for p in during), "about 12.5"),
+        ("control error, own setting, cm", *(p.control_error_cm for p in best), None),
+        ("acceleration, later, m/s²", *(p.acceleration for p in after), "under 0.1"),
+        ("acceleration, start, m/s²", *(p.acceleration for p in during), "under 0.8"),
+        ("acceleration, own setting, m/s²", *(p.acceleration for p in best), None),
+    )
+    columns = ("peak", *_names(parameters), "paper")
+    formats = ("", *(".2f" for _ in parameters.speeds_km_h), "")
+    return Table(
+        "Closed curve: control error, acceleration and the start-up transient",
+        columns,
+        rows,
+        parameters.transient_notes(),
+        formats,
+    )
+
+
+def _figures(
+    parameters: ClosedCurveParameters, track: Reference, paper: list[Drive], early: list[Drive]
+) -> tuple[Figure, ...]:
+    names = _names(parameters)
+    lap = [found.along[found.along <= track.length] for found in paper]
+    begin = [found.along[found.along <= _START_UP_M] for found in early]
+    as_printed = ("the first lap", list(zip(names, lap, paper, strict=True)))
+    lead = f"its start, with r(t + T) {1e3 * parameters.reference_lead_s:g} ms too far ahead"
+    both = [as_printed, (lead, list(zip(names, begin, early, strict=True)))]
+    x_label, what = "distance along the track, m", "Closed curve"
+    curve = Figure("curve", "Closed curve", (road(track, list(zip(names, paper, strict=True))),))
+    return (curve, *topics(both, x_label, what)[:2], *topics([as_printed], x_label, what)[2:])

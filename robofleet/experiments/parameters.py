@@ -1,0 +1,92 @@
+"""Reads an experiment's parameters (``configs/paper/<name>.yaml``) into a frozen tree; says what is wrong where."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from robofleet.config.faults import Complaint, did_you_mean, plain_words
+from robofleet.config.load import ConfigError
+from robofleet.config.tree import Model
+from robofleet.config.yamlfile import Fault, Node, Place, Source, read_yaml
+
+Loc = tuple[str | int, ...]
+M = TypeVar("M", bound="Parameters")
+
+SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "paper"
+
+
+class Parameters(Model):
+    """An experiment's parameters, one class an experiment."""
+
+    def complaints(self) -> Iterator[Complaint]:
+        """Yield (dotted path, message) for keys that are right by themselves and contradict others."""
+        return iter(())
+
+
+def load_parameters(kind: type[M], file: Path) -> M:
+    """Read and validate a file of parameters.
+
+    Raises:
+        ConfigError: with everything that is wrong, one line ``file:line:column: path: message`` each.
+    """
+    try:
+        root, faults = read_yaml(file, Source(str(file)))
+    except FileNotFoundError:
+        root, faults = None, [Fault(Place(Source(str(file)), 1, 1, ""), "there is no such file")]
+    if root is None:
+        raise ConfigError(str(fault) for fault in faults)
+    try:
+        parameters = kind.model_validate(root.plain())
+    except ValidationError as invalid:
+        errors = invalid.errors(include_url=False)
+        faults += [fault for error in errors if (fault := _fault(root, kind, error)) is not None]
+    else:
+        faults += [_at(root, _loc(path), message) for path, message in parameters.complaints()]
+        if not faults:
+            return parameters
+    faults.sort(key=lambda fault: (fault.place.line, fault.place.column))
+    raise ConfigError(dict.fromkeys(str(fault) for fault in faults))
+
+
+def _loc(path: str) -> Loc:
+    return tuple(int(part) if part.isdigit() else part for part in path.split("."))
+
+
+def _fault(root: Node, kind: type[Model], error: ErrorDetails) -> Fault | None:
+    """Return one of pydantic's errors at its place; None where YAML was refused already."""
+    loc: Loc = error["loc"]
+    if error["type"] == "extra_forbidden":
+        hint = did_you_mean(str(loc[-1]), _keys(kind, loc[:-1]))
+        return _at(root, loc, f"unknown key: {hint}", at_key=True)
+    node: Node | None = root
+    for part in loc:
+        node = node.child(part) if node is not None else None
+        if node is not None and node.bad:
+            return None
+    return _at(root, loc, plain_words(error))
+
+
+def _keys(kind: type[Model], loc: Loc) -> list[str]:
+    """Return the keys that the mapping at ``loc`` may have."""
+    model: Any = kind
+    for part in loc:
+        if isinstance(part, str):
+            model = model.model_fields[part].annotation
+        while not hasattr(model, "model_fields"):
+            model = get_args(model)[0]
+    return list(model.model_fields)
+
+
+def _at(root: Node, loc: Loc, message: str, *, at_key: bool = False) -> Fault:
+    """Return a fault at the value that ``loc`` leads to, or at the nearest one above it."""
+    node, depth = root, 0
+    for part in loc:
+        if (child := node.child(part)) is None:
+            break
+        node, depth = child, depth + 1
+    place = node.key if at_key else node.place
+    return Fault(replace(place, path=".".join(filter(None, (place.path, *map(str, loc[depth:]))))), message)

@@ -1,0 +1,120 @@
+"""The laboratory run (IV-C) in simulation, and how errors travel along longer platoons.
+
+The platoons run the whole stack in lockstep, with poses in the pixels' place: the tracker's noise goes through the
+filter, the law and the robots.
+"""
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config, NonNegative, Positive
+from robofleet.control.path import Path
+from robofleet.experiments.parameters import SHIPPED, Parameters
+from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains
+from robofleet.experiments.platoon_views import (
+    Drive,
+    gain_table,
+    laboratory_figures,
+    laboratory_table,
+    travel_figure,
+    travel_table,
+)
+from robofleet.experiments.results import Result
+from robofleet.processes import slices
+from robofleet.processes.lockstep import Lockstep
+from robofleet.recording.metrics import Run
+
+
+class PlatoonParameters(Parameters):
+    """``configs/paper/platoon.yaml``."""
+
+    config: str
+    sizes: Annotated[tuple[Annotated[int, Field(ge=2, le=64)], ...], Field(min_length=1, strict=False)]
+    room: Annotated[float, Field(gt=1.0)]
+    duration_s: Positive
+    settle_s: NonNegative
+    position_noise_m: NonNegative
+    heading_noise_rad: NonNegative
+    seed: Annotated[int, Field(ge=0)]
+    gain: GainParameters
+
+
+def run(parameters: PlatoonParameters) -> Result:
+    """Drive all platoons, measure the gains, and put both into tables and figures."""
+    base = load_config(SHIPPED.parent / f"{parameters.config}.yaml", [f"run.seed={parameters.seed}"])
+    drives = {(n, i): drive(parameters, base, n, i) for n in parameters.sizes for i in INTEGRATORS}
+    gains = {integrator: robot_gains(parameters.gain, base, integrator) for integrator in INTEGRATORS}
+    frequencies = np.array(parameters.gain.periods) / parameters.gain.period_s
+    means = {key: found.mean_errors(parameters.settle_s) * 1e3 for key, found in drives.items()}
+    return Result(
+        (
+            laboratory_table(drives, base),
+            travel_table(means, parameters.position_noise_m),
+            gain_table(gains, frequencies),
+        ),
+        (*laboratory_figures(drives, base), travel_figure(means, gains, frequencies)),
+        {
+            "control_error_mm": {f"{integrator} {n}": mean.tolist() for (n, integrator), mean in means.items()},
+            "gain": {i: {f"{f:g} Hz": g for f, g in zip(frequencies, gains[i], strict=True)} for i in INTEGRATORS},
+        },
+    )
+
+
+def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Drive:
+    """Run a platoon of any length in lockstep."""
+    config = scaled(parameters, base, robots, integrator)
+    lockstep = Lockstep(config)
+    outcome, cause = lockstep.run()
+    if outcome != "completed":
+        raise RuntimeError(f"the platoon of {robots} ended: {cause}")
+    found = Run(lockstep.recording)
+    points = found.points()
+    assert points is not None
+    return Drive(found.t, found.items["control_error_m"], points, found.path)
+
+
+def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Config:
+    """Return the configuration of a longer platoon: path and arena scaled, speed and law the same."""
+    group = base.groups[0]
+    length = Path.hermite(*slices.knots(group)).length()
+    scale = max(1.0, parameters.room * robots * group.spacing_m / length)
+    tree = base.model_dump(mode="json")
+    for knot in tree["groups"][0]["path"]["knots"]:
+        knot["at_m"] = [scale * value for value in knot["at_m"]]
+        knot["derivative_m"] = [scale * value for value in knot["derivative_m"]]
+    ids = [f"r{k + 1}" for k in range(robots)]
+    tree["groups"][0] |= {"robots": ids, "path_rate": group.path_rate / scale}
+    tree["arena"]["size_m"] = [scale * side for side in base.arena.size_m]
+    template = tree["robots"][0]
+    if robots != len(base.platoon):  # the configuration has a start for its own number of robots
+        starts = _starts(tree["groups"][0]["path"]["knots"], base, robots)
+        tree["robots"] = [
+            template | {"id": name, "tag": tag, "start": start}
+            for tag, (name, start) in enumerate(zip(ids, starts, strict=True))
+        ]
+    tree["controller"]["integrator"] = integrator
+    tree["tracker"] |= {"source": "truth"}
+    tree["tracker"]["truth"] |= {
+        "position_noise_m": parameters.position_noise_m,
+        "heading_noise_rad": parameters.heading_noise_rad,
+    }
+    tree["run"]["duration_s"] = parameters.duration_s
+    return Config.model_validate(tree)
+
+
+def _starts(knots: list[dict[str, list[float]]], base: Config, robots: int) -> list[dict[str, float]]:
+    """Start poses along the path, the points p at their spacing."""
+    path = Path.hermite(np.array([k["at_m"] for k in knots]), np.array([k["derivative_m"] for k in knots]))
+    sigma = [0.0]
+    for _ in range(robots - 1):
+        sigma.append(float(path.back(np.array([sigma[-1]]), base.groups[0].spacing_m)[0]))
+    tangent = path.tangent(np.array(sigma))
+    centre = path.position(np.array(sigma)) - base.controller.point_ahead_m * tangent
+    heading = np.degrees(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    return [
+        {"x_m": x, "y_m": y, "heading_deg": angle}
+        for (x, y), angle in zip(centre.tolist(), heading.tolist(), strict=True)
+    ]

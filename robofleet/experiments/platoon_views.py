@@ -1,0 +1,133 @@
+"""Tables and figures of the platoon experiment."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.config.tree import Config
+from robofleet.control.path import Path
+from robofleet.experiments.platoon_gain import INTEGRATORS, Integrator
+from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
+from robofleet.recording.report import PAPER_CONTROL_ERROR_MM
+
+Array = NDArray[np.float64]
+Key = tuple[int, Integrator]  # robots, integrator
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One platoon's run: ticks (K,), robots (N,)."""
+
+    t: Array  # [s]
+    control_error: Array  # (K, N) [m]
+    points: Array  # true p (K, N, 2) [m]
+    path: Path
+
+    def mean_errors(self, settle_s: float) -> Array:
+        """Mean control error of each robot (N,) [m]."""
+        return np.asarray(self.control_error[self.t >= settle_s].mean(axis=0))
+
+    def spacing(self) -> Array:
+        """Distances between successive points (K, N - 1) [m]."""
+        return np.asarray(np.linalg.norm(np.diff(self.points, axis=1), axis=-1))
+
+
+def laboratory_table(drives: dict[Key, "Drive"], base: Config) -> Table:
+    """Row 8: the paper's four robots, beside the paper."""
+    rows: list[tuple[Cell, ...]] = [("mean control error, the paper's robots [mm]", PAPER_CONTROL_ERROR_MM, None, None)]
+    n = len(base.platoon)
+    for integrator in INTEGRATORS:
+        if (n, integrator) not in drives:
+            continue
+        found = drives[n, integrator]
+        settled = found.t >= base.run.spacing_settle_s
+        deviation = np.abs(found.spacing()[settled] - base.groups[0].spacing_m).max()
+        errors = found.mean_errors(base.run.settle_s) * 1e3
+        rows.append((f"simulation, {integrator}", float(errors.mean()), float(errors.max()), float(deviation) * 1e3))
+    return Table(
+        "Laboratory run: four robots",
+        ("", "control error mm", "worst robot mm", "spacing deviation mm"),
+        tuple(rows),
+        ("The paper's robots are hardware, these are simulated.",),
+        ("", ".2f", ".2f", ".2f"),
+    )
+
+
+def travel_table(means: dict[Key, Array], position_noise_m: float) -> Table:
+    """How the mean control error grows along longer platoons."""
+    rows: list[tuple[Cell, ...]] = []
+    for (n, integrator), mean in means.items():
+        first, middle, last = float(mean[0]), float(mean[n // 2 - 1]), float(mean[-1])
+        rows.append((str(n), integrator, first, middle, last, last / first, last / middle))
+    return Table(
+        f"Mean control error along the platoon, pose noise {position_noise_m * 1e3:g} mm",
+        ("robots", "integrator", "first mm", "middle mm", "last mm", "last/first", "last/middle"),
+        tuple(rows),
+        ("The middle one of 32 is robot 16.",),
+        ("", "", ".2f", ".2f", ".2f", ".2f", ".2f"),
+    )
+
+
+def gain_table(gains: dict[Integrator, list[float | None]], frequencies: Array) -> Table:
+    """The largest gain from any robot to the next."""
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (f"{frequency:.3g}", *(gains[integrator][k] for integrator in INTEGRATORS))
+        for k, frequency in enumerate(frequencies)
+    )
+    return Table(
+        "Largest gain from a robot to the next, over frequency",
+        ("frequency Hz", *INTEGRATORS),
+        rows,
+        (
+            "A platoon whose gain stays at 1 does not amplify what its leader does.",
+            "With euler even rounding grows from robot to robot until references that may not retreat cut it off.",
+        ),
+        ("", ".4f", ".4f"),
+    )
+
+
+def laboratory_figures(drives: dict[Key, "Drive"], base: Config) -> tuple[Figure, ...]:
+    """The paper's Figs. 15 to 18 by content."""
+    n = len(base.platoon)
+    if (n, "exact") not in drives:
+        return ()
+    found = drives[n, "exact"]
+    ids = [robot.id for robot in base.platoon]
+    rate = base.groups[0].path_rate
+    speed = np.linalg.norm(found.path.derivative(rate * found.t % found.path.sides), axis=-1) * rate
+    lap = found.path.position(np.linspace(0.0, found.path.sides, 400))
+    trails = [Curve(name, found.points[:, i, 0], found.points[:, i, 1]) for i, name in enumerate(ids)]
+    errors = [Curve(name, found.t, found.control_error[:, i] * 1e3) for i, name in enumerate(ids)]
+    gaps = [
+        Curve(f"{one} to {other}", found.t, gap * 1e3)
+        for one, other, gap in zip(ids, ids[1:], found.spacing().T, strict=False)
+    ]
+    path = Curve("path", lap[:, 0], lap[:, 1], "dashed")
+    return (
+        Figure("reference-speed", "Reference speed", (Panel("time [s]", "speed [m/s]", (Curve("", found.t, speed),)),)),
+        Figure("trajectories", "Points p", (Panel("x [m]", "y [m]", (*trails, path), equal=True),)),
+        Figure(
+            "control-error", "Control error", (Panel("time [s]", "error [mm]", tuple(errors), y_limits=(0.0, 5.0)),)
+        ),
+        Figure("spacing", "Spacing", (Panel("time [s]", "distance of successive points [mm]", tuple(gaps)),)),
+    )
+
+
+def travel_figure(means: dict[Key, Array], gains: dict[Integrator, list[float | None]], frequencies: Array) -> Figure:
+    """Errors along the longest platoon, and the gain from robot to robot."""
+    longest = max(n for n, _ in means)
+    robots = np.arange(1.0, longest + 1.0)
+    errors = tuple(Curve(integrator, robots, means[longest, integrator]) for integrator in INTEGRATORS)
+    gain = tuple(
+        Curve(integrator, frequencies, np.array(gains[integrator], dtype=np.float64), "dots")
+        for integrator in INTEGRATORS
+    )
+    return Figure(
+        "along-the-platoon",
+        "How errors travel along the platoon",
+        (
+            Panel("robot", "mean control error [mm]", errors, scales=("linear", "log")),
+            Panel("frequency [Hz]", "largest gain to the next robot", gain, scales=("log", "linear")),
+        ),
+    )

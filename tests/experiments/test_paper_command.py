@@ -1,0 +1,142 @@
+"""``robofleet paper``: what it writes, what it prints, and what it refuses."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from robofleet import cli
+from robofleet.config.load import ConfigError
+from robofleet.experiments import paper
+from robofleet.experiments.closed_curve import ClosedCurveParameters
+from robofleet.experiments.lane_change import LaneChangeParameters
+from robofleet.experiments.parameters import SHIPPED, Parameters, load_parameters
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def robofleet(*arguments: str) -> Result:
+    return CliRunner().invoke(cli.app, ["paper", *arguments], env={"COLUMNS": "80"})
+
+
+def test_tables_on_the_terminal_figures_and_numbers_in_the_folder(folder: Path) -> None:
+    result = robofleet("closed-curve", "--out", "new")
+    assert result.exit_code == 0, result.output
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    for text in ("Table 1", "Zhou 17", "other models on other roads", "the paper's is not published", "35 km/h"):
+        assert text in result.stdout
+    content = json.loads((folder / "new" / "closed-curve.json").read_text())
+    assert content["tables"][0]["rows"][0]["Zhou 17"] == 36.0
+    assert content["parameters"]["flow"]["horizon_s"] == 0.5
+    names = {"curve", "control-error", "acceleration", "lateral-error", "heading-error"}
+    assert set(content["figures"]) == {f"closed-curve-{name}" for name in names}
+    for stem in content["figures"]:
+        assert (folder / "new" / f"{stem}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (folder / "new" / f"{stem}.svg").read_text()
+
+
+def test_json_is_one_object_and_nothing_else(folder: Path) -> None:
+    result = robofleet("closed-curve", "--json")
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert re.fullmatch(r"runs/\d{8}T\d{6}Z-paper", printed["folder"])
+    written = json.loads((folder / printed["folder"] / "closed-curve.json").read_text())
+    assert printed["experiments"] == {"closed-curve": written}
+
+
+def test_a_folder_that_is_not_empty_is_refused(folder: Path) -> None:
+    (folder / "old").mkdir()
+    (folder / "old" / "kept").write_text("kept")
+    result = robofleet("closed-curve", "--out", "old")
+    assert result.exit_code == 2
+    assert "old is there already and not empty" in result.stderr
+    assert [path.name for path in (folder / "old").iterdir()] == ["kept"]
+
+
+def test_an_unknown_name_is_refused_with_a_hint(folder: Path) -> None:
+    result = robofleet("lane-chnage", "--out", "new")
+    assert result.exit_code == 2
+    assert result.stderr == "there is no experiment 'lane-chnage': did you mean 'lane-change'?\n"
+    assert not (folder / "new").exists()
+
+
+def test_every_shipped_file_is_an_experiment_and_is_valid() -> None:
+    assert {file.stem for file in SHIPPED.glob("*.yaml")} >= set(paper.EXPERIMENTS)
+    assert paper.chosen("all") == tuple(paper.EXPERIMENTS)
+    for name in paper.EXPERIMENTS:
+        assert isinstance(paper.parameters_of(name), Parameters)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("closed-curve", "horizon_s: 0.5", "horizon_s: «0", "flow.horizon_s: must be greater than 0, not 0"),
+        ("closed-curve", "alpha: 30, integrator: euler", "alpha: «-30, integrator: euler",
+         "flow.alpha: must be greater than 0, not -30"),
+        ("closed-curve", "curvature_ramp_m: 3", "curvature_ramp_m: «50",
+         "track.curvature_ramp_m: must be at most 44.0: a corner turns 90 degrees"),
+        ("closed-curve", "settle_s: 2", "«setle_s: 2", "setle_s: unknown key: did you mean 'settle_s'?"),
+        ("lane-change", "curve_length_m: 490", "curve_length_m: «480",
+         "curve_length_m: too short: the fastest drive asks for r(t + delay + T) up to 486.6 m, not 480"),
+        ("lane-change", "computing_delay_s: 0.01 ", "computing_delay_s: «0.015 ",
+         "computing_delay_s: must be a whole multiple of control_step_s, 0.01, not 0.015"),
+        ("lane-change", "second_term: plus, flow: {horizon_s: 0.5", "second_term: plus, flow: {horizn_s: 0.5",
+         "readings.0.flow.horizn_s: unknown key: did you mean 'horizon_s'?"),
+    ],
+)  # fmt: skip
+def test_bad_parameters_are_refused_at_their_line_and_column(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, old: str, new: str, message: str
+) -> None:
+    copy = Path(shutil.copytree(SHIPPED, folder / "paper"))
+    text = (copy / f"{name}.yaml").read_text()
+    assert text.count(old) == 1
+    (copy / f"{name}.yaml").write_text(text.replace(old, new.replace("«", "")))
+    monkeypatch.setattr(paper, "SHIPPED", copy)
+    result = robofleet(name, "--out", "new")
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    lines = [line for line in result.stderr.splitlines() if message in line]
+    assert len(lines) == 1, result.stderr
+    if "«" in new:
+        before = text.replace(old, new).split("«")[0]
+        place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
+        assert lines[0] == f"{copy / name}.yaml:{place}: {message}"
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.parametrize("kind", [ClosedCurveParameters, LaneChangeParameters])
+def test_all_faults_at_once_in_the_order_of_the_file(folder: Path, kind: type[Parameters]) -> None:
+    file = folder / "bad.yaml"
+    file.write_text("duration_s: 0\ncontrol_step_s: 1e-3\nspeeds: [1]\n")
+    with pytest.raises(ConfigError) as refused:
+        load_parameters(kind, file)
+    at = [tuple(map(int, fault.removeprefix(str(file)).split(":")[1:3])) for fault in refused.value.faults]
+    assert at == sorted(at)
+    assert {(1, 13), (2, 17), (3, 1)} <= set(at)
+
+
+def test_a_missing_file_is_said(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.yaml:1:1: there is no such file"):
+        load_parameters(ClosedCurveParameters, folder / "none.yaml")
+
+
+def test_a_drive_that_diverges_ends_the_command_with_its_cause(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy = Path(shutil.copytree(SHIPPED, folder / "paper"))
+    text = (copy / "closed-curve.yaml").read_text()
+    bad = text.replace("computing_delay_s: 0.01 ", "computing_delay_s: 0.15 ").replace(
+        "horizon_s: 0.5", "horizon_s: 0.1"
+    )
+    (copy / "closed-curve.yaml").write_text(bad)
+    monkeypatch.setattr(paper, "SHIPPED", copy)
+    result = robofleet("closed-curve", "--json")
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert re.search(r"closed-curve: t = \d+\.\d\d s: ", result.stderr)

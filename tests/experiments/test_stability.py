@@ -1,0 +1,85 @@
+"""The stability maps against the double integrator's own eigenvalues, and its boundary T_alpha = 1 / alpha."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robofleet.config.load import ConfigError
+from robofleet.control.flow import FlowSettings, Integrator
+from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.experiments.stability import (
+    DOUBLE_INTEGRATOR,
+    StabilityParameters,
+    boundary,
+    double_integrator_step,
+    run,
+    simulated_growth,
+    spectral_radius,
+)
+
+EXACT = settings(deadline=None, derandomize=True, max_examples=40)
+REST = np.zeros(2)
+
+
+@EXACT
+@given(st.floats(1, 100), st.floats(0.05, 5), st.floats(0.001, 1.9), st.sampled_from(("exact", "euler")))
+def test_the_real_controller_has_the_exact_eigenvalues(
+    alpha: float, alpha_t: float, alpha_step: float, integrator: Integrator
+) -> None:
+    T, step = alpha_t / alpha, alpha_step / alpha
+    exact = np.abs(np.linalg.eigvals(double_integrator_step(alpha, T, step, integrator))).max()
+    found = spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(alpha, T, step, integrator), REST)
+    assert found == pytest.approx(exact, rel=1e-4)
+
+
+@EXACT
+@given(st.floats(0.5, 200))
+def test_t_alpha_is_one_over_alpha(alpha: float) -> None:
+    def radius(T: float) -> float:
+        return spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(alpha, T, 0.002 / alpha), REST)
+
+    assert boundary(radius, 0.1 / alpha, 10 / alpha) == pytest.approx(1 / alpha, rel=0.002)
+
+
+@pytest.mark.parametrize(("alpha_t", "stable"), [(0.98, False), (1.02, True)])
+def test_simulation_agrees(alpha_t: float, stable: bool) -> None:
+    growth = simulated_growth(DOUBLE_INTEGRATOR, FlowSettings(20.0, alpha_t / 20, 0.02 / 20), 200 / 20)
+    assert (growth < 0.8) if stable else (growth > 1.25)
+
+
+def test_euler_is_refused_from_two_over_alpha_on() -> None:
+    assert spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(20.0, 0.5, 0.1, "euler"), REST) == np.inf
+    assert spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(20.0, 0.5, 0.1, "exact"), REST) < 1.0
+
+
+def test_no_boundary_is_nan() -> None:
+    assert np.isnan(boundary(lambda T: 0.5, 1.0, 2.0))
+
+
+def test_the_experiment() -> None:
+    p = load_parameters(StabilityParameters, SHIPPED / "stability.yaml").model_copy(update={"points": 4})
+    result = run(p)
+    horizons, simulated, steps = result.tables
+    assert result.data["double_integrator_deviation"] < 0.02
+    for plant, alpha, _, alpha_t in horizons.rows:
+        low, high = (0.98, 1.02) if plant == "double integrator" else (0.98, 1.7)
+        assert low < alpha_t < high, (plant, alpha)
+    assert [row[3] for row in simulated.rows] == ["unstable", "stable"] * len(p.boundary_alphas_1_s)
+    for _, integrator, alpha, _, alpha_step in steps.rows:
+        assert (alpha_step < 2.0) if integrator == "euler" else (alpha_step > 2.0), alpha
+    (over_t, over_step) = result.figures
+    assert [panel.field.values.shape for panel in over_t.panels + over_step.panels] == [(4, 4)] * 7
+    for panel in over_t.panels:
+        stable = panel.field.values
+        assert (stable[panel.field.y[:, None] * panel.field.x >= 3.0] == 1.0).all()  # the rule alpha T >= 3
+        assert (stable[panel.field.y[:, None] * panel.field.x < 0.98] == 0.0).all()
+
+
+def test_ranges_go_upwards(tmp_path: Path) -> None:
+    file = tmp_path / "stability.yaml"
+    file.write_text((SHIPPED / "stability.yaml").read_text().replace("horizon_s: [0.01, 1]", "horizon_s: [1, 1]"))
+    with pytest.raises(ConfigError, match=r"horizon_s: the first number must be below the second, got 1 and 1"):
+        load_parameters(StabilityParameters, file)

@@ -1,0 +1,33 @@
+"""One process of a run, started by hand."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from robofleet.cli import app
+from robofleet.comms.endpoint import bind_endpoint
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+
+
+@pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1"]])
+def test_a_port_that_nobody_else_can_know_is_refused(command: list[str]) -> None:
+    result = CliRunner().invoke(app, [*command, str(PLATOON)])
+    assert result.exit_code == 2
+    assert "bus.endpoint" in result.stderr
+
+
+def test_a_lost_terminal_ends_a_process_well(tmp_path: Path) -> None:
+    config = tmp_path / "fixed.yaml"
+    endpoint = bind_endpoint("tcp/127.0.0.1:0")
+    config.write_text(f"bus: {{endpoint: '{endpoint}'}}\n{PLATOON.read_text()}")
+    router = subprocess.Popen([sys.executable, "-m", "robofleet", "router", str(config)], stderr=subprocess.PIPE)
+    assert router.stderr is not None
+    with router.stderr:
+        assert router.stderr.readline() == b"ready\n"
+        router.send_signal(signal.SIGHUP)
+        assert router.wait(10) == 0

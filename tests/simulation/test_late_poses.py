@@ -1,0 +1,22 @@
+"""Poses that come later than the next tick are late, and not gone."""
+
+from pathlib import Path
+
+import pytest
+
+from robofleet.config.load import load_config
+from robofleet.processes.lockstep import Lockstep
+from robofleet.recording.metrics import Run
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+
+
+@pytest.mark.parametrize("change", ["tracker.truth.delay_s=0.045", "lockstep.tracker_delay_s=0.03"])
+def test_late_poses_come(change: str) -> None:
+    source = "truth" if "truth" in change else "camera"
+    lockstep = Lockstep(load_config(PLATOON, ["run.duration_s=1", f"tracker.source={source}", change]))
+    assert lockstep.run() == ("completed", None)
+    run = Run(lockstep.recording)
+    assert len(run.frames) > 10
+    delays_ns = [frame.sent_ns - frame.exposure_ns for frame in run.frames]
+    assert min(delays_ns) > 0.9 * 1e9 * float(change.rpartition("=")[2])
