@@ -35,7 +35,7 @@ class Drive:
 
 def laboratory_table(drives: dict[Key, "Drive"], base: Config) -> Table:
     """Row 8: the paper's four robots, beside the paper."""
-    rows: list[tuple[Cell, ...]] = [("mean control error, the paper's robots [mm]", PAPER_CONTROL_ERROR_MM, None, None)]
+    rows: list[tuple[Cell, ...]] = [("the paper (hardware)", PAPER_CONTROL_ERROR_MM, None, None)]
     n = len(base.platoon)
     for integrator in INTEGRATORS:
         if (n, integrator) not in drives:
@@ -47,7 +47,7 @@ def laboratory_table(drives: dict[Key, "Drive"], base: Config) -> Table:
         rows.append((f"simulation, {integrator}", float(errors.mean()), float(errors.max()), float(deviation) * 1e3))
     return Table(
         "Laboratory run: four robots",
-        ("", "control error mm", "worst robot mm", "spacing deviation mm"),
+        ("", "error mm", "worst mm", "spacing off mm"),
         tuple(rows),
         ("The paper's robots are hardware, these are simulated.",),
         ("", ".2f", ".2f", ".2f"),
@@ -62,9 +62,9 @@ def travel_table(means: dict[Key, Array], position_noise_m: float) -> Table:
         rows.append((str(n), integrator, first, middle, last, last / first, last / middle))
     return Table(
         f"Mean control error along the platoon, pose noise {position_noise_m * 1e3:g} mm",
-        ("robots", "integrator", "first mm", "middle mm", "last mm", "last/first", "last/middle"),
+        ("robots", "integrator", "first mm", "middle mm", "last mm", "to first", "to middle"),
         tuple(rows),
-        ("The middle one of 32 is robot 16.",),
+        ("The last one's error over the first's, and over the middle one's (of 32: robot 16).",),
         ("", "", ".2f", ".2f", ".2f", ".2f", ".2f"),
     )
 
