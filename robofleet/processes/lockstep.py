@@ -36,6 +36,7 @@ class _Slot:
         self.order, self._queue = order, queue
         self.node: Node
         self.next_ns = 0
+        self.timed = False
         self.durations_ns: list[int] = []
 
     def __call__(self, instant_ns: int) -> None:
@@ -50,9 +51,12 @@ class _Slot:
     def step(self, instant_ns: int) -> None:
         """Step the process and queue what it asks for."""
         scheduled = self.next_ns == instant_ns
-        started_ns = stopwatch_ns()
-        next_ns = self.node.step(instant_ns)
-        self.durations_ns.append(stopwatch_ns() - started_ns)
+        if self.timed:
+            started_ns = stopwatch_ns()
+            next_ns = self.node.step(instant_ns)
+            self.durations_ns.append(stopwatch_ns() - started_ns)
+        else:
+            next_ns = self.node.step(instant_ns)
         if scheduled or next_ns != self.next_ns:
             self.schedule(max(next_ns, instant_ns + 1))
 
@@ -79,7 +83,9 @@ class Lockstep:
         charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
         self._tracker = self._add(partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
         self._add(lambda _: Supervisor(config, bus, clock))
+        self._tracker.timed = True
         self._controller = self._add(lambda _: Controller(config, bus, clock))
+        self._controller.timed = True
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
         self._status = RunStatus()

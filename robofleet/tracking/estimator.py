@@ -97,12 +97,12 @@ class FleetFilter:
         """Return the poses (N, 3) at two instants after the newest image, by the commands that act until then."""
         first, wheels = self._state.copy(), self._wheels.copy()
         if self._instant_ns == 0:  # no image yet: nothing to move, and the clock's zero may be weeks ago
-            return first[:, :3], first[:, :3].copy()
+            return first[:, :3].copy(), first[:, :3].copy()  # contiguous, as ever: another layout is another kernel
         travel, then_ns = np.zeros_like(wheels), max(self._instant_ns, first_ns)
         _advance(first, wheels, travel, self._instant_ns, first_ns, self._act_ns, self._commands, self._motion)
         second = first.copy()
         _advance(second, wheels, travel, then_ns, second_ns, self._act_ns, self._commands, self._motion)
-        return first[:, :3], second[:, :3]
+        return first[:, :3].copy(), second[:, :3].copy()
 
     def disturbance(self, poses: Array, point_ahead: float) -> Array:
         """Return w (N, 2): the velocity of the points p that the newest commands do not explain [m/s; world]."""

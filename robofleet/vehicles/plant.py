@@ -18,10 +18,10 @@ _AT_REST = 1e-3  # friction holds a wheel slower than this [rad/s]
 class _Wheel:
     """Speed loop and encoder of one wheel."""
 
-    __slots__ = ("_counted", "_p", "_resolution", "angle", "gain", "speed")
+    __slots__ = ("_breakaway", "_counted", "_deadband", "_lag", "_resolution", "angle", "gain", "speed")
 
     def __init__(self, p: Imperfections, gain: float) -> None:
-        self._p = p
+        self._lag, self._deadband, self._breakaway = p.motor_lag, p.deadband, p.breakaway
         self._resolution = p.speed_quantum * p.loop_period
         self._counted = 0.0  # the angle that the encoder has seen
         self.gain = gain
@@ -30,27 +30,28 @@ class _Wheel:
 
     def turn(self, command: float, top_speed: float, duration: float) -> float:
         """Advance by ``duration`` [s] and return the mean speed over it [rad/s]."""
-        p = self._p
-        threshold = p.breakaway if self.speed == 0.0 else p.deadband
-        target = 0.0 if abs(command) < threshold else max(-top_speed, min(top_speed, command))
-        if target == 0.0 and abs(self.speed) < _AT_REST:
-            self.speed = 0.0
-        if p.motor_lag == 0.0:
-            mean = self.speed = target
+        lag, speed, resolution = self._lag, self.speed, self._resolution
+        threshold = self._deadband if speed else self._breakaway
+        if -threshold < command < threshold:
+            target = 0.0
+            if -_AT_REST < speed < _AT_REST:
+                speed = 0.0
         else:
-            decay = math.exp(-duration / p.motor_lag)
-            ahead = self.speed - target
-            mean = target + ahead * (1.0 - decay) * p.motor_lag / duration
-            self.speed = target + ahead * decay
+            target = command if -top_speed <= command <= top_speed else math.copysign(top_speed, command)
+        if lag:
+            decay, ahead = math.exp(-duration / lag), speed - target
+            mean, speed = target + ahead * (1.0 - decay) * lag / duration, target + ahead * decay
+        else:
+            mean = speed = target
         travelled = self.angle + mean * duration
-        if self._resolution:
-            counted = self._resolution * math.floor(travelled / self._resolution)
+        if resolution:
+            counted = resolution * math.floor(travelled / resolution)
             # the loop acts on what it counts: what the encoder has not seen yet is missing from its feedback
             unseen = (travelled - counted) - (self.angle - self._counted)
             self._counted = counted
-            if target and p.motor_lag:
-                self.speed += unseen / p.motor_lag
-        self.angle = travelled
+            if target and lag:
+                speed += unseen / lag
+        self.angle, self.speed = travelled, speed
         return mean
 
     def block(self) -> None:
