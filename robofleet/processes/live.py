@@ -39,6 +39,7 @@ class LiveView:
         self._next_ns = 0
         self._phase = ""
         self._reached_s = 0.0
+        self._overruns_before: int | None = None
 
     def __enter__(self) -> Self:
         """Take the terminal."""
@@ -70,7 +71,7 @@ class LiveView:
         if self._phase != "running" or tick is None:
             return self._phase
         errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
-        return f"running {self._time(tick):5.1f} s: control errors {errors} mm, {tick.overruns} overruns"
+        return f"running {self._time(tick):5.1f} s: control errors {errors} mm, {self._overruns(tick)} overruns"
 
     def _picture(self, recording: Recording) -> Group:
         tick = self._newest(recording, TICK, TICK_RECORD)
@@ -118,7 +119,7 @@ class LiveView:
         heads = [head for payload in payloads if (head := TICK_RECORD.decode_head(payload)) is not None]
         compute, late = ([head[column] / 1e6 for head in heads] for column in (-1, -2))
         text = Text(f"tick      p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
-        overruns = tick.overruns
+        overruns = self._overruns(tick)
         text.append(f"{overruns} overruns\n", "red" if overruns else "")
         frames = [
             frame
@@ -147,6 +148,12 @@ class LiveView:
         name = GateStatus(status.gate).name.lower().replace("_", " ")
         return Text(name, "green" if status.gate == GateStatus.OPEN else "yellow")
 
+    def _overruns(self, tick: TickRecord) -> int:
+        """Return the ticks missed since the run started: what the start of all processes cost does not count."""
+        if tick.run_tick < 0 or self._overruns_before is None:
+            self._overruns_before = tick.overruns
+        return tick.overruns - self._overruns_before
+
     def _time(self, tick: TickRecord) -> float:
         return tick.run_tick * self._config.controller.tick_s
 
@@ -162,6 +169,6 @@ def _tracker_line(frames: list[FleetPoses], robots: int) -> str:
     found = sum(len(frame.poses) for frame in frames) / (len(frames) * robots)
     work = np.percentile([frame.work_ns / 1e6 for frame in frames], (50, 99))
     return (
-        f"tracker   {rate:.1f} images/s, {100 * found:.1f} % of the tags found, "
-        f"{work[0]:.1f} ms an image (p99 {work[1]:.1f}), {frames[-1].refused} refused"
+        f"tracker   {rate:.1f} Hz, {100 * found:.1f} % of the tags found, "
+        f"{work[0]:.1f} ms each (p99 {work[1]:.1f}), {frames[-1].refused} refused"
     )
