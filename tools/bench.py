@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from robofleet.clock import S, stopwatch_ns
 from robofleet.config.load import load_config
+from robofleet.config.slices import knots
 from robofleet.config.tree import Config
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import NewtonRaphsonFlow
@@ -30,7 +31,6 @@ from robofleet.experiments.baselines.choice import Key, MissingLibraryError, bui
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
 from robofleet.experiments.paper import parameters_of
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.slices import knots
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags import TagDetector

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.load import load_config
+from robofleet.config.slices import knots
 from robofleet.config.tree import Config
 from robofleet.control.path import Path as Curve
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.slices import knots
 from robofleet.recording.metrics import Run
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config, NonNegative, Positive
 from robofleet.control.path import Path
@@ -23,7 +24,6 @@ from robofleet.experiments.platoon_views import (
     travel_table,
 )
 from robofleet.experiments.results import Result
-from robofleet.processes import slices
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import Run
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from robofleet.config import slices
 from robofleet.config.tree import Config, Model, Positive
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
-from robofleet.processes import slices
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import S
+from robofleet.config import slices
 from robofleet.config.faults import Complaint
 from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
@@ -151,8 +152,7 @@ def _controller(config: Config) -> Iterator[Bound]:
 
 def _path(config: Config) -> Iterator[Bound]:
     group = config.groups[0]
-    knots = group.path.knots
-    path = Path.hermite(np.array([k.at_m for k in knots]), np.array([k.derivative_m for k in knots]))
+    path = Path.hermite(*slices.knots(group))
     lap = drive_lap(path, group, config.controller.point_ahead_m)
     slowest = int(lap.speed.argmin())
     mend = f"it stands still at parameter {lap.sigma[slowest]:.2f}, so mend the derivatives of its knots"

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
 from robofleet.processes.node import Lifeline, Node, Waker, ahead_of_others, realtime_priority, run
-from robofleet.processes.slices import entropy
 
 _CONTROLLER_PRIORITY = 20
 _DRIVER_PRIORITY = 15

@@ -18,10 +18,10 @@ from robofleet.comms.messages import (
     RobotStatus,
     WheelCommand,
 )
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
-from robofleet.processes import slices
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
 

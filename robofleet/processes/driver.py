@@ -21,9 +21,9 @@ from robofleet.comms.messages import (
 from robofleet.comms.messages import (
     TRUTH as TRUTH_LAYOUT,
 )
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
-from robofleet.processes import slices
 from robofleet.safety import gate
 from robofleet.safety.gate import GateState, GateStatus
 from robofleet.safety.supervisor import Phase

@@ -15,6 +15,7 @@ from robofleet.clock import Clock, S
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, FleetPoses, RobotTick, TickRecord
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.recording.metrics import Recording
@@ -32,10 +33,7 @@ class LiveView:
         self._config, self._clock, self._quiet = config, clock, quiet
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
-        self._path = Path.hermite(
-            np.array([k.at_m for k in config.groups[0].path.knots]),
-            np.array([k.derivative_m for k in config.groups[0].path.knots]),
-        )
+        self._path = Path.hermite(*slices.knots(config.groups[0]))
         self._next_ns = 0
         self._phase = ""
         self._reached_s = 0.0

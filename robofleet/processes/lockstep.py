@@ -14,12 +14,12 @@ from robofleet.clock import S, SimulatedClock, stopwatch_ns
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.node import Node
 from robofleet.processes.readiness import missing
-from robofleet.processes.slices import generator
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
 from robofleet.recording.metrics import Recording, Watch

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, Layout
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.safety.gate import GateStatus
@@ -61,10 +62,7 @@ class Run:
         self.t = self.ticks["run_tick"] * config.controller.tick_s
         self.items = self.ticks["items"]
         self.statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
-        self.path = Path.hermite(
-            np.array([k.at_m for k in config.groups[0].path.knots]),
-            np.array([k.derivative_m for k in config.groups[0].path.knots]),
-        )
+        self.path = Path.hermite(*slices.knots(config.groups[0]))
         truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
         self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
