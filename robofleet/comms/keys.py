@@ -16,6 +16,7 @@ COMMAND = Topic("robot/{}/cmd", 0.033, "REAL_TIME")
 STATUS = Topic("robot/{}/status", 0.020, "DATA_HIGH")
 ENABLE = Topic("robot/{}/enable", 0.040, "REAL_TIME")
 POSES = Topic("poses/{}", 0.033, "REAL_TIME")
+NEWS = Topic("poses/{}/news", 0.0, "DATA_HIGH", reliable=True)
 TICK = Topic("tick", 0.033, "DATA")
 STATE = Topic("state", 0.040, "REAL_TIME", reliable=True)
 TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW")
@@ -24,7 +25,7 @@ ALIVE = Topic("alive/{}", 0.0, "DATA", reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
 
-TOPICS = (COMMAND, STATUS, ENABLE, POSES, TICK, STATE, TRUTH, REQUEST, ALIVE)
+TOPICS = (COMMAND, STATUS, ENABLE, POSES, NEWS, TICK, STATE, TRUTH, REQUEST, ALIVE)
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:

@@ -111,9 +111,15 @@ class Truth(NamedTuple):
 
 
 class TagPose(NamedTuple):
-    """One robot seen in an image: planar pose of its centre in the world frame."""
+    """One robot in an image: planar pose of its centre in the world frame.
+
+    A robot that was not seen is predicted from its motion for a while: ``coasted_ns`` is then the age of what was
+    measured, and the pose is no measurement.
+    """
 
     tag: int
+    after_ns: int  # this robot's own mid-exposure, minus the image's (rolling shutter)
+    coasted_ns: int  # 0: measured in this image
     x_m: float
     y_m: float
     psi_rad: float
@@ -131,6 +137,17 @@ class FleetPoses(NamedTuple):
     work_ns: int  # what the tracker did for this image took so long
     refused: int  # squares refused so far: a tag twice in an image, no square on the floor's plane
     poses: tuple[TagPose, ...]
+
+
+class TrackerNews(NamedTuple):
+    """Tracker to all: something happened to the camera or to a tag."""
+
+    epoch: int
+    seq: int
+    stamp_ns: int  # [tracker's clock]
+    event: int  # tracking.events.TrackerEvent
+    tag: int  # tracking.events.NO_TAG where it is not about one
+    value: float  # the event's own figure, as its description says
 
 
 class TickRecord(NamedTuple):
@@ -175,6 +192,7 @@ ROBOT_STATUS = Layout(RobotStatus, "IIQQqqqIBI", 5)
 ENABLE = Layout(Enable, "IIQQB", 0)
 RUN_STATE = Layout(RunState, "IIBHH", 0)
 TRUTH = Layout(Truth, "IIq", 5)
+TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)
 
 
 class ListLayout(Generic[M]):
@@ -224,5 +242,5 @@ class ListLayout(Generic[M]):
         return self._make._make([*head, tuple(map(self._make_item._make, rows))])
 
 
-FLEET_POSES = ListLayout(FleetPoses, "IIqqIqqI", TagPose, "Hddd")
+FLEET_POSES = ListLayout(FleetPoses, "IIqqIqqI", TagPose, "Hiiddd")
 TICK_RECORD = ListLayout(TickRecord, "IIiqIqBIqq", RobotTick, "d" * 16)

@@ -29,6 +29,7 @@ _WORDS = {
     "too_long": "may have {max_length} at most, has {actual_length}",
     "literal_error": "must be {expected}",
 }
+_COEFFICIENTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}
 _PATTERNS = {
     NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
     ENDPOINT_PATTERN: "must look like tcp/127.0.0.1:0",
@@ -61,6 +62,8 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_repeated("tag", [robot.tag for robot in config.robots]),
         *_members(config),
         *_endpoint(config),
+        *_camera_model(config),
+        *_calibrations(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
     for key, taken, calibrated in sizes:
@@ -105,6 +108,29 @@ def _repeated(key: str, values: Sequence[object]) -> Iterator[Complaint]:
     for i, value in enumerate(values):
         if (first := values.index(value)) < i:
             yield f"robots.{i}.{key}", f"{value} is robots.{first}'s already: give each robot its own"
+
+
+def _camera_model(config: Config) -> Iterator[Complaint]:
+    model = config.camera.model
+    allowed = _COEFFICIENTS[model.lens]
+    if len(model.distortion) not in allowed:
+        counts = ", ".join(map(str, allowed[:-1])) + f" or {allowed[-1]}" if len(allowed) > 1 else str(allowed[0])
+        message = f"a {model.lens} lens has {counts} coefficients, not {len(model.distortion)}: calibrate again"
+        yield "camera.model.distortion", message
+    if model.T_world_camera is None and config.tracker.source == "camera":
+        yield "camera.model", "where the camera hangs is not known: run tools/calibrate.py arena"
+
+
+def _calibrations(config: Config) -> Iterator[Complaint]:
+    for i, robot in enumerate(config.robots):
+        if robot.calibration is not None and robot.calibration.robot != robot.id:
+            message = f"was measured on '{robot.calibration.robot}', not on '{robot.id}': calibrate this robot"
+            yield f"robots.{i}.calibration", message
+    known = {robot.tag: f"robot {robot.id}'s" for robot in config.robots}
+    for i, floor_tag in enumerate(config.tracker.floor_tags):
+        if floor_tag.tag in known:
+            yield f"tracker.floor_tags.{i}.tag", f"{floor_tag.tag} is {known[floor_tag.tag]} already: take another id"
+        known[floor_tag.tag] = f"tracker.floor_tags.{i}'s"
 
 
 def _members(config: Config) -> Iterator[Complaint]:

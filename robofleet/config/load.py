@@ -1,7 +1,7 @@
 """Reads a configuration: the file, the files that it names, ``--faults`` and ``--set``. All errors at once.
 
-A bare name in ``robots[].vehicle``, ``groups[].path`` or ``camera.model`` is a file of ``robots/``,
-``paths/`` or ``cameras/`` beside the configuration, else of the shipped ``configs/``; a name that ends in
+A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].path`` or ``camera.model`` is a file of
+``robots/``, ``paths/`` or ``cameras/`` beside the configuration, else of the shipped ``configs/``; a name that ends in
 .yaml is a path from the configuration's folder; a mapping stands for itself.
 """
 
@@ -20,6 +20,7 @@ from robofleet.config.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, p
 _SHIPPED = Path(__file__).resolve().parents[2] / "configs"
 _FOLDERS = {
     ("robots", "*", "vehicle"): "robots",
+    ("robots", "*", "calibration"): "robots",
     ("groups", "*", "path"): "paths",
     ("camera", "model"): "cameras",
 }

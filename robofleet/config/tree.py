@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
+LAST_TAG = 586  # AprilTag 36h11 has 587 ids
 ENDPOINT_PATTERN = r"^tcp/[^\s/]+:\d{1,5}$"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -81,13 +82,47 @@ class StartPose(Model):
         return math.remainder(math.radians(self.heading_deg), math.tau)
 
 
+class Provenance(Model):
+    """Where a calibration comes from, and how good it is: written by ``tools/calibrate.py``."""
+
+    date: str  # UTC, ISO 8601
+    tool: str  # with its version
+    inputs: dict[str, str]  # name of what was measured -> hash of its bytes
+    figures: dict[str, float | None]  # name with unit -> value
+    parameters: Annotated[tuple[str, ...], Field(strict=False)] = ()  # order of the covariance's rows, with units
+    covariance: Annotated[tuple[Annotated[tuple[Finite, ...], Field(strict=False)], ...], Field(strict=False)] = ()
+
+
+class TagOffset(Model):
+    """The tag's pose on its robot: from the centre of the axle, in the body's frame."""
+
+    forward_m: Finite = 0.0
+    left_m: Finite = 0.0
+    heading_deg: Finite = 0.0  # of the print's right over the robot's forward; CCW +
+
+
+class RobotCalibration(Model):
+    """What was measured of one robot (a file of ``configs/robots``); it goes before its vehicle's values."""
+
+    robot: Name
+    tag_offset: TagOffset = TagOffset()
+    wheel_radius_m: Positive | None = None
+    wheel_base_m: Positive | None = None
+    delay_s: NonNegative | None = None  # from a tick to the moment when its command acts
+    motor_lag_s: NonNegative | None = None
+    offsets: Provenance | None = None
+    latency: Provenance | None = None
+
+
 class Robot(Model):
     """One robot of the fleet."""
 
     id: Name
-    tag: Annotated[int, Field(ge=0, le=586)]  # AprilTag 36h11 has 587 ids
+    tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
+    tag_height_m: NonNegative | None = None  # default: tracker.tag_height_m
     driver: Annotated[str, Field(min_length=1)] = "simulated"
     vehicle: Vehicle
+    calibration: RobotCalibration | None = None
     start: StartPose
 
 
@@ -151,12 +186,24 @@ class TruthSettings(Model):
     dropout: Fraction = 0.0
 
 
+class FloorTag(Model):
+    """A tag that was surveyed: it stays where it is, and shows whether the camera does."""
+
+    tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
+    side_m: Positive
+    x_m: Finite  # [world]
+    y_m: Finite
+    heading_deg: Finite = 0.0  # of the print's right; CCW +
+    height_m: NonNegative = 0.0
+
+
 class TrackerSettings(Model):
     """Where poses come from."""
 
     source: Literal["camera", "truth"]
     tag_side_m: Positive
     tag_height_m: NonNegative
+    floor_tags: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()
     truth: TruthSettings = TruthSettings()
 
 
@@ -168,14 +215,23 @@ class PoseSettings(Model):
 
 
 class CameraModel(Model):
-    """A calibrated camera (a file of ``configs/cameras``): pinhole, OpenCV's distortion k1 k2 p1 p2 k3."""
+    """A calibrated camera (a file of ``configs/cameras``).
 
+    ``distortion``: OpenCV's coefficients in OpenCV's order; of a pinhole 0, 4, 5, 8, 12 or 14 (k1 k2 p1 p2 k3 k4 k5 k6
+    s1 s2 s3 s4 tx ty), of a fisheye 4 (k1 k2 k3 k4).
+    """
+
+    camera: str = ""  # which camera this was measured on, as its source names it; empty: any
+    lens: Literal["pinhole", "fisheye"] = "pinhole"
     width: Annotated[int, Field(gt=0)]
     height: Annotated[int, Field(gt=0)]
     focal_px: Annotated[tuple[Positive, Positive], Field(strict=False)]
     centre_px: Vector2  # integer coordinates are pixel centres
-    distortion: Annotated[tuple[Finite, Finite, Finite, Finite, Finite], Field(strict=False)]
-    T_world_camera: PoseSettings
+    distortion: Annotated[tuple[Finite, ...], Field(strict=False)]
+    line_time_s: NonNegative = 0.0  # of a rolling shutter, from one row's exposure to the next one's; 0: global shutter
+    T_world_camera: PoseSettings | None = None  # from `calibrate.py arena`
+    intrinsics: Provenance | None = None
+    arena: Provenance | None = None
 
 
 class CameraSettings(Model):

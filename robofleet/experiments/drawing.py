@@ -1,7 +1,6 @@
 """Draws an experiment's figures with matplotlib, as PNG and SVG: no window, no global state."""
 
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -11,28 +10,8 @@ from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from robofleet.experiments.results import Array, Curve, Figure, Panel
+from robofleet.figures import COLOURS, INK, QUIET, STYLE
 
-_COLOURS = ("#1b6ca8", "#c8553d", "#3a7d44", "#7d5ba6", "#b8860b")
-_INK, _QUIET = "#333333", "#8a8a8a"
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _QUIET,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e8e8e8",
-    "grid.linewidth": 0.6,
-    "xtick.color": _QUIET,
-    "ytick.color": _QUIET,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "legend.frameon": False,
-    "svg.hashsalt": "robofleet",  # the same figure is the same file
-}
 _LINES = {"solid": "-", "dashed": (0, (4, 3)), "dots": "none"}
 _WIDTH, _HEIGHT = 5.0, 2.9  # of a panel [inch]
 _DPI = 160
@@ -49,9 +28,9 @@ def draw(figure: Figure, stem: Path) -> list[Path]:
     width, height = (_WIDTH if columns < 3 else 0.8 * _WIDTH) * columns, _HEIGHT * rows + 0.4
     if count == 1:
         width, height = 6.4, height + 1.2 * figure.panels[0].equal
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         sheet = Sheet(figsize=(width, height), layout="constrained")
-        sheet.suptitle(figure.title, x=0.01, ha="left", fontsize=10, fontweight="bold", color=_INK)
+        sheet.suptitle(figure.title, x=0.01, ha="left", fontsize=10, fontweight="bold", color=INK)
         grid = sheet.subplots(rows, columns, squeeze=False)
         for axes, panel in zip(grid.flat, figure.panels, strict=False):
             _panel(axes, panel)
@@ -75,9 +54,9 @@ def _panel(axes: Axes, panel: Panel) -> None:
         field = panel.field
         axes.grid(visible=False)
         axes.pcolormesh(field.x, field.y, field.values, cmap=_BLUES, vmin=0.0, vmax=1.6, shading="nearest")
-    colours = iter(_COLOURS * len(panel.curves))
+    colours = iter(COLOURS * len(panel.curves))
     for curve in panel.curves:
-        colour = _QUIET if curve.style == "dashed" else next(colours)
+        colour = QUIET if curve.style == "dashed" else next(colours)
         marker = "o" if curve.style == "dots" else ""
         line = _LINES[curve.style]
         width = 1.0 if curve.style == "dashed" else 1.4

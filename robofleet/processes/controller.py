@@ -115,9 +115,9 @@ class Controller:
         if exposure_ns > self._grid.instant(self._index + 1):  # impossible, and the filter would be blind until then
             return [False] * n
         poses = [_UNSEEN] * n
-        for tag, *pose in message.poses:
+        for tag, _, coasted_ns, *pose in message.poses:
             row = self._rows.get(tag)
-            if row is not None:
+            if row is not None and coasted_ns == 0:
                 poses[row] = pose
         measured = np.array(poses)
         used = self._filter.observe(exposure_ns, measured).tolist()

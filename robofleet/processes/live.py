@@ -164,7 +164,7 @@ def _tracker_line(frames: list[FleetPoses], robots: int) -> str:
     if len(frames) < 2:
         return "tracker   no image yet"
     rate = (len(frames) - 1) * S / max(1, frames[-1].exposure_ns - frames[0].exposure_ns)
-    found = sum(len(frame.poses) for frame in frames) / (len(frames) * robots)
+    found = sum(pose.coasted_ns == 0 for frame in frames for pose in frame.poses) / (len(frames) * robots)
     work = np.percentile([frame.work_ns / 1e6 for frame in frames], (50, 99))
     return (
         f"tracker   {rate:.1f} Hz, {100 * found:.1f} % of the tags found, "

@@ -7,15 +7,16 @@ import numpy as np
 
 from robofleet.clock import MS, Clock, S, SimulatedClock
 from robofleet.comms.bus import Bus, MemoryBus, Wake
-from robofleet.comms.keys import CAMERA, POSES
-from robofleet.comms.messages import FLEET_POSES, FleetPoses, TagPose
+from robofleet.comms.keys import CAMERA, NEWS, POSES
+from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.simulation.sources import TruthSource
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.events import Happening
 from robofleet.tracking.sources import CameraContext, CameraReader, ScheduledCamera
-from robofleet.tracking.tags import TagDetector
+from robofleet.tracking.tracker import TagTracker, Target
 
 _EPOCH = 1
 _IDLE_NS = 100 * MS
@@ -27,6 +28,7 @@ class Observation(NamedTuple):
     exposure_ns: int  # mid-exposure [this host's clock]
     poses: tuple[TagPose, ...]
     refused: int
+    happenings: tuple[Happening, ...] = ()
 
 
 class PoseSource(Protocol):
@@ -65,7 +67,9 @@ class Tracker:
             context = CameraContext(config, clock, bus, self._ticks, rng, charge_ns)
             self._source = _CameraPoses(context, wake)
         self._publish = bus.publisher(POSES, CAMERA)
+        self._publish_news = bus.publisher(NEWS, CAMERA)
         self._seq = 0
+        self._news_seq = 0
         self._refused = 0
 
     def step(self, now_ns: int) -> int:
@@ -74,6 +78,7 @@ class Tracker:
         observation = self._source.observe(now_ns)
         if observation is not None:
             self._send(observation, self._clock.now_ns() - now_ns)
+            self._tell(observation.happenings)
         next_ns = self._source.next_ns()
         return now_ns + _IDLE_NS if next_ns is None else next_ns
 
@@ -104,6 +109,12 @@ class Tracker:
         )
         self._publish(FLEET_POSES.encode(message))
 
+    def _tell(self, happenings: tuple[Happening, ...]) -> None:
+        for event, tag, value in happenings:
+            self._news_seq += 1
+            news = TrackerNews(_EPOCH, self._news_seq, self._clock.now_ns(), event, tag, value)
+            self._publish_news(TRACKER_NEWS.encode(news))
+
 
 def compile_kernels(config: Config) -> None:
     """Compile the simulated camera's numba kernels, or load them from the cache, before its first image."""
@@ -126,11 +137,9 @@ class _CameraPoses:
             self._scheduled = camera.ready_ns
         else:
             self._reader = CameraReader(camera, wake)
-        self._detector = TagDetector(
-            CameraGeometry.from_model(config.camera.model),
-            [robot.tag for robot in config.robots],
-            config.tracker.tag_side_m,
-            config.tracker.tag_height_m,
+        model = config.camera.model
+        self._tracker = TagTracker(
+            CameraGeometry.from_model(model), (model.width, model.height), _targets(config), model.line_time_s
         )
 
     def next_ns(self) -> int | None:
@@ -144,11 +153,29 @@ class _CameraPoses:
             frame = self._camera.read() if ready_ns is not None and ready_ns <= now_ns else None
         if frame is None:
             return None
-        sightings = self._detector.detect(frame.image)
-        return Observation(frame.exposure_ns, tuple(TagPose(*pose) for pose in sightings.poses), sightings.refused)
+        sightings = self._tracker.track(frame.image, frame.exposure_ns)
+        poses = tuple(
+            TagPose(seen.tag, seen.after_ns, seen.coasted_ns, seen.x, seen.y, seen.psi) for seen in sightings.poses
+        )
+        return Observation(frame.exposure_ns, poses, sightings.refused, sightings.happenings)
 
     def close(self) -> None:
         self._camera.close()
+
+
+def _targets(config: Config) -> list[Target]:
+    """Return the tags to follow: the robots', and those that lie on the floor."""
+    t = config.tracker
+    robots = [
+        Target(
+            robot.tag,
+            t.tag_side_m,
+            t.tag_height_m if robot.tag_height_m is None else robot.tag_height_m,
+            robot.vehicle.max_speed_m_s,
+        )
+        for robot in config.robots
+    ]
+    return robots + [Target(f.tag, f.side_m, f.height_m, 0.0) for f in t.floor_tags]
 
 
 class _TruthPoses:
@@ -165,7 +192,7 @@ class _TruthPoses:
         if ready_ns is None or ready_ns > now_ns:
             return None
         exposure_ns, poses = self._source.read()
-        return Observation(exposure_ns, tuple(TagPose(*pose) for pose in poses), 0)
+        return Observation(exposure_ns, tuple(TagPose(tag, 0, 0, *pose) for tag, *pose in poses), 0)
 
     def close(self) -> None:
         self._source.close()

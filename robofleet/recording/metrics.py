@@ -214,7 +214,7 @@ def _pose_error(run: Run) -> Figures | None:
 def _tracker(run: Run, recording: Recording) -> Figures:
     frames, n = run.frames, len(run.config.platoon)
     tags, fleet = ({robot.tag for robot in robots} for robots in (run.config.platoon, run.config.robots))
-    seen = sum(pose.tag in tags for frame in frames for pose in frame.poses)
+    seen = sum(pose.tag in tags and pose.coasted_ns == 0 for frame in frames for pose in frame.poses)
     if recording.tracker_durations_ns is not None:
         durations = sorted(recording.tracker_durations_ns)[-len(frames) :]  # the other steps had no image
     else:

@@ -42,8 +42,8 @@ class Stand:
     def poses(self, echo_tick: int, since_ns: int = 15 * MS, *, but: str = "") -> None:
         """Say that the robots were seen at their start."""
         seen = [
-            TagPose(r.tag, r.start.x_m, r.start.y_m, r.start.psi) for r in self.robots if r.id != but
-        ] + [TagPose(STRANGER, 0.0, 0.0, 0.0)]  # fmt: skip
+            TagPose(r.tag, 0, 0, r.start.x_m, r.start.y_m, r.start.psi) for r in self.robots if r.id != but
+        ] + [TagPose(STRANGER, 0, 0, 0.0, 0.0, 0.0)]  # fmt: skip
         now_ns = self.bench.now_ns
         self.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
 
@@ -113,7 +113,7 @@ def test_the_exposure_is_placed_by_the_tick_that_it_echoes(stand: Stand) -> None
     stand.next_tick(10)
     far = 10**15
     robot = stand.robots[0]
-    seen = (TagPose(robot.tag, 0.1, 0.2, 0.3),)
+    seen = (TagPose(robot.tag, 0, 0, 0.1, 0.2, 0.3),)
     for stamp_ns in (far, far - S, 1):
         message = FleetPoses(1, 1, stamp_ns, stamp_ns, stand.tick, 15 * MS, 0, 0, seen)
         stand.bench.say(POSES, message, CAMERA)

@@ -13,7 +13,7 @@ Make = Callable[..., Any]
 
 
 def poses(tick: int, since_ns: int) -> FleetPoses:
-    seen = tuple(TagPose(tag, 0.1 * tag, 0.0, 0.0) for tag in (1, 2, 3, 4))
+    seen = tuple(TagPose(tag, 0, 0, 0.1 * tag, 0.0, 0.0) for tag in (1, 2, 3, 4))
     return FleetPoses(1, tick, 0, 0, tick, since_ns, 0, 0, seen)
 
 

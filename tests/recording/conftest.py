@@ -149,7 +149,7 @@ def add_image() -> Callable[..., None]:
     """Return what adds an image's poses to a recording."""
 
     def add(recording: Recording, exposure_ns: int, tags: Sequence[int], work_ns: int = 2 * MS) -> None:
-        poses = tuple(TagPose(tag, 0.0, 0.0, 0.0) for tag in tags)
+        poses = tuple(TagPose(tag, 0, 0, 0.0, 0.0, 0.0) for tag in tags)
         message = FleetPoses(1, 1, exposure_ns, exposure_ns + 10 * MS, 1, 0, work_ns, 3, poses)
         recording.add(key(recording.config.arena.name, POSES, CAMERA), FLEET_POSES.encode(message))
 

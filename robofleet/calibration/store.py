@@ -1,0 +1,82 @@
+"""Calibrations as YAML: written whole or not at all, and the one before is kept."""
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from robofleet.clock import utc_now
+from robofleet.config.faults import plain_words
+from robofleet.config.tree import Model, Provenance
+
+KEPT = "earlier"  # folder beside a calibration, of those that it replaced
+
+M = TypeVar("M", bound=Model)
+
+
+class CalibrationError(Exception):
+    """A measurement or a file that cannot be used: one line for each fault, and how to mend it."""
+
+    def __init__(self, faults: Iterable[str] | str) -> None:
+        """Keep the lines."""
+        self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
+        super().__init__("\n".join(self.faults))
+
+
+def provenance(
+    command: str,
+    inputs: Mapping[str, bytes],
+    figures: Mapping[str, float | None],
+    parameters: Sequence[str] = (),
+    covariance: Sequence[Sequence[float]] = (),
+) -> Provenance:
+    """Return where a calibration comes from; ``inputs``: name of what was measured, and its bytes."""
+    return Provenance(
+        date=utc_now().isoformat(timespec="seconds"),
+        tool=f"robofleet {version('robofleet')}, calibrate {command}",
+        inputs={name: hashlib.blake2b(data, digest_size=16).hexdigest() for name, data in inputs.items()},
+        figures={name: None if value is None else float(f"{value:.6g}") for name, value in figures.items()},
+        parameters=tuple(parameters),
+        covariance=tuple(tuple(float(f"{value:.6g}") for value in row) for row in covariance),
+    )
+
+
+def load(file: Path, kind: type[M]) -> M:
+    """Read a calibration; CalibrationError with every fault of a file that cannot be read or is impossible."""
+    try:
+        return kind.model_validate(yaml.safe_load(file.read_text()))
+    except OSError as error:
+        raise CalibrationError(f"{file}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{file}: is no YAML: {' '.join(str(error).split())}") from error
+    except ValidationError as invalid:
+        faults = (f"{file}: {'.'.join(map(str, e['loc']))}: {plain_words(e)}" for e in invalid.errors())
+        raise CalibrationError(faults) from invalid
+
+
+def save(file: Path, calibration: Model) -> Path | None:
+    """Write a calibration to ``file``; returns where the one before was moved to, None if there was none."""
+    header = f"# Written by tools/calibrate.py; the one before it is in {KEPT}/.\n"
+    tree = calibration.model_dump(mode="json", exclude_none=True)
+    text = header + yaml.safe_dump(tree, sort_keys=False, width=110, allow_unicode=True)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    written = file.with_name(f".{file.name}.new")
+    written.write_text(text)
+    kept = _keep(file) if file.exists() else None
+    written.replace(file)
+    return kept
+
+
+def _keep(file: Path) -> Path:
+    """Copy a calibration into the folder of the earlier ones, under the instant of its replacement."""
+    folder = file.parent / KEPT
+    folder.mkdir(exist_ok=True)
+    stamp, count = utc_now().strftime("%Y%m%dT%H%M%SZ"), 0
+    while (kept := folder / f"{file.stem}-{stamp}{f'-{count}' if count else ''}.yaml").exists():
+        count += 1
+    kept.write_bytes(file.read_bytes())
+    return kept

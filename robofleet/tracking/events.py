@@ -1,0 +1,34 @@
+"""What can happen to a camera and to a tag, by name."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+NO_TAG = 0xFFFF
+
+
+class TrackerEvent(IntEnum):
+    """Sent in ``TrackerNews``; the comment says what its ``value`` is."""
+
+    TAG_FOUND = 1  # seconds since it was seen last; 0: for the first time
+    TAG_LOST = 2  # seconds for which it was predicted
+    TAG_TWICE = 3  # two prints of one id: distance between them [m]
+    TAG_JUMPED = 4  # further than its robot can drive: distance [m]
+    TAG_MISTAKEN = 5  # another id stands where this one was expected: the other id
+    TAG_CARRIED = 6  # a jump that stayed: believed at last; distance [m]
+    CAMERA_STALLED = 10  # no image: seconds
+    CAMERA_FROZEN = 11  # the same picture again: how many times
+    CAMERA_UNPLUGGED = 12  # 0
+    CAMERA_RESIZED = 13  # an image of another size: its width [px]
+    CAMERA_STRANGE = 14  # not the camera that was calibrated: 0
+    CAMERA_ENDED = 15  # no more images in the file: how many there were
+    CAMERA_BACK = 16  # good images again: seconds without
+    CAMERA_MOVED = 20  # out of its calibration, beyond what is corrected: largest error of a floor tag [m]
+    CAMERA_CORRECTED = 21  # out of its calibration, and corrected: largest error of a floor tag before [m]
+
+
+class Happening(NamedTuple):
+    """One event."""
+
+    event: TrackerEvent
+    tag: int = NO_TAG
+    value: float = 0.0

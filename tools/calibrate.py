@@ -1,0 +1,41 @@
+"""Measures what a laboratory needs once: the camera's lens, its place, each robot's tag, its delay and lag.
+
+    .venv/bin/python tools/calibrate.py intrinsics|arena|offsets|latency|verify --help
+
+Exit 0: measured, and good enough to use; 2: refused, one line for each reason. Nothing is written then.
+"""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robofleet.calibration.store import CalibrationError
+from robofleet.clock import utc_now
+from robofleet.config.load import ConfigError
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+
+ReportFile = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE", help="Default: runs/<UTC time>-<command>/report.html.")
+]
+
+
+def report_file(asked: Path | None, command: str) -> Path:
+    """Return where the page goes."""
+    return asked or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
+
+
+def main() -> None:
+    """Run a command; bad input ends here."""
+    try:
+        app()
+    except (CalibrationError, ConfigError) as refused:
+        for fault in refused.faults:
+            print(fault, file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
