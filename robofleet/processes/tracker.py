@@ -15,8 +15,9 @@ from robofleet.plugins import load
 from robofleet.simulation.sources import TruthSource
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import Happening
+from robofleet.tracking.photometric import Target
 from robofleet.tracking.sources import CameraContext, CameraReader, ScheduledCamera
-from robofleet.tracking.tracker import TagTracker, Target
+from robofleet.tracking.tracker import TagTracker
 
 _EPOCH = 1
 _IDLE_NS = 100 * MS

@@ -3,7 +3,10 @@
 from enum import IntEnum
 from typing import NamedTuple
 
+from robofleet.clock import S
+
 NO_TAG = 0xFFFF
+_SAY_AGAIN_NS = S
 
 
 class TrackerEvent(IntEnum):
@@ -32,3 +35,23 @@ class Happening(NamedTuple):
     event: TrackerEvent
     tag: int = NO_TAG
     value: float = 0.0
+
+
+class News:
+    """Collects what happens; the same event of the same tag is told once a second."""
+
+    def __init__(self) -> None:
+        self._happenings: list[Happening] = []
+        self._said_ns: dict[tuple[TrackerEvent, int], int] = {}
+
+    def say(self, event: TrackerEvent, tag: int, value: float, now_ns: int) -> None:
+        """Add an event."""
+        said_ns = self._said_ns.get((event, tag))
+        if said_ns is None or now_ns - said_ns >= _SAY_AGAIN_NS:
+            self._said_ns[event, tag] = now_ns
+            self._happenings.append(Happening(event, tag, float(value)))
+
+    def take(self) -> tuple[Happening, ...]:
+        """Return what was added since the last call."""
+        taken, self._happenings = tuple(self._happenings), []
+        return taken

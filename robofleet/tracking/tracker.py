@@ -1,23 +1,36 @@
-"""Follows a set of tags from image to image."""
+"""Follows tags from image to image, and never guesses which is which.
 
+Each image: predict every tag by its last motion, fit it there photometrically (``photometric.py``); where that fails,
+search the region that it can have reached (``tags.py``); where that fails too, coast on the prediction and say so. One
+tile of the image is searched as a whole, another one each time: newcomers, and prints that ought not to be there, are
+found within a sweep.
+
+A tag is known by its continuity: it cannot be further off than its robot can have driven. A print elsewhere is
+refused and reported. Only when the tag itself is gone, and the print stayed for some sweeps with no second one of its
+id, it is believed: the tag was carried there, or is new.
+"""
+
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.clock import S
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.events import Happening
-from robofleet.tracking.tags import TagDetector
+from robofleet.tracking.events import Happening, News, TrackerEvent
+from robofleet.tracking.photometric import Fit, PhotometricFit, Target, side_px
+from robofleet.tracking.suspects import SAME, Suspects
+from robofleet.tracking.tags import Found, Region, TagDetector, tiles, wrapped
 
+Image = NDArray[np.uint8]
 
-class Target(NamedTuple):
-    """A tag to follow."""
-
-    tag: int
-    side: float  # of its black square [m]
-    height: float  # above the floor [m]
-    max_speed: float  # 0 for a tag that lies still [m/s]
+_ALIKE = 0.8  # least correlation of a tag where it is expected: it may be partly hidden; another id reaches 0.65
+_COAST_NS = S // 2  # a tag that is hidden for longer is lost
+_TILES = (4, 2)  # across and down: one is searched in each image
+_SEARCHES = 4  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
+_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
 class TagSighting(NamedTuple):
@@ -35,12 +48,12 @@ class Sightings(NamedTuple):
     """What one image shows."""
 
     poses: tuple[TagSighting, ...]
-    refused: int  # squares that read as a target and cannot be it
+    refused: int  # prints that read as a target and cannot be it
     happenings: tuple[Happening, ...]
 
 
 class TagTracker:
-    """Acquires tags, follows them, predicts those that are hidden, and never guesses which is which."""
+    """Acquires tags, follows them, predicts those that are hidden."""
 
     def __init__(
         self,
@@ -50,16 +63,207 @@ class TagTracker:
         line_time: float = 0.0,
     ) -> None:
         """Take the image's (width, height) and a rolling shutter's time from row to row [s]."""
-        by_look: dict[tuple[float, float], list[int]] = {}
-        for target in targets:
-            by_look.setdefault((target.side, target.height), []).append(target.tag)
-        self._detectors = [TagDetector(geometry, tags, *look) for look, tags in by_look.items()]
-
-    def track(self, image: NDArray[np.uint8], exposure_ns: int) -> Sightings:
-        """Return what an image (H, W) shows, whose middle row was exposed around ``exposure_ns``."""
-        found = [detector.detect(image) for detector in self._detectors]
-        poses = tuple(TagSighting(*pose, 0, 0) for sightings in found for pose in sightings.poses)
-        return Sightings(poses, sum(sightings.refused for sightings in found), ())
+        n = len(targets)
+        self._targets, self._size, self._line_time = tuple(targets), image_size, line_time
+        self._fit = PhotometricFit(geometry, targets, line_time)
+        self._detector = TagDetector(self._fit, targets)
+        self._sides = np.array([target.side for target in targets])
+        self._lies_still = np.array([target.max_speed == 0.0 for target in targets])
+        self._pixels_per_m = side_px(geometry, targets[0]) / targets[0].side
+        self._centre = np.full(n, np.nan, np.complex128)  # of the newest measurement [m; world]
+        self._psi = np.zeros(n)
+        self._velocity = np.zeros(n, np.complex128)  # in the tag's frame, forward + i left [m/s]
+        self._omega = np.zeros(n)  # [rad/s]
+        self._row = np.zeros(n)  # of the image, where it was [px]
+        self._measured_ns = np.zeros(n, np.int64)
+        self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
+        self._suspects = Suspects(targets)
+        self._tiles = tiles(image_size, _TILES, 1.5 * max(side_px(geometry, target) for target in targets))
+        self._images = 0
+        self._news = News()
+        self._refused = 0
 
     def moved(self, geometry: CameraGeometry) -> None:
-        """Go on with a corrected camera."""
+        """Go on with a corrected camera: what was seen at a pixel is seen there still."""
+        known = np.flatnonzero(self._measured_ns)
+        pixels = self._fit.pixels(known, self._centre[known])
+        self._fit.geometry = geometry
+        x_y = geometry.to_plane(pixels, self._fit.heights[known])
+        self._centre[known] = x_y[:, 0] + 1j * x_y[:, 1]
+
+    def track(self, image: Image, exposure_ns: int) -> Sightings:
+        """Return what an image (H, W) shows. ``exposure_ns``: mid-exposure of its middle row."""
+        self._refused = 0
+        followed = np.flatnonzero(self._followed)
+        measured = self._follow(image, exposure_ns, followed)
+        hidden = [int(i) for i in followed if i not in measured]
+        measured |= self._search(image, exposure_ns, hidden, measured)
+        measured |= self._scan(image, exposure_ns, measured)
+        poses = [self._sighting(i, exposure_ns) for i in sorted(measured)]
+        poses += self._coast(exposure_ns, [i for i in hidden if i not in measured])
+        return Sightings(tuple(poses), self._refused, self._news.take())
+
+    # Tags that are expected
+
+    def _follow(self, image: Image, exposure_ns: int, index: NDArray[np.int64]) -> set[int]:
+        """Fit the followed tags where they are expected; returns those that are there."""
+        if not len(index):
+            return set()
+        centre, psi = self._predicted(index, exposure_ns + self._after_ns(self._row[index]))
+        world = self._velocity[index] * np.exp(1j * psi)
+        fit = self._fit.fit(image, index, centre, psi, world, self._omega[index])
+        there = np.flatnonzero(fit.alike > _ALIKE)
+        self._measure(index[there], fit.of(there), exposure_ns)
+        return set(index[there].tolist())
+
+    def _predicted(
+        self, index: NDArray[np.int64], instants_ns: NDArray[np.int64]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """Return centre and heading at instants, on the arcs of the last motion."""
+        t = (instants_ns - self._measured_ns[index]) * 1e-9
+        turn = self._omega[index] * t
+        # The chord of the arc: v t (e^(i turn) - 1) / (i turn), which is v t where it does not turn.
+        chord = np.exp(0.5j * turn) * np.sinc(turn / (2.0 * math.pi))
+        moved = self._velocity[index] * t * chord * np.exp(1j * self._psi[index])
+        return self._centre[index] + moved, self._psi[index] + turn
+
+    def _measure(self, index: NDArray[np.int64], fit: Fit, exposure_ns: int) -> None:
+        """Take measured poses, and the motion since the ones before."""
+        instants = exposure_ns + self._after_ns(fit.row)
+        t = np.maximum((instants - self._measured_ns[index]) * 1e-9, 1e-6)
+        turn = np.remainder(fit.psi - self._psi[index] + math.pi, 2.0 * math.pi) - math.pi
+        chord = np.exp(0.5j * turn) * np.sinc(turn / (2.0 * math.pi))
+        moving = self._followed[index] & ~self._lies_still[index]
+        self._velocity[index] = np.where(
+            moving, (fit.centre - self._centre[index]) * np.exp(-1j * self._psi[index]) / (t * chord), 0.0
+        )
+        self._omega[index] = np.where(moving, turn / t, 0.0)
+        self._centre[index], self._psi[index], self._row[index] = fit.centre, fit.psi, fit.row
+        self._measured_ns[index] = instants
+        self._followed[index] = True
+
+    def _after_ns(self, rows: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return how long after the middle row's exposure the rows were exposed [ns]."""
+        return np.rint((rows - (self._size[1] - 1) / 2.0) * self._line_time * 1e9).astype(np.int64)
+
+    def _reach(self, i: int, exposure_ns: int) -> float:
+        """Return how far a tag can be from where it was measured last [m]."""
+        return self._suspects.reach(i, exposure_ns - int(self._measured_ns[i]))
+
+    def _search(self, image: Image, exposure_ns: int, hidden: list[int], measured: set[int]) -> set[int]:
+        """Look for hidden tags where they can be, the longest hidden first; returns those that are there."""
+        found: set[int] = set()
+        for i in sorted(hidden, key=lambda i: self._measured_ns[i])[:_SEARCHES]:
+            findings = self._detector.detect(image, self._region(i, exposure_ns))
+            here = [
+                tag
+                for tag in findings.tags
+                if tag.target == i
+                and abs(tag.centre - self._centre[i]) <= self._reach(i, exposure_ns)
+                and not self._suspects.is_second(tag, exposure_ns)
+            ]
+            if here and all(self._suspects.same(tag, here[0].centre) for tag in here):
+                self._take(here[0], exposure_ns)
+                found.add(i)
+                continue
+            for tag in findings.tags:
+                if tag.target not in (i, *measured) and abs(tag.centre - self._centre[i]) < SAME * self._sides[i]:
+                    self._say(TrackerEvent.TAG_MISTAKEN, i, self._targets[tag.target].tag, exposure_ns)
+        return found
+
+    def _region(self, i: int, exposure_ns: int) -> Region:
+        """Return the pixels where a hidden tag may be."""
+        (u, v) = self._fit.pixels(np.array([i]), self._centre[[i]])[0]
+        half = (self._reach(i, exposure_ns) + _MARGIN * self._sides[i] * math.sqrt(2.0)) * self._pixels_per_m
+        width, height = self._size
+        u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+        return Region(
+            max(0, int(u - half)), max(0, int(v - half)), min(width, int(u + half) + 2), min(height, int(v + half) + 2)
+        )
+
+    def _take(self, tag: Found, exposure_ns: int) -> None:
+        """Believe what was found."""
+        index, centre = np.array([tag.target]), np.array([tag.centre])
+        rows = self._fit.pixels(index, centre)[:, 1]
+        self._measure(index, Fit(centre, np.array([tag.psi]), np.ones(1), rows), exposure_ns)
+        self._suspects.cleared(tag.target)
+
+    def _coast(self, exposure_ns: int, hidden: list[int]) -> list[TagSighting]:
+        """Return where the tags that are hidden for a short while should be."""
+        poses = []
+        for i in hidden:
+            coasted_ns = exposure_ns - int(self._measured_ns[i])
+            if coasted_ns > _COAST_NS:
+                self._followed[i] = False
+                self._say(TrackerEvent.TAG_LOST, i, coasted_ns * 1e-9, exposure_ns)
+                continue
+            centre, psi = self._predicted(np.array([i]), np.array([exposure_ns]))
+            pose = (float(centre[0].real), float(centre[0].imag), wrapped(float(psi[0])))
+            poses.append(TagSighting(self._targets[i].tag, *pose, 0, max(1, coasted_ns)))
+        return poses
+
+    # Tags that are not
+
+    def _scan(self, image: Image, exposure_ns: int, measured: set[int]) -> set[int]:
+        """Search a tile, or the whole image while nothing is followed; returns the tags that are believed."""
+        whole = not self._followed.any()
+        if whole:
+            findings = self._detector.detect(image)
+        else:
+            known = np.full_like(self._centre, np.nan)
+            known[list(measured)] = self._centre[list(measured)]
+            findings = self._detector.detect(image, self._tiles[self._images % len(self._tiles)], known)
+        self._images += 1
+        self._refused += findings.refused
+        believed: set[int] = set()
+        for tag in findings.tags:
+            rivals = [o for o in findings.tags if o.target == tag.target and not self._suspects.same(o, tag.centre)]
+            if rivals:
+                self._refuse(TrackerEvent.TAG_TWICE, tag, rivals[0].centre, exposure_ns)
+            elif tag.target in measured:
+                self._refuse(TrackerEvent.TAG_TWICE, tag, self._centre[tag.target], exposure_ns)
+                self._suspects.second(tag, exposure_ns)
+            elif tag.target not in believed and self._believable(tag, exposure_ns, whole=whole):
+                self._take(tag, exposure_ns)
+                believed.add(tag.target)
+        return believed
+
+    def _believable(self, tag: Found, exposure_ns: int, *, whole: bool) -> bool:
+        """Return whether continuity or patience allow a tag that is not followed, or is not where it was."""
+        i = tag.target
+        known = self._measured_ns[i] > 0
+        before = complex(self._centre[i]) if known else tag.centre
+        distance = abs(tag.centre - before)
+        if self._suspects.is_second(tag, exposure_ns):
+            self._refuse(TrackerEvent.TAG_TWICE, tag, before, exposure_ns)
+            return False
+        if (known and distance <= self._reach(i, exposure_ns)) or (whole and not known):
+            if not self._followed[i]:
+                hidden_s = (exposure_ns - int(self._measured_ns[i])) * 1e-9 if known else 0.0
+                self._say(TrackerEvent.TAG_FOUND, i, hidden_s, exposure_ns)
+            return True
+        rival = self._suspects.rival(tag, exposure_ns)
+        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._tiles))
+        if rival is not None:
+            self._refuse(TrackerEvent.TAG_TWICE, tag, rival, exposure_ns)
+        elif patient and not self._followed[i]:
+            self._say(TrackerEvent.TAG_CARRIED if known else TrackerEvent.TAG_FOUND, i, distance, exposure_ns)
+            return True
+        elif known:
+            self._refuse(TrackerEvent.TAG_JUMPED, tag, before, exposure_ns)
+        return False
+
+    # What is said
+
+    def _refuse(self, event: TrackerEvent, tag: Found, other: complex, exposure_ns: int) -> None:
+        """Refuse a print, and tell how far it is from the other place of its tag."""
+        self._refused += 1
+        self._say(event, tag.target, abs(tag.centre - other), exposure_ns)
+
+    def _say(self, event: TrackerEvent, i: int, value: float, exposure_ns: int) -> None:
+        self._news.say(event, self._targets[i].tag, value, exposure_ns)
+
+    def _sighting(self, i: int, exposure_ns: int) -> TagSighting:
+        after_ns = int(self._measured_ns[i]) - exposure_ns
+        z = complex(self._centre[i])
+        return TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(float(self._psi[i])), after_ns, 0)

@@ -1,0 +1,249 @@
+"""Places tags to a few hundredths of a pixel by the greys of their whole pattern.
+
+A tag's neighbourhood on its plane maps to pixels by a biquadratic, exact in nine nodes that go through the whole camera
+model: lens, tilt, height, and under a rolling shutter the way that the tag covers from row to row. The pattern is
+sampled through that map, and (contrast, brightness, slope of the light, offset, turn) are fitted by Gauss-Newton
+steps, each one product with a pseudo-inverse made beforehand from the template's derivatives. The correlation with
+the template says whether it is this tag: another id of the family reaches 0.65.
+
+Points of the plane are complex numbers, x + iy; in the tag's own frame, forward + i left [sides].
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.kernels import image_kernel
+from robofleet.tracking.camera import CameraGeometry
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+
+CELLS = 8  # of the pattern, black rim included
+FAMILY = cv2.aruco.DICT_APRILTAG_36h11
+
+_SAMPLES = 32  # along a side of the fitted square, about one a pixel
+_REACH = 0.61  # half the fitted square [sides]: most of the white cell beyond the black rim
+_BLUR_PX = 0.75  # standard deviation expected of lens, pixel and interpolation; a wrong one does not bias
+_STEPS = 5  # Gauss-Newton, at most
+_CONVERGED = 0.001  # a last step this short is the last [sides, rad]
+_LONGEST_STEP = 0.06  # [sides]
+_FURTHEST = 0.2  # from the guess [sides]
+_NODES = np.array([0.7 * (i + 1j * j) for j in (-1, 0, 1) for i in (-1, 0, 1)])  # [sides]
+
+
+class Target(NamedTuple):
+    """A tag to follow."""
+
+    tag: int
+    side: float  # of its black square [m]
+    height: float  # above the floor [m]
+    max_speed: float  # 0 for a tag that lies still [m/s]
+
+
+class Fit(NamedTuple):
+    """M tags as an image shows them."""
+
+    centre: Complex  # (M,) [m; world]
+    psi: Array  # (M,) [rad; CCW +]
+    alike: Array  # (M,) correlation with the pattern; 0 where the fit left the neighbourhood of the guess
+    row: Array  # (M,) of the image in which the centre lies [px]
+
+    def of(self, which: Indices) -> "Fit":
+        """Return some of them."""
+        return Fit(self.centre[which], self.psi[which], self.alike[which], self.row[which])
+
+
+class PhotometricFit:
+    """Fits tags of known pattern, size and height near where they are expected."""
+
+    def __init__(self, geometry: CameraGeometry, targets: Sequence[Target], line_time: float = 0.0) -> None:
+        """Take a rolling shutter's time from row to row [s]."""
+        self.geometry = geometry
+        self._line_time = line_time
+        self._sides = np.array([target.side for target in targets])
+        self.heights = np.array([target.height for target in targets])
+        self._templates = np.stack([_template(target, _side_px(geometry, target)) for target in targets])
+        self._at = _samples()[0].real.astype(np.float32)
+        self._nodes = np.stack([_NODES.real, _NODES.imag], axis=1)
+        self._to_coefficients = np.linalg.inv(_monomials(_NODES))
+        self.fit(np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, complex), np.zeros(1))  # compiles, or loads
+
+    def fit(
+        self,
+        image: NDArray[np.uint8],
+        index: Indices,
+        centre: Complex,
+        psi: Array,
+        velocity: Complex | None = None,
+        omega: Array | None = None,
+    ) -> Fit:
+        """Return the poses near the guesses ``centre``, ``psi`` (M,) of the targets ``index`` (M,).
+
+        velocity (M,) [m/s; world] and omega (M,) [rad/s] are used under a rolling shutter alone.
+        """
+        if not len(index):
+            return Fit(centre, psi, np.empty(0), np.empty(0))
+        turn = self._sides[index] * np.exp(1j * psi)
+        nodes = centre[:, None] + turn[:, None] * _NODES
+        pixels = self._project(nodes, index)
+        rows = pixels[:, len(_NODES) // 2, 1]
+        if self._line_time and velocity is not None and omega is not None:
+            flow = velocity[:, None] + 1j * omega[:, None] * (nodes - centre[:, None])
+            pixels = self._project(nodes + flow * (pixels[..., 1] - rows[:, None]) * self._line_time, index)
+        result = np.empty((len(index), 4))
+        _fit(image, pixels, self._nodes, self._to_coefficients, self._at, self._templates, index, result)
+        return Fit(centre + turn * (result[:, 0] + 1j * result[:, 1]), psi + result[:, 2], result[:, 3], rows)
+
+    def pixels(self, index: Indices, centre: Complex) -> Array:
+        """Return where points (M,) on the targets' planes appear (M, 2) [px]."""
+        return self._project(centre[:, None], index)[:, 0]
+
+    def _project(self, points: Complex, index: Indices) -> Array:
+        """Return the pixels (M, K, 2) of points (M, K) on the planes of the targets ``index``."""
+        world = np.empty((*points.shape, 3))
+        world[..., 0], world[..., 1], world[..., 2] = points.real, points.imag, self.heights[index, None]
+        return self.geometry.project(world).reshape(*points.shape, 2)
+
+
+def side_px(geometry: CameraGeometry, target: Target) -> float:
+    """Return a tag's side straight below the camera [px]."""
+    return float(geometry.K[0, 0]) * target.side / (float(geometry.position[2]) - target.height)
+
+
+_side_px = side_px
+
+
+def pattern(tag: int) -> NDArray[np.bool_]:
+    """Return the tag's cells (8, 8), true where white, row 0 at the top as OpenCV prints it."""
+    family = cv2.aruco.getPredefinedDictionary(FAMILY)
+    return np.asarray(family.generateImageMarker(tag, CELLS) > 0)
+
+
+def _samples() -> Complex:
+    """Return where the fit samples a tag, (_SAMPLES, _SAMPLES), row 0 at the print's top."""
+    at = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2.0 - 1.0) * _REACH
+    return at[None, :] - 1j * at[:, None]
+
+
+def _monomials(points: Complex) -> Array:
+    """Return a^i b^j, (n, 9), of points a + ib; i varies fastest."""
+    a, b = points.real, points.imag
+    return np.stack([a**i * b**j for j in range(3) for i in range(3)], axis=-1)
+
+
+def _template(target: Target, side_px: float) -> NDArray[np.float32]:
+    """Return the rows (5, n) to multiply a patch of n greys with.
+
+    Correlation times the patch's norm; contrast; contrast times the offset forward, left [sides] and counter-clockwise
+    [rad]. Brightness and a slope of the light are fitted too, and dropped.
+    """
+    blur = _BLUR_PX / side_px
+    at = _samples()
+    z = (at[0].real[:, None] - (np.arange(CELLS + 1) / CELLS - 0.5)) / blur
+    step = np.vectorize(math.erf)(z / math.sqrt(2.0)) / 2.0
+    slope = np.exp(-z * z / 2.0) / (blur * math.sqrt(2.0 * math.pi))
+    cell, edge, black = step[:, :-1] - step[:, 1:], slope[:, :-1] - slope[:, 1:], 1.0 - pattern(target.tag)
+    look, forward, left = -cell @ black @ cell.T, -cell @ black @ edge.T, edge @ black @ cell.T
+    spin = at.real * left - at.imag * forward
+    basis = np.stack([look, -forward, -left, -spin, np.ones_like(look), at.real, at.imag]).reshape(7, -1)
+    look = look.ravel() - look.mean()
+    rows = np.vstack([look / np.linalg.norm(look), np.linalg.pinv(basis.T)[:4]])
+    return rows.astype(np.float32)
+
+
+@image_kernel
+def _fit(image, pixels, nodes, to_coefficients, at, templates, index, result):  # type: ignore[no-untyped-def]
+    """Write forward, left [sides], turn [rad] from the guess, and the correlation, of each tag into ``result``.
+
+    pixels (M, 9, 2): of the nodes (9, 2) around the guess. A tag that is not whole in the image is not alike at all.
+    """
+    patch = np.empty(len(at) * len(at), np.float32)
+    for m in range(len(index)):
+        guessed = to_coefficients @ pixels[m]
+        x = y = turn = alike = 0.0
+        for _ in range(_STEPS):
+            local = to_coefficients @ _map(guessed, nodes, x, y, turn)
+            if not _sample(image, local, at, patch):
+                alike = 0.0
+                break
+            alike, forward, left, spin = _compare(patch, templates[index[m]])
+            length = math.hypot(forward, left)
+            if length > _LONGEST_STEP:
+                shorter = _LONGEST_STEP / length
+                forward, left, spin = shorter * forward, shorter * left, shorter * spin
+            c, s = math.cos(turn), math.sin(turn)
+            x, y, turn = x + c * forward - s * left, y + s * forward + c * left, turn + spin
+            if length < _CONVERGED and abs(spin) < _CONVERGED:
+                break
+        if math.hypot(x, y) > _FURTHEST or abs(turn) > _FURTHEST:
+            alike = 0.0
+        result[m, 0], result[m, 1], result[m, 2], result[m, 3] = x, y, turn, alike
+
+
+@image_kernel
+def _map(coefficients, nodes, x, y, turn):  # type: ignore[no-untyped-def]
+    """Return where the nodes (9, 2) of a tag appear that is off by x, y [sides] and turn [rad]."""
+    c, s = math.cos(turn), math.sin(turn)
+    pixels = np.empty((9, 2))
+    for n in range(9):
+        a, b = x + c * nodes[n, 0] - s * nodes[n, 1], y + s * nodes[n, 0] + c * nodes[n, 1]
+        for axis in range(2):
+            k = coefficients[:, axis]
+            pixels[n, axis] = (
+                (k[0] + a * (k[1] + a * k[2]))
+                + b * ((k[3] + a * (k[4] + a * k[5])) + b * (k[6] + a * (k[7] + a * k[8])))
+            )  # fmt: skip
+    return pixels
+
+
+@image_kernel
+def _sample(image, coefficients, at, patch):  # type: ignore[no-untyped-def]
+    """Fill ``patch`` with the greys at the grid ``at`` x ``at``, top row first; False if it leaves the image."""
+    one, count = np.float32(1.0), len(at)
+    width, height = image.shape[1], image.shape[0]
+    for row in range(count):
+        b = -at[row]
+        k = np.empty((3, 2), np.float32)
+        for i in range(3):
+            for axis in range(2):
+                k[i, axis] = coefficients[i, axis] + b * (coefficients[3 + i, axis] + b * coefficients[6 + i, axis])
+        u0, u1, u2, v0, v1, v2 = k[0, 0], k[1, 0], k[2, 0], k[0, 1], k[1, 1], k[2, 1]
+        for end in (0, count - 1):
+            a = at[end]
+            u, v = u0 + a * (u1 + a * u2), v0 + a * (v1 + a * v2)
+            if not (u > 0.0 and v > 0.0 and u < width - 1.5 and v < height - 1.5):
+                return False
+        for column in range(count):
+            a = at[column]
+            u, v = u0 + a * (u1 + a * u2), v0 + a * (v1 + a * v2)
+            left, top = np.int32(u), np.int32(v)
+            u, v = u - np.float32(left), v - np.float32(top)
+            upper = (one - u) * np.float32(image[top, left]) + u * np.float32(image[top, left + 1])
+            lower = (one - u) * np.float32(image[top + 1, left]) + u * np.float32(image[top + 1, left + 1])
+            patch[row * count + column] = upper + v * (lower - upper)
+    return True
+
+
+@image_kernel
+def _compare(patch, template):  # type: ignore[no-untyped-def]
+    """Return the patch's correlation with a template, and the step towards it: forward, left [sides], turn [rad]."""
+    total = squares = np.float32(0.0)
+    look = contrast = forward = left = spin = np.float32(0.0)
+    for n in range(len(patch)):
+        gray = patch[n] - np.float32(128.0)
+        total += gray
+        squares += gray * gray
+        look += gray * template[0, n]
+        contrast += gray * template[1, n]
+        forward += gray * template[2, n]
+        left += gray * template[3, n]
+        spin += gray * template[4, n]
+    norm = max(squares - total * total / len(patch), np.float32(1.0)) ** 0.5
+    contrast = max(contrast, np.float32(1.0))  # less is no tag
+    return look / norm, forward / contrast, left / contrast, spin / contrast

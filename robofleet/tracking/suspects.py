@@ -1,0 +1,76 @@
+"""Prints that read as a tag and stand where that tag cannot be: which of them are believed at last."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robofleet.tracking.photometric import Target
+from robofleet.tracking.tags import Found
+
+SAME = 0.5  # two places closer than this are of one print [sides]
+_PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed
+_SLIP = 1.5  # a robot may be faster than its limit: pushed, downhill, a worn wheel
+
+
+@dataclass
+class _Suspect:
+    centre: complex
+    seen_ns: int
+    sweep: float  # of the newest sighting that counted
+    sightings: int = 0
+    second: bool = False  # it was seen while the tag itself was seen elsewhere: never believed
+
+
+class Suspects:
+    """One print a tag: the newest."""
+
+    def __init__(self, targets: Sequence[Target]) -> None:
+        self._same = SAME * np.array([target.side for target in targets])
+        self._speeds = _SLIP * np.array([target.max_speed for target in targets])
+        self._suspects: dict[int, _Suspect] = {}
+
+    def reach(self, target: int, elapsed_ns: int) -> float:
+        """Return how far a tag can be from where it was a while ago [m]."""
+        return float(self._speeds[target] * elapsed_ns * 1e-9 + self._same[target])
+
+    def same(self, tag: Found, centre: complex) -> bool:
+        """Return whether a tag found is the print at ``centre``."""
+        return bool(abs(tag.centre - centre) < self._same[tag.target])
+
+    def cleared(self, target: int) -> None:
+        """The tag itself was found: a print that was only waiting is forgotten."""
+        suspect = self._suspects.get(target)
+        if suspect is not None and not suspect.second:
+            del self._suspects[target]
+
+    def second(self, tag: Found, now_ns: int) -> None:
+        """Remember a second print: the tag itself is seen elsewhere."""
+        self._suspects[tag.target] = _Suspect(tag.centre, now_ns, 0.0, second=True)
+
+    def is_second(self, tag: Found, now_ns: int) -> bool:
+        """Return whether this is a print that was a second one before; it may have moved since."""
+        suspect = self._suspects.get(tag.target)
+        if suspect is None or not suspect.second or not self._follows(suspect, tag, now_ns):
+            return False
+        suspect.centre, suspect.seen_ns = tag.centre, now_ns
+        return True
+
+    def rival(self, tag: Found, now_ns: int) -> complex | None:
+        """Return where another print of the same tag was seen lately that cannot be this one."""
+        suspect = self._suspects.get(tag.target)
+        return None if suspect is None or self._follows(suspect, tag, now_ns) else suspect.centre
+
+    def sighted(self, tag: Found, now_ns: int, sweep: float) -> bool:
+        """Count a sighting; true when there were enough, and no other print in between."""
+        suspect = self._suspects.get(tag.target)
+        if suspect is None or not self._follows(suspect, tag, now_ns):
+            suspect = self._suspects[tag.target] = _Suspect(tag.centre, now_ns, sweep - 1.0)
+        suspect.centre, suspect.seen_ns = tag.centre, now_ns
+        if sweep - suspect.sweep > 0.5:  # tiles overlap: one print is seen in two of a sweep
+            suspect.sweep = sweep
+            suspect.sightings += 1
+        return suspect.sightings > _PATIENCE
+
+    def _follows(self, suspect: _Suspect, tag: Found, now_ns: int) -> bool:
+        return abs(tag.centre - suspect.centre) <= self.reach(tag.target, now_ns - suspect.seen_ns)
