@@ -216,8 +216,12 @@ class TagTracker:
         self._images += 1
         self._refused += findings.refused
         believed: set[int] = set()
-        for tag in findings.tags:
-            rivals = [o for o in findings.tags if o.target == tag.target and not self._suspects.same(o, tag.centre)]
+        seconds = [tag for tag in findings.tags if self._suspects.is_second(tag, exposure_ns)]
+        others = [tag for tag in findings.tags if tag not in seconds]
+        for tag in seconds:
+            self._refuse(TrackerEvent.TAG_TWICE, tag, complex(self._centre[tag.target]), exposure_ns)
+        for tag in others:
+            rivals = [o for o in others if o.target == tag.target and not self._suspects.same(o, tag.centre)]
             if rivals:
                 self._refuse(TrackerEvent.TAG_TWICE, tag, rivals[0].centre, exposure_ns)
             elif tag.target in measured:
@@ -234,9 +238,6 @@ class TagTracker:
         known = self._measured_ns[i] > 0
         before = complex(self._centre[i]) if known else tag.centre
         distance = abs(tag.centre - before)
-        if self._suspects.is_second(tag, exposure_ns):
-            self._refuse(TrackerEvent.TAG_TWICE, tag, before, exposure_ns)
-            return False
         if (known and distance <= self._reach(i, exposure_ns)) or (whole and not known):
             if not self._followed[i]:
                 hidden_s = (exposure_ns - int(self._measured_ns[i])) * 1e-9 if known else 0.0
