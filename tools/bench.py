@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import bench_tracker
 import cv2
 import numba
 import numpy as np
@@ -31,9 +32,6 @@ from robofleet.experiments.baselines.choice import Key, MissingLibraryError, bui
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
 from robofleet.experiments.paper import parameters_of
 from robofleet.processes.lockstep import Lockstep
-from robofleet.simulation.camera import SceneRenderer
-from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.tags import TagDetector
 from robofleet.vehicles.bicycle import ZHOU_2017
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,46 +46,12 @@ def main() -> None:
     as_json = parser.parse_args().json
     cv2.setNumThreads(1)
     config = load_config(ROOT / "configs" / "platoon.yaml")
-    rows = [*tags(config), *nearest_points(config), *bicycle_updates(), *closed_curve(), *lockstep()]
+    rows = [*bench_tracker.rows(), *nearest_points(config), *bicycle_updates(), *closed_curve(), *lockstep()]
     if as_json:
         print(json.dumps({"rows": rows}))
         return
     for row in rows:
         print(f"{row['what']:<58} {row['who']:<42} {row['value']:>9.4g} {row['unit']:<3} {row['ratio']:>8.3g} x")
-
-
-def tags(config: Config) -> list[Row]:
-    """Find and place four tags in an image, by each library's defaults and by robofleet."""
-    detector = TagDetector(
-        CameraGeometry.from_model(config.camera.model),
-        [robot.tag for robot in config.platoon],
-        config.tracker.tag_side_m,
-        config.tracker.tag_height_m,
-    )
-    images = _images(config)
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    plain = cv2.aruco.ArucoDetector(dictionary)
-    refined = cv2.aruco.DetectorParameters()
-    refined.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    subpixel = cv2.aruco.ArucoDetector(dictionary, refined)
-    turn = iter(range(10**9))
-
-    def each(detect: Callable[[NDArray[np.uint8]], object]) -> Callable[[], object]:
-        return lambda: detect(images[next(turn) % len(images)])
-
-    candidates = {
-        "robofleet": each(detector.detect),
-        "OpenCV, default parameters": each(plain.detectMarkers),
-        "OpenCV, subpixel corners": each(subpixel.detectMarkers),
-    }
-    try:
-        from pyapriltags import Detector  # noqa: PLC0415
-
-        library = Detector(families="tag36h11", nthreads=1, quad_decimate=2.0)
-        candidates["pyapriltags, decimate 2"] = each(library.detect)
-    except ImportError:
-        print("pyapriltags is not installed (pip install -e '.[bench]'): its row is left out")
-    return _rows("find and place 4 tags, 1280 x 720", candidates, 1e3, "ms", 60)
 
 
 def nearest_points(config: Config) -> list[Row]:
@@ -201,22 +165,6 @@ def lockstep() -> list[Row]:
         factor = statistics.median(factors)
         rows.append(_row(f"a lap in lockstep, tracker.source={source}", "robofleet", factor, "x", factor))
     return rows
-
-
-def _images(config: Config) -> list[NDArray[np.uint8]]:
-    rng = np.random.default_rng(1)
-    renderer = SceneRenderer(
-        CameraGeometry.from_model(config.camera.model),
-        (config.camera.width, config.camera.height),
-        [robot.tag for robot in config.platoon],
-        config.tracker.tag_side_m,
-        config.tracker.tag_height_m,
-        config.camera.noise_gray,
-        rng,
-    )
-    corners = np.array([(-0.8, -0.5, 0), (-0.8, 0.5, 0), (0.8, -0.5, 0), (0.8, 0.5, 0)])
-    spread = np.array((0.6, 0.3, np.pi))
-    return [renderer.render((corners + rng.uniform(-spread, spread, (4, 3)))[None]).copy() for _ in range(12)]
 
 
 def _nearest_by_roots(coefficients: NDArray[np.float64], point: NDArray[np.float64]) -> float:
