@@ -1,0 +1,332 @@
+"""An independent camera, slow and physical: ray-cast prints under a whole camera model, for figures one can believe.
+
+Nothing here is shared with the tracker or the simulated camera. Each pixel is cut into 6 x 6 sub-samples; each is cast
+as a ray through the lens (distortion inverted by Newton's method) onto the print's own plane, at its own instant of the
+exposure, which a rolling shutter shifts from row to row. The print is made of sharp black and white squares on paper,
+averaged exactly over the sub-sample's footprint; a disc of defocus and the pixel's square gather the sub-samples. Then
+come uneven light, shot and read noise, clipping and 8 bits. Around the prints lies a floor of clutter at z = 0.
+
+Conventions: integer pixel coordinates are pixel centres; world z up; camera x right, y down, z forward. A print's
+forward is its right and its left its top, with the pattern upright as OpenCV draws it. Times count from the instant at
+which the middle row, (H - 1) / 2, is in mid-exposure. Grey levels are linear in the light.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+BLACK, WHITE = 25.0, 215.0  # of the print under full light
+CELLS = 10  # along the paper: the pattern's 8, and a white one on each side
+
+_SUB = 6  # sub-samples along a pixel
+_NODES = 8  # along a patch: between them, where rays meet a plane is a polynomial to better than a nanometre
+_INSTANT_PX = 0.25  # motion that a sub-sample averages with one instant drawn from it
+
+
+class Cable(NamedTuple):
+    """A straight strip across a print; it ends with the print's surroundings."""
+
+    forward: float  # of a point under it, from the centre of the print at time 0 [m; print]
+    left: float
+    angle: float  # of its run, from the print's forward at time 0 [rad]
+    width: float  # [m]
+    above: float  # the print [m]
+    grey: float
+
+
+class Print(NamedTuple):
+    """A tag (36h11) that moves with a constant twist."""
+
+    tag: int
+    side: float  # of its black square [m]
+    height: float  # above the floor [m]
+    pose: tuple[float, float, float]  # x, y [m], psi [rad; CCW +] of its centre at time 0, world
+    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)  # forward, left [m/s], turn [rad/s; CCW +]
+    cable: Cable | None = None
+
+
+class Patch(NamedTuple):
+    """What stands before the floor in a rectangle of the image."""
+
+    where: tuple[slice, slice]  # rows, columns
+    cover: Floats  # how much of each pixel is print or cable
+    light: Floats  # their grey times that, under full light
+
+
+def along(pose: tuple[float, float, float], twist: tuple[float, float, float], t: ArrayLike) -> tuple[Array, ...]:
+    """Return x, y, psi at times ``t`` [s] of what moves with a constant twist in its own frame."""
+    turn = twist[2] * np.asarray(t)
+    reach = t * np.sinc(turn / (2.0 * math.pi))  # the chord of an arc, per unit of its length
+    c, s = np.cos(pose[2] + turn / 2.0), np.sin(pose[2] + turn / 2.0)
+    x = pose[0] + reach * (c * twist[0] - s * twist[1])
+    y = pose[1] + reach * (s * twist[0] + c * twist[1])
+    return x, y, pose[2] + turn
+
+
+@dataclass(frozen=True, eq=False)
+class RayCamera:
+    """A calibrated camera: OpenCV's pinhole distortion of 0 to 14 coefficients, or fisheye with 4."""
+
+    size: tuple[int, int]  # width, height [px]
+    K: Array  # (3, 3) [px]
+    distortion: Array
+    T_world_camera: Array  # (4, 4), camera to world
+    fisheye: bool = False
+    exposure: float = 0.0  # of a row [s]
+    line_time: float = 0.0  # from a row to the next [s]
+    defocus: float = 0.7  # radius of the disc that a point of light makes [px], at most 1
+
+    def project(self, points_world: Array) -> Array:
+        """Return the pixels (N, 2) of points (N, 3) [m]."""
+        in_camera = (points_world - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, :3]
+        ray = in_camera[:, :2] / in_camera[:, 2:]
+        if self.fisheye:
+            r = np.hypot(*ray.T)[:, None]
+            distorted = ray * _fisheye(np.arctan(r), self.distortion)[0] / np.maximum(r, 1e-12)
+        else:
+            distorted = np.stack(_pinhole(ray[:, 0], ray[:, 1], self.distortion), axis=1)
+        return distorted * np.diag(self.K)[:2] + self.K[:2, 2]
+
+    def on_plane(self, pixels: Array, height: float) -> Array:
+        """Return x, y (N, 2) [m] where the rays of pixels (N, 2) meet z = height."""
+        distorted = (pixels - self.K[:2, 2]) / np.diag(self.K)[:2]
+        undo = _fisheye_ray if self.fisheye else _pinhole_ray
+        ray = np.column_stack([undo(distorted, self.distortion), np.ones(len(pixels))]) @ self.T_world_camera[:3, :3].T
+        eye = self.T_world_camera[:3, 3]
+        return eye[:2] + ray[:, :2] * ((height - eye[2]) / ray[:, 2:])
+
+    def row_time(self, v: Array) -> Array:
+        """Return when rows ``v`` are in mid-exposure [s]."""
+        return (v - (self.size[1] - 1) / 2.0) * self.line_time
+
+    def instant(self, tag: Print) -> float:
+        """Return when the row that shows the centre of a print is in mid-exposure [s]."""
+        t = 0.0
+        for _ in range(4):
+            x, y, _psi = along(tag.pose, tag.twist, t)
+            t = float(self.row_time(self.project(np.array([[x, y, tag.height]]))[0, 1]))
+        return t
+
+
+class RayCaster:
+    """Makes images of one camera: a fixed floor, and prints above it."""
+
+    def __init__(self, camera: RayCamera, floor: Floats, rng: np.random.Generator) -> None:
+        """Take the floor's greys as this camera sees them under full light, (H, W)."""
+        self.camera, self.floor, self._rng = camera, floor, rng
+        self._lamps = _lamps(camera.size)
+        self._gather = _gather(camera.defocus)
+        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        self._looks = [np.pad(family.generateImageMarker(i, 8) > 0, 1, constant_values=True) for i in range(587)]
+
+    def image(self, prints: Iterable[Print], level: float, noise: float) -> NDArray[np.uint8]:
+        """Return a picture (H, W) under ``level`` of the full light.
+
+        ``noise`` is its standard deviation at grey 128, half of that variance from the light's quanta, so that less
+        light has less noise.
+        """
+        light = self.light(prints) * np.float32(level)
+        if noise:
+            sigma = noise * np.sqrt(0.5 + light * np.float32(0.5 / 128.0))
+            light += sigma * self._rng.standard_normal(light.shape, dtype=np.float32)
+        return np.rint(light.clip(0.0, 255.0)).astype(np.uint8)
+
+    def light(self, prints: Iterable[Print]) -> Floats:
+        """Return the greys (H, W) under full light, uneven as it is, without noise, clipping and rounding."""
+        light = self.floor.copy()
+        for patch in map(self.patch, prints):
+            light[patch.where] *= 1.0 - patch.cover
+            light[patch.where] += patch.light
+        return light * self._lamps
+
+    def patch(self, tag: Print) -> Patch:
+        """Cast the rays around one print."""
+        camera = self.camera
+        x, y, psi = along(tag.pose, tag.twist, camera.instant(tag))
+        rim = 0.5 * CELLS / 8.0 * tag.side * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+        c, s = math.cos(psi), math.sin(psi)
+        corners = camera.project(np.column_stack([rim @ [[c, s], [-s, c]] + [x, y], np.full(4, tag.height)]))
+        middle = corners.mean(0)
+        ahead = np.diff(
+            camera.on_plane(middle + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]), tag.height), axis=0
+        )
+        pixel = math.sqrt(abs(ahead[0, 0] * ahead[2, 1] - ahead[0, 1] * ahead[2, 0]))  # on the print's plane [m]
+        motion = camera.exposure * (math.hypot(*tag.twist[:2]) + 0.8 * tag.side * abs(tag.twist[2])) / pixel
+        first = np.floor(corners.min(0) - motion - 2.0).astype(int).clip(0, camera.size)
+        last = np.ceil(corners.max(0) + motion + 3.0).astype(int).clip(0, camera.size)
+        if (first >= last).any():
+            none = np.zeros((0, 0), np.float32)
+            return Patch((slice(0, 0), slice(0, 0)), none, none)
+        # A pixel more on every side, for the defocus.
+        u, v = ((np.arange((b - a + 2) * _SUB) + 0.5) / _SUB + a - 1.5 for a, b in zip(first, last, strict=True))
+        cover, light = self._exposed(tag, u, v, pixel / _SUB, max(1, math.ceil(motion / _INSTANT_PX)))
+        where = slice(first[1], last[1]), slice(first[0], last[0])
+        return Patch(where, self._gathered(cover), self._gathered(light))
+
+    def _exposed(self, tag: Print, u: Array, v: Array, footprint: float, instants: int) -> tuple[Floats, Floats]:
+        """Return cover and light of the sub-samples in columns ``u`` and rows ``v``, averaged over the exposure."""
+        x, y = self._meet(u, v, tag.height, tag.pose)
+        strip = None if tag.cable is None else self._cable(tag, tag.cable, u, v, footprint)
+        rows, columns = np.arange(len(v))[:, None], np.arange(len(u))
+        scatter = np.modf(0.7548776662466927 * columns + 0.5698402909980532 * rows)[0].astype(
+            np.float32
+        )  # even, no grid
+        begun = self.camera.row_time(v).astype(np.float32)[:, None] - np.float32(0.5 * self.camera.exposure)
+        cover, light = np.zeros_like(x), np.zeros_like(x)
+        for k in range(instants):
+            t = begun + (k + scatter) * np.float32(self.camera.exposure / instants)
+            seen = self._seen(tag, x, y, t, footprint)
+            cover += seen[0] / np.float32(instants)
+            light += seen[1] / np.float32(instants)
+        if strip is not None and tag.cable is not None:
+            cover, light = cover + strip - cover * strip, light + strip * (np.float32(tag.cable.grey) - light)
+        return cover, light
+
+    def _seen(self, tag: Print, x: Floats, y: Floats, t: Floats, footprint: float) -> tuple[Floats, Floats]:
+        """Return how much of each sub-sample's footprint is paper, and its grey, averaged over a square."""
+        at_x, at_y, psi = along((0.0, 0.0, tag.pose[2]), tag.twist, t)
+        c, s, d_x, d_y = np.cos(psi), np.sin(psi), x - at_x, y - at_y
+        cell, half = tag.side / 8.0, 0.5 * CELLS
+        column, row = half + (c * d_x + s * d_y) / cell, half - (c * d_y - s * d_x) / cell
+        right, to_right, on_x = _edges(column, footprint / cell)
+        below, to_below, on_y = _edges(row, footprint / cell)
+        look = np.pad(np.where(self._looks[tag.tag], WHITE, BLACK), 1, mode="edge").astype(np.float32)
+        here, wide = look.ravel(), look.shape[1]
+        at = below * wide + right
+        above = here[at] + to_right * (here[at + 1] - here[at])
+        at += wide
+        under = here[at] + to_right * (here[at + 1] - here[at])
+        cover = on_x * on_y
+        return cover, cover * (above + to_below * (under - above))
+
+    def _cable(self, tag: Print, cable: Cable, u: Array, v: Array, footprint: float) -> Floats:
+        """Return how much of each sub-sample is cable."""
+        x, y = self._meet(u, v, tag.height + cable.above, tag.pose)
+        c, s = math.cos(tag.pose[2]), math.sin(tag.pose[2])
+        run = tag.pose[2] + cable.angle
+        d_x, d_y = x - (c * cable.forward - s * cable.left), y - (s * cable.forward + c * cable.left)
+        away = np.abs(math.cos(run) * d_y - math.sin(run) * d_x)
+        return np.clip((0.5 * cable.width - away) / footprint + 0.5, 0.0, 1.0)
+
+    def _meet(self, u: Array, v: Array, height: float, origin: tuple[float, ...]) -> tuple[Floats, Floats]:
+        """Return x, y (V, U) from ``origin`` [m] where the rays of columns ``u`` and rows ``v`` meet a plane."""
+        nodes = np.cos(math.pi * (np.arange(_NODES) + 0.5) / _NODES)
+        to_nodes = np.linalg.inv(chebvander(nodes, _NODES - 1))
+
+        def span(at: Array) -> tuple[Array, Array]:
+            middle, half = (at[0] + at[-1]) / 2.0, (at[-1] - at[0]) / 2.0
+            return middle + half * nodes, chebvander((at - middle) / half, _NODES - 1) @ to_nodes
+
+        (u_nodes, from_u), (v_nodes, from_v) = span(u), span(v)
+        pixels = np.stack(np.meshgrid(u_nodes, v_nodes), axis=-1).reshape(-1, 2)
+        x, y = self.camera.on_plane(pixels, height).T.reshape(2, _NODES, _NODES)
+        x, y = (from_v @ (at - zero) @ from_u.T for at, zero in zip((x, y), origin, strict=False))
+        return x.astype(np.float32), y.astype(np.float32)
+
+    def _gathered(self, fine: Floats) -> Floats:
+        """Return the pixels (h, w) of sub-samples (6 (h + 2), 6 (w + 2)): each gathers from the 3 x 3 around it."""
+        h, w = fine.shape[0] // _SUB, fine.shape[1] // _SUB
+        blocks = fine.reshape(h, _SUB, w, _SUB).transpose(0, 2, 1, 3).reshape(h, w, _SUB * _SUB) @ self._gather
+        pixels = np.zeros((h - 2, w - 2), np.float32)
+        for k in range(9):
+            pixels += blocks[k // 3 : k // 3 + h - 2, k % 3 : k % 3 + w - 2, k]
+        return pixels
+
+
+def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
+    """Return a floor (H, W): mottled, with lines, tape, and squares that are no tags."""
+    width, height = size
+    coarse = rng.normal(120.0, 25.0, (height // 40 + 2, width // 40 + 2)).astype(np.float32)
+    floor = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
+    for _ in range(60):
+        a, b = rng.uniform(0.0, size, (2, 2)).astype(int).tolist()
+        cv2.line(floor, a, b, rng.uniform(20.0, 220.0), int(rng.integers(1, 6)), cv2.LINE_AA)
+    for _ in range(60):
+        side = rng.uniform(10.0, 60.0)
+        box = cv2.boxPoints((tuple(rng.uniform(0.0, size)), (side, side), rng.uniform(0.0, 90.0)))
+        cv2.fillConvexPoly(floor, box.astype(int), rng.uniform(10.0, 220.0), cv2.LINE_AA)
+    floor += rng.normal(0.0, 4.0, floor.shape).astype(np.float32)
+    return cv2.GaussianBlur(floor, (0, 0), 0.6).clip(5.0, 230.0)
+
+
+def _lamps(size: tuple[int, int]) -> Floats:
+    """Return the uneven light (H, W): bright up left, three quarters of that in the far corner."""
+    width, height = size
+    away = np.hypot((np.arange(width) - 0.3 * width)[None, :], (np.arange(height) - 0.4 * height)[:, None]) / width
+    return (1.0 - 0.4 * away**2).astype(np.float32)
+
+
+def _edges(at: Floats, width: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return the cell before the nearest border of cells, how far beyond it, and how much lies on the paper."""
+    border = np.rint(at).clip(0, CELLS)
+    beyond = np.clip((at - border) / width + 0.5, 0.0, 1.0)
+    paper = np.clip(np.minimum(at, CELLS - at) / width + 0.5, 0.0, 1.0)
+    return border.astype(np.int64), beyond, paper
+
+
+def _gather(defocus: float) -> Floats:
+    """Return the weights (36, 9) of a pixel's sub-samples for itself and its neighbours: disc and square, convolved."""
+    if not 0.0 < defocus <= 1.0:
+        raise ValueError(f"defocus {defocus} px: between 0 and 1")
+    k = np.arange(4000)
+    radius, angle = defocus * np.sqrt((k + 0.5) / len(k)), k * math.pi * (3.0 - math.sqrt(5.0))
+    # Sub-samples of the pixel before, of the pixel itself, and of the one after it, from its centre.
+    inside = (np.arange(_SUB) + 0.5) / _SUB - 0.5
+    away = inside[:, None] + [-1.0, 0.0, 1.0]
+    on_u = np.abs(away[..., None] + radius * np.cos(angle)) < 0.5
+    on_v = np.abs(away[..., None] + radius * np.sin(angle)) < 0.5
+    weights = np.einsum("iak,jbk->ijab", on_v.astype(np.float32), on_u.astype(np.float32)).reshape(_SUB * _SUB, 9)
+    return weights / weights.sum()
+
+
+def _pinhole(x: NDArray[Any], y: NDArray[Any], distortion: Array) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Distort rays x/z, y/z, real or complex, as OpenCV's documentation defines it."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = np.pad(distortion, (0, 14 - len(distortion)))
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    a = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
+    b = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
+    cx, sx, cy, sy = math.cos(tilt_x), math.sin(tilt_x), math.cos(tilt_y), math.sin(tilt_y)
+    R = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]]) @ [[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]]
+    T = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]]) @ R
+    z = T[2, 0] * a + T[2, 1] * b + T[2, 2]
+    return (T[0, 0] * a + T[0, 1] * b + T[0, 2]) / z, (T[1, 0] * a + T[1, 1] * b + T[1, 2]) / z
+
+
+def _pinhole_ray(distorted: Array, distortion: Array) -> Array:
+    """Undo :func:`_pinhole` (N, 2) by Newton's method; the derivatives are those of a complex step, exact."""
+    x, y = distorted.T
+    for _ in range(20):
+        a, b = _pinhole(x, y, distortion)
+        by_x, by_y = _pinhole(x + 1e-30j, y, distortion), _pinhole(x, y + 1e-30j, distortion)
+        j = [[part.imag / 1e-30 for part in parts] for parts in (by_x, by_y)]
+        miss_a, miss_b = a - distorted[:, 0], b - distorted[:, 1]
+        det = j[0][0] * j[1][1] - j[1][0] * j[0][1]
+        x, y = x - (j[1][1] * miss_a - j[1][0] * miss_b) / det, y - (j[0][0] * miss_b - j[0][1] * miss_a) / det
+    return np.stack([x, y], axis=1)
+
+
+def _fisheye(theta: Array, distortion: Array) -> tuple[Array, Array]:
+    """Return the distorted angle and its derivative."""
+    k1, k2, k3, k4 = distortion
+    odd = np.polynomial.Polynomial([0.0, 1.0, 0.0, k1, 0.0, k2, 0.0, k3, 0.0, k4])
+    return odd(theta), odd.deriv()(theta)
+
+
+def _fisheye_ray(distorted: Array, distortion: Array) -> Array:
+    """Return x/z, y/z (N, 2) of distorted rays (N, 2), by Newton's method on the angle."""
+    r = np.hypot(*distorted.T)[:, None]
+    theta = r.copy()
+    for _ in range(20):
+        angle, slope = _fisheye(theta, distortion)
+        theta -= (angle - r) / slope
+    return distorted * np.tan(theta) / np.maximum(r, 1e-12)
