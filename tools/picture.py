@@ -15,7 +15,7 @@ from robofleet.config.slices import knots
 from robofleet.config.tree import Config
 from robofleet.control.path import Path as Curve
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import Run
+from robofleet.recording.run import Run
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 

@@ -25,7 +25,7 @@ from robofleet.experiments.platoon_views import (
 )
 from robofleet.experiments.results import Result
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import Run
+from robofleet.recording.run import Run
 
 
 class PlatoonParameters(Parameters):

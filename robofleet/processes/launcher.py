@@ -20,7 +20,7 @@ from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
 from robofleet.processes.readiness import missing
-from robofleet.recording.metrics import Recording, Watch
+from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
 
 _READY_WITHIN_S = 30.0

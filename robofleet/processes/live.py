@@ -12,17 +12,27 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.clock import Clock, S
-from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, FleetPoses, RobotTick, TickRecord
+from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    ROBOT_STATUS,
+    TICK_RECORD,
+    TRACKER_NEWS,
+    FleetPoses,
+    RobotTick,
+    TickRecord,
+)
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.recording.metrics import Recording
+from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
+from robofleet.tracking.events import describe
 
 _REFRESH_NS = S // 5
 _PLAIN_NS = 10 * S
+_SHOWN_NS = 5 * S  # how long the tracker's news stay
 _WINDOW = 300  # ticks, for the percentiles
 
 
@@ -124,7 +134,11 @@ class LiveView:
             for payload in recording.messages.get(key(arena, POSES, CAMERA), [])[-_WINDOW:]
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
-        return text.append(_tracker_line(frames, len(self._config.platoon)))
+        text.append(_tracker_line(frames, len(self._config.platoon)))
+        news = self._newest(recording, NEWS, TRACKER_NEWS, CAMERA)
+        if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
+            text.append(f"\n          {describe(news.event, news.tag, news.value)}", "yellow")
+        return text
 
     def _points(self, recording: Recording, tick: TickRecord) -> tuple[list[Any], bool]:
         """Points p: true ones where every robot's truth is known."""
@@ -167,6 +181,6 @@ def _tracker_line(frames: list[FleetPoses], robots: int) -> str:
     found = sum(pose.coasted_ns == 0 for frame in frames for pose in frame.poses) / (len(frames) * robots)
     work = np.percentile([frame.work_ns / 1e6 for frame in frames], (50, 99))
     return (
-        f"tracker   {rate:.1f} Hz, {100 * found:.1f} % of the tags found, "
+        f"tracker   {rate:.1f} Hz, {100 * found:.1f} % of the tags seen, "
         f"{work[0]:.1f} ms each (p99 {work[1]:.1f}), {frames[-1].refused} refused"
     )

@@ -22,7 +22,7 @@ from robofleet.processes.node import Node
 from robofleet.processes.readiness import missing
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
-from robofleet.recording.metrics import Recording, Watch
+from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
 
 _READY_WITHIN_NS = 5 * S

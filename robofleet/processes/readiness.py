@@ -4,7 +4,7 @@ from typing import Any
 
 from robofleet.comms.keys import STATUS, TICK, Topic, key
 from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD
-from robofleet.recording.metrics import Recording
+from robofleet.recording.run import Recording
 
 
 def missing(recording: Recording) -> str:

@@ -5,89 +5,17 @@ not measured is None.
 """
 
 import math
-from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, Layout
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.config import slices
-from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.recording.run import Array, Recording, Run
 from robofleet.safety.gate import GateStatus
+from robofleet.tracking.events import NO_TAG, TrackerEvent
 
-Array = NDArray[np.float64]
 Figures = dict[str, Any]
-
-
-@dataclass
-class Recording:
-    """Every message of a run, by key, as it came; and what the one who ran it measured."""
-
-    config: Config
-    messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
-    elapsed_s: float = 0.0
-    trace_hash: str | None = None
-    tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
-    tracker_durations_ns: list[int] | None = None
-
-    def add(self, full: str, payload: bytes) -> None:
-        """Keep a message."""
-        self.messages[full].append(payload)
-
-    def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
-        """Return the messages of a key as a structured array; those of another size are left out."""
-        payloads = [p for p in self.messages.get(full, ()) if len(p) == layout.size]
-        return np.frombuffer(b"".join(payloads), dtype=layout.dtype)
-
-
-Watch = Callable[[Recording, str], None]  # called during a run with what came so far, and the phase's name
-
-
-class Run:
-    """The recording in columns: ticks of the run (K,), robots in platoon order (N,)."""
-
-    def __init__(self, recording: Recording) -> None:
-        config = self.config = recording.config
-        arena, robots = config.arena.name, config.platoon
-        dtype = TICK_RECORD.dtype(len(robots))
-        payloads = recording.messages.get(key(arena, TICK), ())
-        self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
-        self.ticks = self.all_ticks[self.all_ticks["run_tick"] >= 0]
-        self.t = self.ticks["run_tick"] * config.controller.tick_s
-        self.items = self.ticks["items"]
-        self.statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
-        self.path = Path.hermite(*slices.knots(config.groups[0]))
-        truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
-        self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
-        poses = recording.messages.get(key(arena, POSES, CAMERA), ())
-        self.frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
-
-    def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
-        """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
-        columns = []
-        for truth in truths:
-            stamps = truth["stamp_ns"]
-            psi = np.unwrap(truth["psi_rad"])
-            columns.append([np.interp(self.ticks["stamp_ns"], stamps, y) for y in (truth["x_m"], truth["y_m"], psi)])
-        return np.array(columns).transpose(2, 0, 1)
-
-    def points(self) -> Array | None:
-        """Points p (K, N, 2): true ones, else as estimated."""
-        if self.truth is None:
-            return np.stack([self.items["point_x_m"], self.items["point_y_m"]], axis=-1) if len(self.t) else None
-        ahead = self.config.controller.point_ahead_m
-        psi = self.truth[..., 2]
-        return self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
-
-    def after(self, start_s: float) -> NDArray[np.bool_]:
-        """Return which ticks count."""
-        return np.asarray(self.t >= start_s)
 
 
 def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None) -> Figures:
@@ -224,8 +152,23 @@ def _tracker(run: Run, recording: Recording) -> Figures:
         "measured_fraction": _rounded(seen / (len(frames) * n)) if frames else None,
         "false_ids": sum(pose.tag not in fleet for frame in frames for pose in frame.poses) if frames else None,
         "refused": frames[-1].refused if frames else None,
+        "events": _events(run) if frames else None,
         "frame_ms": _percentiles(np.array(durations) / 1e6, (50, 99)),
     }
+
+
+def _events(run: Run) -> list[Figures]:
+    """What happened to the camera and to its tags; before the start at a time below 0."""
+    start_ns = int(run.ticks["stamp_ns"][0]) if len(run.ticks) else 0
+    return [
+        {
+            "t_s": _rounded((int(row["stamp_ns"]) - start_ns) / 1e9),
+            "event": TrackerEvent(row["event"]).name.lower(),
+            "tag": None if row["tag"] == NO_TAG else int(row["tag"]),
+            "value": _rounded(row["value"]),
+        }
+        for row in run.news
+    ]
 
 
 def _tick(run: Run, recording: Recording) -> Figures:

@@ -37,6 +37,31 @@ class Happening(NamedTuple):
     value: float = 0.0
 
 
+_SENTENCES = {
+    TrackerEvent.TAG_FOUND: "tag {tag} found",
+    TrackerEvent.TAG_LOST: "tag {tag} lost: hidden for {value:.1f} s",
+    TrackerEvent.TAG_TWICE: "tag {tag} seen twice, {value:.2f} m apart: take one away",
+    TrackerEvent.TAG_JUMPED: "tag {tag} seen {value:.2f} m from where it can be: refused",
+    TrackerEvent.TAG_MISTAKEN: "tag {value:.0f} stands where tag {tag} should be: refused",
+    TrackerEvent.TAG_CARRIED: "tag {tag} was carried {value:.2f} m",
+    TrackerEvent.CAMERA_STALLED: "camera stalled: no image for {value:.2f} s",
+    TrackerEvent.CAMERA_FROZEN: "camera frozen: the same picture {value:.0f} times",
+    TrackerEvent.CAMERA_UNPLUGGED: "camera unplugged",
+    TrackerEvent.CAMERA_RESIZED: "camera sends images of another size: {value:.0f} px wide",
+    TrackerEvent.CAMERA_STRANGE: "not the camera that was calibrated: no poses",
+    TrackerEvent.CAMERA_ENDED: "no more images after {value:.0f}",
+    TrackerEvent.CAMERA_BACK: "camera back after {value:.1f} s",
+    TrackerEvent.CAMERA_MOVED: "camera moved, floor tags {value:.3f} m off: no poses; calibrate again",
+    TrackerEvent.CAMERA_CORRECTED: "camera moved, floor tags {value:.4f} m off: corrected",
+}
+
+
+def describe(event: int, tag: int, value: float) -> str:
+    """Return what happened in a sentence; a number for an event of another version."""
+    sentence = {int(known): text for known, text in _SENTENCES.items()}.get(event)
+    return f"event {event}" if sentence is None else sentence.format(tag=tag, value=value)
+
+
 class News:
     """Collects what happens; the same event of the same tag is told once a second."""
 

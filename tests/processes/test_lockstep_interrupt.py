@@ -4,7 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import Recording, summary
+from robofleet.recording.metrics import summary
+from robofleet.recording.run import Recording
 
 
 def test_ctrl_c_in_lockstep_leaves_a_summary(platoon_of: Callable[..., Any]) -> None:

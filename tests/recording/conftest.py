@@ -26,7 +26,8 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.recording.metrics import Recording, summary
+from robofleet.recording.metrics import summary
+from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Phase
 
@@ -148,8 +149,10 @@ def add_status() -> Callable[..., None]:
 def add_image() -> Callable[..., None]:
     """Return what adds an image's poses to a recording."""
 
-    def add(recording: Recording, exposure_ns: int, tags: Sequence[int], work_ns: int = 2 * MS) -> None:
-        poses = tuple(TagPose(tag, 0, 0, 0.0, 0.0, 0.0) for tag in tags)
+    def add(
+        recording: Recording, exposure_ns: int, tags: Sequence[int], work_ns: int = 2 * MS, coasted_ns: int = 0
+    ) -> None:
+        poses = tuple(TagPose(tag, 0, coasted_ns, 0.0, 0.0, 0.0) for tag in tags)
         message = FleetPoses(1, 1, exposure_ns, exposure_ns + 10 * MS, 1, 0, work_ns, 3, poses)
         recording.add(key(recording.config.arena.name, POSES, CAMERA), FLEET_POSES.encode(message))
 

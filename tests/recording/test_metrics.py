@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import TICK, key
+from robofleet.comms.keys import CAMERA, NEWS, TICK, key
+from robofleet.comms.messages import TRACKER_NEWS, TrackerNews
 from robofleet.config.load import load_config
-from robofleet.recording.metrics import Recording
+from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
+from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 Make = Callable[..., Any]
 EXACT = pytest.approx(0, abs=1e-3)  # [mm]; figures are rounded to 1e-4
@@ -185,6 +187,29 @@ def test_ticks_overruns_and_what_was_refused(story: Make, figures: Make, add_sta
     assert s["rejected"] == {"r1": None, "r2": 6, "r3": None, "r4": None}
 
 
+def test_a_prediction_is_no_measurement_and_the_trackers_news_are_kept(
+    story: Make, figures: Make, add_image: Make
+) -> None:
+    told = story()
+    recording = told.recording()
+    tags = [robot.tag for robot in recording.config.platoon]
+    add_image(recording, told.stamp(3), tags)
+    add_image(recording, told.stamp(4), tags, coasted_ns=33 * MS)
+    arena = recording.config.arena.name
+    for stamp, event, tag in (
+        (told.stamp(4), TrackerEvent.TAG_LOST, 2),
+        (told.stamp(0), TrackerEvent.CAMERA_BACK, NO_TAG),
+    ):
+        news = TrackerNews(1, 1, stamp, event, tag, 0.5)
+        recording.add(key(arena, NEWS, CAMERA), TRACKER_NEWS.encode(news))
+    tracker = figures(recording)["tracker"]
+    assert tracker["measured_fraction"] == 0.5
+    assert [(e["t_s"], e["event"], e["tag"], e["value"]) for e in tracker["events"]] == [
+        (pytest.approx((told.stamp(4) - told.stamp(0)) / 1e9, abs=1e-3), "tag_lost", 2, 0.5),
+        (0.0, "camera_back", None, 0.5),
+    ]
+
+
 TRUE_FIGURES = ("timed_error_mm", "path_error_mm", "centre_error_mm", "min_gap_mm", "pose_error")
 
 
@@ -196,7 +221,7 @@ def test_without_the_truth_true_figures_are_none_and_spacing_is_estimated(story:
     assert s["spacing_m"]["mean"] == pytest.approx([0.25] * 3, abs=1e-4)
     assert s["control_error_mm"]["mean"] == EXACT
     assert s["tracker"] == {
-        "frames": 0, "measured_fraction": None, "false_ids": None, "refused": None, "frame_ms": None,
+        "frames": 0, "measured_fraction": None, "false_ids": None, "refused": None, "events": None, "frame_ms": None,
     }  # fmt: skip
     assert s["latency_ms"] is None
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from rich.console import Console
 
-from robofleet.recording.metrics import Recording
 from robofleet.recording.report import summary_table
+from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 
 Make = Callable[..., Any]

@@ -6,7 +6,7 @@ import pytest
 
 from robofleet.config.load import load_config
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import Run
+from robofleet.recording.run import Run
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 

@@ -1,0 +1,84 @@
+"""What a run left: every message, and the columns that its figures are made from."""
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS, Layout
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.control.path import Path
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Recording:
+    """Every message of a run, by key, as it came; and what the one who ran it measured."""
+
+    config: Config
+    messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
+    elapsed_s: float = 0.0
+    trace_hash: str | None = None
+    tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
+    tracker_durations_ns: list[int] | None = None
+
+    def add(self, full: str, payload: bytes) -> None:
+        """Keep a message."""
+        self.messages[full].append(payload)
+
+    def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
+        """Return the messages of a key as a structured array; those of another size are left out."""
+        payloads = [p for p in self.messages.get(full, ()) if len(p) == layout.size]
+        return np.frombuffer(b"".join(payloads), dtype=layout.dtype)
+
+
+Watch = Callable[[Recording, str], None]  # called during a run with what came so far, and the phase's name
+
+
+class Run:
+    """The recording in columns: ticks of the run (K,), robots in platoon order (N,)."""
+
+    def __init__(self, recording: Recording) -> None:
+        config = self.config = recording.config
+        arena, robots = config.arena.name, config.platoon
+        dtype = TICK_RECORD.dtype(len(robots))
+        payloads = recording.messages.get(key(arena, TICK), ())
+        self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
+        self.ticks = self.all_ticks[self.all_ticks["run_tick"] >= 0]
+        self.t = self.ticks["run_tick"] * config.controller.tick_s
+        self.items = self.ticks["items"]
+        self.statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
+        self.path = Path.hermite(*slices.knots(config.groups[0]))
+        truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
+        self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
+        poses = recording.messages.get(key(arena, POSES, CAMERA), ())
+        self.news = recording.rows(key(arena, NEWS, CAMERA), TRACKER_NEWS)
+        self.frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
+
+    def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
+        """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
+        columns = []
+        for truth in truths:
+            stamps = truth["stamp_ns"]
+            psi = np.unwrap(truth["psi_rad"])
+            columns.append([np.interp(self.ticks["stamp_ns"], stamps, y) for y in (truth["x_m"], truth["y_m"], psi)])
+        return np.array(columns).transpose(2, 0, 1)
+
+    def points(self) -> Array | None:
+        """Points p (K, N, 2): true ones, else as estimated."""
+        if self.truth is None:
+            return np.stack([self.items["point_x_m"], self.items["point_y_m"]], axis=-1) if len(self.t) else None
+        ahead = self.config.controller.point_ahead_m
+        psi = self.truth[..., 2]
+        return self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
+
+    def after(self, start_s: float) -> NDArray[np.bool_]:
+        """Return which ticks count."""
+        return np.asarray(self.t >= start_s)
