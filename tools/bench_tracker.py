@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from robofleet.clock import S, stopwatch_ns
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.photometric import PhotometricFit, Target
+from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.tags import TagDetector
+from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagTracker
 
 Row = dict[str, Any]
@@ -99,7 +100,7 @@ def _rendering() -> list[Row]:
     result = []
     for width, height, count in ((1280, 720, 4), (1920, 1080, 50)):
         renderer = _renderer(_geometry(width, height), (width, height), count)
-        poses = [_circles(count, k)[None] for k in range(_LAP)]
+        poses = [_circles(count, k) for k in range(_LAP)]
         times = [_timed(renderer.render, p)[0] for p in poses * 3]
         result += _percentiles(f"render {count} tags, {width} x {height}", {"robofleet": times})
     return result
@@ -109,8 +110,8 @@ def _scene(count: int) -> Scene:
     geometry = _geometry(1920, 1080)
     renderer = _renderer(geometry, (1920, 1080), count)
     poses = [_circles(count, k) for k in range(_LAP)]
-    images = [renderer.render(p[None]).copy() for p in poses]
-    return Scene(geometry, [Target(t + 1, _SIDE, _HEIGHT, _SPEED) for t in range(count)], images, poses)
+    images = [renderer.render(p).copy() for p in poses]
+    return Scene(geometry, _targets(count), images, poses)
 
 
 def _geometry(width: int, height: int) -> CameraGeometry:
@@ -123,8 +124,11 @@ def _geometry(width: int, height: int) -> CameraGeometry:
 
 
 def _renderer(geometry: CameraGeometry, size: tuple[int, int], count: int) -> SceneRenderer:
-    ids = [tag + 1 for tag in range(count)]
-    return SceneRenderer(geometry, size, ids, _SIDE, _HEIGHT, 3.5, np.random.default_rng(1))
+    return SceneRenderer(geometry, size, _targets(count), 3.5, np.random.default_rng(1))
+
+
+def _targets(count: int) -> list[Target]:
+    return [Target(tag + 1, _SIDE, _HEIGHT, _SPEED) for tag in range(count)]
 
 
 def _circles(count: int, k: int) -> Poses:

@@ -18,6 +18,7 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.run import Run
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.targets import robot_targets
 
 ROOT = Path(__file__).resolve().parents[1]
 COLOURS = ((60, 200, 255), (120, 220, 90), (255, 160, 60), (230, 110, 230))  # BGR, leader first
@@ -47,18 +48,10 @@ def draw(config: Config, run: Run, k: int) -> Image:
     """Render the camera's image at tick ``k`` and draw on it."""
     geometry, tracker = CameraGeometry.from_model(config.camera.model), config.tracker
     size = (config.camera.width, config.camera.height)
-    tags = [robot.tag for robot in config.platoon]
-    renderer = SceneRenderer(
-        geometry,
-        size,
-        tags,
-        tracker.tag_side_m,
-        tracker.tag_height_m,
-        config.camera.noise_gray,
-        np.random.default_rng(1),
-    )
+    platoon = [robot_targets(config)[config.robots.index(robot)] for robot in config.platoon]
+    renderer = SceneRenderer(geometry, size, platoon, config.camera.noise_gray, np.random.default_rng(1))
     assert run.truth is not None
-    image = np.dstack([renderer.render(run.truth[k][None])] * 3)
+    image = np.dstack([renderer.render(run.truth[k])] * 3)
     path = Curve.hermite(*knots(config.groups[0]))
     lap = path.position(np.linspace(0, path.sides, 600, endpoint=False))
     line(image, floor(geometry, lap, tracker.tag_height_m), (235, 235, 235), 1, closed=True)

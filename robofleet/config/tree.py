@@ -14,6 +14,7 @@ ENDPOINT_PATTERN = r"^tcp/[^\s/]+:\d{1,5}$"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Gray = Annotated[int, Field(ge=0, le=255)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
@@ -234,6 +235,76 @@ class CameraModel(Model):
     arena: Provenance | None = None
 
 
+class Cable(Model):
+    """Something thin over the arena, near the camera: it hides what is below."""
+
+    points_px: Annotated[tuple[Vector2, ...], Field(min_length=2, strict=False)]
+    width_px: Annotated[int, Field(ge=1, le=100)] = 2
+    gray: Gray = 40
+
+
+class Glare(Model):
+    """A lamp's reflection: light added around a pixel, falling off as a Gaussian."""
+
+    at_px: Vector2
+    radius_px: Positive
+    gray: Positive = 400.0  # at its middle: beyond 255 it saturates
+
+
+class Outage(Model):
+    """The camera sends the same picture again and again, or none. Time counts from its first image."""
+
+    kind: Literal["frozen", "stalled"]
+    at_s: NonNegative
+    duration_s: Positive
+
+
+class Knock(Model):
+    """The camera is turned about its own axes and shifted, at once or slowly. Time counts from its first image."""
+
+    at_s: NonNegative
+    over_s: NonNegative = 0.0
+    rotation_deg: Vector3 = (0.0, 0.0, 0.0)  # about x right, y down, z forward [camera]
+    shift_m: Vector3 = (0.0, 0.0, 0.0)  # [world]
+
+
+class Cover(Model):
+    """A robot's tag is covered. Time counts from the first image."""
+
+    robot: Name
+    at_s: NonNegative = 0.0
+    duration_s: Positive
+
+
+class Swap(Model):
+    """Two robots' tags are exchanged. Time counts from the first image."""
+
+    robots: Annotated[tuple[Name, Name], Field(strict=False)]
+    at_s: NonNegative
+
+
+class TrueTagOffset(TagOffset):
+    """Where a simulated robot's tag really is on it."""
+
+    robot: Name
+
+
+class SimulatedCameraSettings(Model):
+    """What the simulated camera has to survive; nothing by default."""
+
+    light: Annotated[float, Field(gt=0, le=1)] = 1.0  # of full light
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
+    projector_gray: Gray = 0  # strength of a projector's moving pattern, added to what it falls on
+    cables: Annotated[tuple[Cable, ...], Field(strict=False)] = ()
+    glare: Annotated[tuple[Glare, ...], Field(strict=False)] = ()
+    posters: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()  # prints that nobody surveyed, of any id
+    covers: Annotated[tuple[Cover, ...], Field(strict=False)] = ()
+    swaps: Annotated[tuple[Swap, ...], Field(strict=False)] = ()
+    outages: Annotated[tuple[Outage, ...], Field(strict=False)] = ()
+    knocks: Annotated[tuple[Knock, ...], Field(strict=False)] = ()
+    tag_offsets: Annotated[tuple[TrueTagOffset, ...], Field(strict=False)] = ()  # default: as calibrated
+
+
 class CameraSettings(Model):
     """The overhead camera. ``trigger: tick`` exposes a fixed time before every tick; ``free`` does not."""
 
@@ -247,6 +318,7 @@ class CameraSettings(Model):
     exposure_s: Positive = 0.004
     readout_s: NonNegative = 0.004
     noise_gray: NonNegative = 3.0
+    simulated: SimulatedCameraSettings = SimulatedCameraSettings()
 
 
 class LockstepSettings(Model):

@@ -15,8 +15,8 @@ from robofleet.plugins import load
 from robofleet.simulation.sources import TruthSource
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import Happening
-from robofleet.tracking.photometric import Target
 from robofleet.tracking.sources import CameraContext, CameraReader, ScheduledCamera
+from robofleet.tracking.targets import floor_targets, robot_targets
 from robofleet.tracking.tracker import TagTracker
 
 _EPOCH = 1
@@ -140,7 +140,10 @@ class _CameraPoses:
             self._reader = CameraReader(camera, wake)
         model = config.camera.model
         self._tracker = TagTracker(
-            CameraGeometry.from_model(model), (model.width, model.height), _targets(config), model.line_time_s
+            CameraGeometry.from_model(model),
+            (model.width, model.height),
+            [*robot_targets(config), *floor_targets(config)],
+            model.line_time_s,
         )
 
     def next_ns(self) -> int | None:
@@ -162,21 +165,6 @@ class _CameraPoses:
 
     def close(self) -> None:
         self._camera.close()
-
-
-def _targets(config: Config) -> list[Target]:
-    """Return the tags to follow: the robots', and those that lie on the floor."""
-    t = config.tracker
-    robots = [
-        Target(
-            robot.tag,
-            t.tag_side_m,
-            t.tag_height_m if robot.tag_height_m is None else robot.tag_height_m,
-            robot.vehicle.max_speed_m_s,
-        )
-        for robot in config.robots
-    ]
-    return robots + [Target(f.tag, f.side_m, f.height_m, 0.0) for f in t.floor_tags]
 
 
 class _TruthPoses:

@@ -1,21 +1,26 @@
 """Where poses come from when there is no laboratory: a rendered camera, or the truth with errors added."""
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robofleet.clock import Clock, S
+from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Stream
 from robofleet.comms.keys import TRUTH, key
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.tree import Config
 from robofleet.simulation.arena import TruthHistory
-from robofleet.simulation.camera import SceneRenderer
+from robofleet.simulation.effects import effects
+from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.simulation.trigger import Ticks, Trigger
-from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, Frame
 
-_BLUR_INSTANTS = 3
+Array = NDArray[np.float64]
+
+_NOWHERE = (math.nan, math.nan, math.nan)
 _HISTORY = 32  # true samples a robot, 10 ms apart
 _POLL_NS = S // 1000
 
@@ -38,13 +43,15 @@ class World:
                 if truth is not None:
                     history.add(*truth[2:])
 
-    def poses_at(self, instant_ns: int) -> list[tuple[float, float, float] | None]:
-        """Return x, y [m], psi [rad] of each robot; None for one that has not spoken yet."""
-        return [history.pose_at(instant_ns) for history in self._histories]
+    def poses_at(self, instants_ns: Sequence[int]) -> list[tuple[float, float, float] | None]:
+        """Return x, y [m], psi [rad] of each robot at its own instant; None for one that has not spoken yet."""
+        return [history.pose_at(ns) for history, ns in zip(self._histories, instants_ns, strict=True)]
 
 
 class SimulatedCamera:
     """Renders what an overhead camera would see. A camera like any other: what reads it cannot tell."""
+
+    identity = "simulated"
 
     def __init__(self, context: CameraContext) -> None:
         config, camera = context.config, context.config.camera
@@ -52,21 +59,18 @@ class SimulatedCamera:
         self._world = World(config, context.bus)
         self._trigger = Trigger(config, context.ticks, context.clock)
         self._after_ns = round((camera.exposure_s / 2 + camera.readout_s) * S) + context.extra_delay_ns
-        self._instants_ns = np.linspace(-0.5, 0.5, _BLUR_INSTANTS) * camera.exposure_s * S
-        self._renderer = SceneRenderer(
-            CameraGeometry.from_model(camera.model),
-            (camera.width, camera.height),
-            self._world.tags,
-            config.tracker.tag_side_m,
-            config.tracker.tag_height_m,
-            camera.noise_gray,
-            context.rng,
-        )
+        self._half_ns = max(MS, round(camera.exposure_s * S / 2))
+        self._line_ns, self._middle = camera.model.line_time_s * S, (camera.height - 1) / 2
+        self._play = ScenePlay(config)
+        self._renderer = scene_renderer(config, context.rng)
+        self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
+        self._first_ns: int | None = None
+        self._image: NDArray[np.uint8] | None = None
 
     def ready_ns(self) -> int | None:
         """Return when the next image will be read out; None while its trigger has not come."""
         exposure_ns = self._trigger.next_ns()
-        return None if exposure_ns is None else exposure_ns + self._after_ns
+        return None if exposure_ns is None else exposure_ns + self._after_ns + self._stalled_ns(exposure_ns)
 
     def read(self) -> Frame:
         """Wait for the next image, and render it."""
@@ -77,16 +81,46 @@ class SimulatedCamera:
         exposure_ns = ready_ns - self._after_ns
         self._trigger.fire(self._clock.now_ns())
         self._world.update()
-        poses = np.array(
-            [
-                [pose or (np.nan, np.nan, np.nan) for pose in self._world.poses_at(int(exposure_ns + offset))]
-                for offset in self._instants_ns
-            ]
-        )
-        return Frame(self._renderer.render(poses), exposure_ns)
+        if self._first_ns is None:
+            self._first_ns = exposure_ns
+        t = (exposure_ns - self._first_ns) / S
+        if self._image is None or not self._play.frozen(t):
+            self._image = self._picture(exposure_ns, t)
+        return Frame(self._image, exposure_ns)
 
     def close(self) -> None:
         """Nothing to let go of."""
+
+    def _stalled_ns(self, exposure_ns: int) -> int:
+        t = 0.0 if self._first_ns is None else (exposure_ns - self._first_ns) / S
+        return round(self._play.stalled_for(t) * S)
+
+    def _picture(self, exposure_ns: int, t: float) -> NDArray[np.uint8]:
+        geometry = self._play.camera(t)
+        if geometry is not None:
+            self._renderer.moved(geometry)
+        self._renderer.looks = self._play.looks(t)
+        after_ns = np.zeros(len(self._world.tags), np.int64)
+        if self._line_ns:
+            poses, _ = self._moving(exposure_ns, after_ns)
+            rows = np.nan_to_num(self._renderer.rows(poses), nan=self._middle)
+            after_ns = np.rint((rows - self._middle) * self._line_ns).astype(np.int64)
+        poses, velocities = self._moving(exposure_ns, after_ns)
+        poses[self._play.covered(t)] = np.nan
+        image = self._renderer.render(poses, velocities)
+        for effect in self._effects:
+            effect(image, t)
+        return image
+
+    def _moving(self, exposure_ns: int, after_ns: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return where the robots are (N, 3), and their velocities (N, 3); NaN for one that has not spoken."""
+        early, late = (
+            np.array([pose or _NOWHERE for pose in self._world.poses_at((exposure_ns + after_ns + half).tolist())])
+            for half in (-self._half_ns, self._half_ns)
+        )
+        moved = late - early
+        moved[:, 2] = np.remainder(moved[:, 2] + math.pi, 2.0 * math.pi) - math.pi
+        return early + moved / 2.0, moved * (0.5 * S / self._half_ns)
 
 
 class TruePoses(NamedTuple):
@@ -126,7 +160,7 @@ class TruthSource:
         dropped = (self._rng.random(self._shape[0]) < self._settings.dropout).tolist()
         poses = []
         for tag, pose, error, drop in zip(
-            self._world.tags, self._world.poses_at(exposure_ns), noise, dropped, strict=True
+            self._world.tags, self._world.poses_at([exposure_ns] * len(noise)), noise, dropped, strict=True
         ):
             if pose is not None and not drop:
                 poses.append((tag, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2]))

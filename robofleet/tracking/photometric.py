@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import image_kernel
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.targets import Target
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,15 +36,6 @@ _CONVERGED = 0.001  # a last step this short is the last [sides, rad]
 _LONGEST_STEP = 0.06  # [sides]
 _FURTHEST = 0.2  # from the guess [sides]
 _NODES = np.array([0.7 * (i + 1j * j) for j in (-1, 0, 1) for i in (-1, 0, 1)])  # [sides]
-
-
-class Target(NamedTuple):
-    """A tag to follow."""
-
-    tag: int
-    side: float  # of its black square [m]
-    height: float  # above the floor [m]
-    max_speed: float  # 0 for a tag that lies still [m/s]
 
 
 class Fit(NamedTuple):

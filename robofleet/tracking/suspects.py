@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.tracking.photometric import Target
 from robofleet.tracking.tags import Found
+from robofleet.tracking.targets import Target
 
 SAME = 0.5  # two places closer than this are of one print [sides]
 _PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import CELLS, FAMILY, PhotometricFit, Target, side_px
+from robofleet.tracking.photometric import CELLS, FAMILY, PhotometricFit, side_px
+from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
 Complex = NDArray[np.complex128]

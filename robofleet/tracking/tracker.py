@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from robofleet.clock import S
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import Happening, News, TrackerEvent
-from robofleet.tracking.photometric import Fit, PhotometricFit, Target, side_px
+from robofleet.tracking.photometric import Fit, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
 from robofleet.tracking.tags import Found, Region, TagDetector, tiles, wrapped
+from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
 

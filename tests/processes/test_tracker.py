@@ -13,8 +13,7 @@ from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
 from robofleet.comms.messages import TickRecord, Truth
 from robofleet.processes.tracker import Tracker
-from robofleet.simulation.camera import SceneRenderer
-from robofleet.tracking.camera import CameraGeometry
+from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.sources import CameraContext, Frame
 
 Make = Callable[..., Any]
@@ -155,14 +154,8 @@ def blocking(stand_of: Make) -> Iterator[Stand]:
 def image(stand: Stand) -> np.ndarray:
     """Return what the overhead camera would see of the robots at their start."""
     config = stand.bench.config
-    camera = config.camera
-    renderer = SceneRenderer(
-        CameraGeometry.from_model(camera.model), (camera.width, camera.height),
-        [robot.tag for robot in config.robots], config.tracker.tag_side_m, config.tracker.tag_height_m,
-        camera.noise_gray, np.random.default_rng(1),
-    )  # fmt: skip
-    poses = [[robot.start.x_m, robot.start.y_m, robot.start.psi] for robot in config.robots]
-    return renderer.render(np.array([poses] * 3))
+    renderer = scene_renderer(config, np.random.default_rng(1))
+    return renderer.render(np.array([[robot.start.x_m, robot.start.y_m, robot.start.psi] for robot in config.robots]))
 
 
 def test_any_camera_is_read_in_a_thread_of_its_own(blocking: Stand) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,8 +11,9 @@ import yaml
 from numpy.typing import NDArray
 
 from robofleet.config.tree import CameraModel
-from robofleet.simulation.camera import SceneRenderer
+from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.targets import Target
 
 ROOT = Path(__file__).parents[2]
 MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
@@ -27,9 +29,17 @@ MARGIN = 4  # pixels around the patch, for the blur
 Array = NDArray[np.float64]
 
 
+EXPOSURE = 0.004
+NOBODY = np.full((1, 3), np.nan)
+
+
+def scene(ids: tuple[int, ...] = (TAG,), noise: float = 0.0, seed: int = 1, **what: Any) -> SceneRenderer:
+    targets = [Target(tag, SIDE, HEIGHT, 0.2) for tag in ids]
+    return SceneRenderer(GEOMETRY, (MODEL.width, MODEL.height), targets, noise, np.random.default_rng(seed), **what)
+
+
 def make(noise: float = 0.0, seed: int = 1) -> SceneRenderer:
-    size = (MODEL.width, MODEL.height)
-    return SceneRenderer(GEOMETRY, size, (TAG,), SIDE, HEIGHT, noise, np.random.default_rng(seed))
+    return scene(noise=noise, seed=seed, shutter=Shutter(EXPOSURE))
 
 
 @pytest.fixture(scope="module")
@@ -88,13 +98,14 @@ def oracle(poses: Array, left: int, top: int, size: int) -> tuple[Array, Array]:
     ("x", "y", "psi"), [(0.08, 0.02, 0.4), (-1.5, 0.85, 2.1), (1.45, -0.85, -1.0), (0.9, 0.85, math.pi / 2)]
 )
 def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: float, psi: float) -> None:
-    poses = np.array([x, y, psi]) + np.array([0.0004, 0.0003, 0.004]) * np.linspace(-1.0, 1.0, 3)[:, None]
+    velocity = np.array([0.2, 0.15, 2.0])
+    poses = np.array([x, y, psi]) + velocity * EXPOSURE * np.linspace(-0.5, 0.5, 9)[:, None]
     u, v = GEOMETRY.project(np.array([[x, y, HEIGHT]]))[0]
     size, left, top = 52, round(u) - 26, round(v) - 26
     patch = np.s_[top : top + size, left : left + size]
     cover, light = oracle(poses, left, top, size)
-    floor = renderer.render(np.full((1, 1, 3), np.nan))[patch].astype(float)
-    shown = renderer.render(poses[:, None])[patch].astype(float)
+    floor = renderer.render(NOBODY)[patch].astype(float)
+    shown = renderer.render(np.array([[x, y, psi]]), velocity[None])[patch].astype(float)
     robot = shown - floor * (1 - cover)
     # The lamps' gain is smooth: three numbers for the patch, fitted.
     down, right = np.indices(shown.shape) / size
@@ -113,7 +124,7 @@ def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: fl
 
 
 def test_same_seed_same_images() -> None:
-    poses = np.array([[[0.2, -0.3, 1.0]]])
+    poses = np.array([[0.2, -0.3, 1.0]])
     first, second, other = make(3.0, 5), make(3.0, 5), make(3.0, 6)
     for _ in range(3):
         image = first.render(poses).copy()
@@ -123,11 +134,10 @@ def test_same_seed_same_images() -> None:
 
 def test_noise_is_white_and_of_the_given_size() -> None:
     noisy = make(3.0)
-    nobody = np.full((1, 1, 3), np.nan)
-    a, b = (noisy.render(nobody).astype(float).copy() for _ in range(2))
+    a, b = (noisy.render(NOBODY).astype(float).copy() for _ in range(2))
     assert (a - b).std() / math.sqrt(2) == pytest.approx(3.0, abs=0.05)
-    assert (a - make().render(nobody)).mean() == pytest.approx(0.0, abs=0.02)
-    poses = np.array([[[0.0, 0.0, 0.0]]])
+    assert (a - make().render(NOBODY)).mean() == pytest.approx(0.0, abs=0.02)
+    poses = np.array([[0.0, 0.0, 0.0]])
     u, v = np.rint(GEOMETRY.project(np.array([[0.0, 0.0, HEIGHT]]))[0]).astype(int)
     patch = np.s_[v - 10 : v + 11, u - 10 : u + 11]
     tags = np.array([noisy.render(poses)[patch].astype(float) for _ in range(100)])
@@ -135,37 +145,130 @@ def test_noise_is_white_and_of_the_given_size() -> None:
 
 
 def test_motion_smears_along_the_motion(renderer: SceneRenderer) -> None:
-    def edges(poses: list[tuple[float, float, float]]) -> tuple[float, float]:
-        image = renderer.render(np.array(poses)[:, None]).astype(float)
+    def edges(speed: float) -> tuple[float, float]:
+        image = renderer.render(np.zeros((1, 3)), np.array([[speed, 0.0, 0.0]])).astype(float)
         u, v = np.rint(GEOMETRY.project(np.array([[0.0, 0.0, HEIGHT]]))[0]).astype(int)
         patch = image[v - 15 : v + 16, u - 15 : u + 16]
         return float((np.diff(patch, axis=1) ** 2).sum()), float((np.diff(patch, axis=0) ** 2).sum())
 
-    still = edges([(0.0, 0.0, 0.0)])
-    moving = edges([(x, 0.0, 0.0) for x in (-0.004, -0.0013, 0.0013, 0.004)])
+    still, moving = edges(0.0), edges(0.011 / EXPOSURE)
     assert moving[0] < 0.5 * still[0]  # across the columns
     assert moving[1] > 0.7 * still[1]
 
 
 def test_robots_outside_and_at_the_edge_are_clipped() -> None:
-    size, ids = (MODEL.width, MODEL.height), (1, 2, 3, 4)
-    four = SceneRenderer(GEOMETRY, size, ids, SIDE, HEIGHT, 0.0, np.random.default_rng(1))
-    empty = four.render(np.full((1, 4, 3), np.nan)).copy()
-    far = np.array([[(50.0, 0.0, 0.0), (-50.0, 9.0, 0.0), (0.0, 60.0, 0.0), (3.0, -2.0, 0.0)]])
+    four = scene((1, 2, 3, 4))
+    empty = four.render(np.full((4, 3), np.nan)).copy()
+    far = np.array([(50.0, 0.0, 0.0), (-50.0, 9.0, 0.0), (0.0, 60.0, 0.0), (3.0, -2.0, 0.0)])
     assert np.array_equal(four.render(far), empty)
     corners = GEOMETRY.to_plane(np.array([[0.0, 0.0], [1279.0, 0.0], [0.0, 719.0], [1279.0, 719.0]]), HEIGHT)
-    image = four.render(np.column_stack([corners, np.zeros(4)])[None])
+    image = four.render(np.column_stack([corners, np.zeros(4)]))
     changed = image != empty
     assert all(corner.any() for corner in (changed[:9, :9], changed[:9, -9:], changed[-9:, :9], changed[-9:, -9:]))
     assert not changed[50:-50, 50:-50].any()
 
 
 def test_robots_side_by_side_do_not_erase_each_other() -> None:
-    size = (MODEL.width, MODEL.height)
-    two = SceneRenderer(GEOMETRY, size, (1, 2), SIDE, HEIGHT, 0.0, np.random.default_rng(1))
+    two = scene((1, 2))
     a, b = (0.0, 0.0, 0.0), (0.115, 0.0, 0.0)
     gone = (np.nan,) * 3
-    both = two.render(np.array([[a, b]])).copy()
+    both = two.render(np.array([a, b])).copy()
     u, v = np.rint(GEOMETRY.project(np.array([[0.0, 0.0, HEIGHT]]))[0]).astype(int)
-    alone = two.render(np.array([[a, gone]]))
+    alone = two.render(np.array([a, gone]))
     assert np.array_equal(both[v - 15 : v + 16, u - 15 : u + 16], alone[v - 15 : v + 16, u - 15 : u + 16])
+
+
+def centroid(image: NDArray[np.uint8], empty: NDArray[np.uint8]) -> Array:
+    """The middle of what changed [px]."""
+    weight = np.abs(image.astype(float) - empty)
+    v, u = np.indices(image.shape)
+    return np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+
+
+def test_rows_of_a_rolling_shutter_see_a_robot_where_it_is_then() -> None:
+    line_time, speed = 2e-5, 0.5
+    rolling = scene(shutter=Shutter(0.0, line_time))
+    empty = rolling.render(NOBODY).copy()
+    image = rolling.render(np.zeros((1, 3)), np.array([[speed, 0.0, 0.0]])).astype(float)
+    row = rolling.rows(np.zeros((1, 3)))[0]
+    for above in (-10, 0, 10):  # rows of the print; image up is world +y, and rows above the middle are earlier
+        i = round(row) + above
+        then = scene().render(np.array([[speed * (i - row) * line_time, 0.0, 0.0]]))
+        now = scene().render(np.zeros((1, 3)))
+        seen = image[i] - empty[i]
+        assert np.abs(seen - (then[i].astype(float) - empty[i])).max() <= 2.0
+        if above:
+            assert np.abs(seen - (now[i].astype(float) - empty[i])).max() > 2.0
+
+
+def test_a_tag_off_its_robots_middle_turns_with_the_robot_and_the_body_stays() -> None:
+    forward, left, turn = 0.01, -0.005, 0.2
+    offset = scene(offsets=np.array([[forward, left, turn]]))
+    x, y, psi = 0.3, 0.2, 1.1
+    c, s = math.cos(psi), math.sin(psi)
+    tag = (x + c * forward - s * left, y + s * forward + c * left, psi + turn)
+    moved = scene().render(np.array([tag])).astype(float)
+    image = offset.render(np.array([(x, y, psi)])).astype(float)
+    u, v = np.rint(GEOMETRY.project(np.array([[*tag[:2], HEIGHT]]))[0]).astype(int)
+    inner = np.s_[v - 8 : v + 9, u - 8 : u + 9]
+    assert np.abs(image[inner] - moved[inner]).max() <= 1.0
+    middle = centroid(image, scene().render(NOBODY)) - centroid(moved, scene().render(NOBODY))
+    assert np.hypot(*middle) > 0.5
+
+
+def test_prints_that_lie_still_are_where_they_lie() -> None:
+    low = Target(5, 0.1, 0.0, 0.0)
+    lying = scene(prints=[Print(low, 0.5, -0.4, 0.7)])
+    nothing = scene().render(NOBODY)
+    image = lying.render(NOBODY)
+    expected = GEOMETRY.project(np.array([[0.5, -0.4, 0.0]]))[0]
+    changed = np.argwhere(image != nothing)[:, ::-1]
+    assert np.abs(changed.mean(0) - expected).max() < 0.5
+    size = 0.125 * GEOMETRY.K[0, 0] / 2.5  # with the paper around it
+    assert np.ptp(changed, axis=0).min() > size
+    assert np.ptp(changed, axis=0).max() < 1.5 * size
+
+
+def test_each_tag_has_its_own_height() -> None:
+    targets = [Target(1, SIDE, 0.02, 0.2), Target(2, SIDE, 0.15, 0.2)]
+    both = SceneRenderer(GEOMETRY, (MODEL.width, MODEL.height), targets, 0.0, np.random.default_rng(1))
+    empty = both.render(np.full((2, 3), np.nan)).copy()
+    at = (1.2, 0.7)
+    for row, target in enumerate(targets):
+        poses = np.full((2, 3), np.nan)
+        poses[row] = (*at, 0.3)
+        image = both.render(poses)
+        expected = GEOMETRY.project(np.array([[*at, target.height]]))[0]
+        # The body lies lower, and so nearer to the image's middle.
+        assert np.hypot(*(centroid(image, empty) - expected)) < 4.0
+
+
+def test_dim_light_dims_everything() -> None:
+    full, dim = scene().render(np.zeros((1, 3))), scene(light=0.15).render(np.zeros((1, 3)))
+    assert np.abs(dim - 0.15 * full.astype(float)).max() <= 1.0
+
+
+def test_a_camera_that_moved_sees_what_one_in_that_place_sees() -> None:
+    T = GEOMETRY.T_world_camera.copy()
+    T[:3, :3] = T[:3, :3] @ cv2.Rodrigues(np.radians([0.4, -0.3, 0.5]))[0]
+    poses, knocked = np.array([[0.4, 0.3, 1.0]]), make()
+    before = centroid(knocked.render(poses), make().render(NOBODY))
+    knocked.moved(GEOMETRY.moved(T))
+    image = knocked.render(poses).copy()
+    after = centroid(image, knocked.render(NOBODY))
+    shift = (
+        GEOMETRY.moved(T).project(np.array([[0.4, 0.3, HEIGHT]]))[0]
+        - GEOMETRY.project(np.array([[0.4, 0.3, HEIGHT]]))[0]
+    )
+    assert np.abs(after - before - shift).max() < 0.3
+    assert np.hypot(*shift) > 3.0
+
+
+def test_a_fisheye_is_drawn_as_it_projects() -> None:
+    eye = CameraGeometry(GEOMETRY.K, [-0.02, 0.003, -0.001, 0.0004], GEOMETRY.T_world_camera, "fisheye")
+    fish = SceneRenderer(
+        eye, (MODEL.width, MODEL.height), [Target(TAG, SIDE, HEIGHT, 0.2)], 0.0, np.random.default_rng(1)
+    )
+    empty = fish.render(NOBODY).copy()
+    image = fish.render(np.array([[-1.1, 0.6, 0.4]]))
+    assert np.hypot(*(centroid(image, empty) - eye.project(np.array([[-1.1, 0.6, HEIGHT]]))[0])) < 3.0

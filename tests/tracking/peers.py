@@ -15,7 +15,8 @@ import pyapriltags
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.tracker import TagTracker, Target
+from robofleet.tracking.targets import Target
+from robofleet.tracking.tracker import TagTracker
 
 Image = NDArray[np.uint8]
 

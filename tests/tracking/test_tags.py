@@ -8,10 +8,11 @@ import yaml
 from numpy.typing import NDArray
 
 from robofleet.config.tree import CameraModel
-from robofleet.simulation.camera import SceneRenderer
+from robofleet.simulation.camera import SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.photometric import PhotometricFit, Target
+from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.tags import Findings, Region, TagDetector
+from robofleet.tracking.targets import Target
 
 ROOT = Path(__file__).parents[2]
 APRILTAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -31,8 +32,9 @@ DETECTOR = detector()
 
 
 def scene(ids: tuple[int, ...] = IDS, seed: int = 1) -> SceneRenderer:
+    targets = [Target(tag, SIDE_M, HEIGHT_M, 0.2) for tag in ids]
     size = (MODEL.width, MODEL.height)
-    return SceneRenderer(GEOMETRY, size, ids, SIDE_M, HEIGHT_M, 3.0, np.random.default_rng(seed))
+    return SceneRenderer(GEOMETRY, size, targets, 3.0, np.random.default_rng(seed), shutter=Shutter(0.004))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def renderer() -> SceneRenderer:
 
 
 def still(poses: list[tuple[float, float, float]]) -> NDArray[np.float64]:
-    return np.array([poses])
+    return np.array(poses)
 
 
 def random_poses(rng: np.random.Generator) -> NDArray[np.float64]:
@@ -59,7 +61,7 @@ def measure(renderer: SceneRenderer, frames: int) -> tuple[NDArray[np.float64], 
     errors, false = [], 0
     for _ in range(frames):
         truth = random_poses(rng)
-        findings = DETECTOR.detect(renderer.render(truth[None]))
+        findings = DETECTOR.detect(renderer.render(truth))
         false += findings.refused
         for target, centre, psi in findings.tags:
             x_true, y_true, psi_true = truth[target]
@@ -83,13 +85,9 @@ def test_poses_all_over_the_arena(renderer: SceneRenderer) -> None:
 
 
 def test_moving_tag_is_found_where_it_is_at_mid_exposure(renderer: SceneRenderer) -> None:
-    poses = np.full((3, 4, 3), np.nan)
-    poses[:, 0] = [
-        (0.3, 0.2, 0.5),
-        (0.3004, 0.2, 0.506),
-        (0.3008, 0.2, 0.512),
-    ]  # 0.2 m/s and 3 rad/s for 4 ms
-    (seen,) = DETECTOR.detect(renderer.render(poses)).tags
+    poses, velocities = np.full((4, 3), np.nan), np.zeros((4, 3))
+    poses[0], velocities[0] = (0.3004, 0.2, 0.506), (0.2, 0.0, 3.0)  # for 4 ms
+    (seen,) = DETECTOR.detect(renderer.render(poses, velocities)).tags
     assert abs(seen.centre - (0.3004 + 0.2j)) < 2e-4
     assert seen.psi == pytest.approx(0.506, abs=0.003)
 
@@ -110,7 +108,7 @@ def test_printed_right_is_forward_and_top_is_left() -> None:
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_nothing_false_in_clutter(seed: int) -> None:
-    empty, nobody = scene(seed=seed), np.full((1, 4, 3), np.nan)
+    empty, nobody = scene(seed=seed), np.full((4, 3), np.nan)
     assert all(DETECTOR.detect(empty.render(nobody)) == Findings((), 0) for _ in range(10))
 
 
@@ -162,7 +160,7 @@ def test_tag_of_another_fleet_is_no_tag() -> None:
 
 
 def test_tag_of_a_wrong_size_is_refused(renderer: SceneRenderer) -> None:
-    image = renderer.render(np.array([[(0.0, 0.0, 0.0), *3 * [(np.nan, np.nan, np.nan)]]]))
+    image = renderer.render(np.array([(0.0, 0.0, 0.0), *3 * [(np.nan, np.nan, np.nan)]]))
     assert detector(side=0.05).detect(image) == Findings((), 1)
 
 

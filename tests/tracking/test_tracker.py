@@ -13,7 +13,7 @@ from robofleet.config.tree import CameraModel
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import TrackerEvent
-from robofleet.tracking.photometric import Target
+from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import Sightings, TagSighting, TagTracker
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,8 @@ GONE = (math.nan, math.nan, math.nan)
 
 
 def scene(ids: tuple[int, ...] = IDS) -> SceneRenderer:
-    return SceneRenderer(GEOMETRY, SIZE, ids, SIDE_M, HEIGHT_M, 3.0, np.random.default_rng(2))
+    targets = [Target(tag, SIDE_M, HEIGHT_M, MAX_SPEED) for tag in ids]
+    return SceneRenderer(GEOMETRY, SIZE, targets, 3.0, np.random.default_rng(2))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ class Watched:
         return sightings
 
     def at(self, renderer: SceneRenderer, poses: Sequence[Pose], times: int = 1) -> list[Sightings]:
-        return [self.look(renderer.render(np.array([poses]))) for _ in range(times)]
+        return [self.look(renderer.render(np.array(poses))) for _ in range(times)]
 
 
 def driven(poses: Sequence[Pose], v: float, omega: float, t: float) -> list[Pose]:
@@ -183,7 +184,7 @@ def test_in_the_dark_robots_are_followed_on(renderer: SceneRenderer) -> None:
     rng, watched = np.random.default_rng(1), Watched()
     for k in range(20):
         truth = driven(STANDING, 0.2, 1.0, k * PERIOD_NS * 1e-9)
-        image = renderer.render(np.array([truth])).astype(float)
+        image = renderer.render(np.array(truth)).astype(float)
         dark = 0.15 * image + rng.normal(0.0, 3.0, image.shape) if k > 2 else image
         sightings = watched.look(np.clip(dark, 0, 255).astype(np.uint8))
         assert all(error(measured(sightings)[tag], truth[i]) < 5e-4 for i, tag in enumerate(IDS))
@@ -215,12 +216,11 @@ def test_a_robot_that_leaves_the_image_is_not_seen_elsewhere(renderer: SceneRend
 def test_tags_of_different_heights_are_placed_at_their_own() -> None:
     low, high = 0.0, 0.08
     targets = [Target(1, SIDE_M, low, 0.0), Target(2, SIDE_M, high, MAX_SPEED)]
-    for height, tag in ((low, 1), (high, 2)):
+    for target in targets:
         tracker = TagTracker(GEOMETRY, SIZE, targets)
-        flat = SceneRenderer(GEOMETRY, SIZE, (tag,), SIDE_M, height, 3.0, np.random.default_rng(1))
-        image = flat.render(np.array([[(1.2, 0.6, 0.7)]]))
-        (seen,) = tracker.track(image, 10**9).poses
-        assert seen.tag == tag
+        flat = SceneRenderer(GEOMETRY, SIZE, [target], 3.0, np.random.default_rng(1))
+        (seen,) = tracker.track(flat.render(np.array([(1.2, 0.6, 0.7)])), 10**9).poses
+        assert seen.tag == target.tag
         assert error(seen, (1.2, 0.6, 0.7)) < 2e-4
 
 

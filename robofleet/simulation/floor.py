@@ -1,0 +1,78 @@
+"""What lies in the arena: a cluttered floor, and the looks of printed tags."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.tracking.photometric import CELLS, pattern
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory
+TEXEL = 0.4  # of a print's texture [standard deviations of the finest blur]
+_PIXEL_M = 0.002  # side of a pixel of the drawn floor
+_AROUND_M = 0.3  # drawn beyond what is in view: a camera may be knocked
+
+
+class Floor:
+    """Wood, scraps, tape, cables and prints that look like tags, over what a camera sees."""
+
+    def __init__(self, seen: Array, side: float, blur_px: float, rng: np.random.Generator) -> None:
+        """Take points (..., 2) [m] that enclose what is seen, and the side of the prints [m]."""
+        self._low = seen.reshape(-1, 2).min(0) - _AROUND_M
+        w, h = np.ceil((seen.reshape(-1, 2).max(0) + _AROUND_M - self._low) / _PIXEL_M).astype(int) + 1
+        size = np.array([w, h])
+        wood = rng.integers(120, 150, (12, 20), dtype=np.uint8)
+        floor = np.asarray(cv2.resize(wood, (w, h), interpolation=cv2.INTER_CUBIC), np.uint8)
+        for _ in range(12):  # scraps, and patches of bright light
+            patch = (rng.uniform(0, size).tolist(), rng.uniform(20, 140, 2).tolist(), rng.uniform(0, 180))
+            cv2.ellipse(floor, patch, int(rng.choice([60, 90, 180, 245])), -1, cv2.LINE_AA)
+        for _ in range(10):  # tape
+            a, b = rng.integers(0, size, (2, 2))
+            cv2.line(floor, a, b, int(rng.choice([50, 200])), int(rng.integers(2, 12)), cv2.LINE_AA)
+        for _ in range(4):  # cables
+            heading = rng.normal(0.0, 0.2, 120).cumsum()
+            bends = rng.uniform(0, size) + 8.0 * np.stack([np.cos(heading), np.sin(heading)], axis=1).cumsum(0)
+            cv2.polylines(floor, [bends.astype(np.int32)], False, 45, 4, cv2.LINE_AA)
+        for _ in range(12):
+            cells = np.zeros((CELLS, CELLS), np.uint8)
+            cells[1:-1, 1:-1] = rng.integers(0, 2, (CELLS - 2, CELLS - 2))
+            _paste(floor, 30 + 180 * np.pad(cells, 1, constant_values=1), side, rng)
+        self._grays = np.asarray(
+            cv2.GaussianBlur(floor, (0, 0), blur_px * 1.5), np.uint8
+        )  # a pixel is about 1.5 of these
+
+    def grays(self, points: Array) -> Array:
+        """Return the greys (H, W) at points (H, W, 2) of the floor [m]."""
+        at = ((points - self._low) / _PIXEL_M).astype(np.float32)
+        return np.asarray(cv2.remap(self._grays, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
+
+
+def textures(tag: int, side: float, sigmas: Array) -> Array32:
+    """Return the pattern (levels, S, S) on endless white paper, blurred by ``sigmas`` (levels,) [m].
+
+    The blur is exact (products of error functions), so that edges lie where they should.
+    """
+    texel = TEXEL * sigmas[0]
+    half = math.ceil((side / 2 + 4 * sigmas[-1]) / texel)
+    at = np.arange(-half, half + 1) * texel
+    edges = (np.arange(CELLS + 1) / CELLS - 0.5) * side
+    levels = []
+    for sigma in sigmas:
+        steps = np.vectorize(math.erf)((at[:, None] - edges) / (sigma * math.sqrt(2.0))) / 2.0
+        cells = steps[:, :-1] - steps[:, 1:]
+        levels.append(WHITE - (WHITE - BLACK) * cells @ (1.0 - pattern(tag)) @ cells.T)
+    return np.array(levels, dtype=np.float32)
+
+
+def _paste(floor: Image, cells: Image, side: float, rng: np.random.Generator) -> None:
+    """Lay a print of ``cells`` somewhere onto ``floor``."""
+    scale, angle = side / (CELLS * _PIXEL_M), rng.uniform(-math.pi, math.pi)
+    c, s = scale * math.cos(angle), scale * math.sin(angle)
+    x, y = rng.uniform(0, floor.shape[::-1])
+    onto = np.array([[c, -s, x], [s, c, y]])
+    cv2.warpAffine(cells, onto, floor.shape[::-1], floor, cv2.INTER_NEAREST, cv2.BORDER_TRANSPARENT)

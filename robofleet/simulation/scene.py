@@ -1,0 +1,91 @@
+"""The scene of a configuration, and what happens in it while the camera looks. Time: since the first image [s]."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.config.tree import Config, FloorTag, Knock, TagOffset
+from robofleet.simulation.camera import Print, SceneRenderer, Shutter
+from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.targets import Target, robot_targets
+
+_SLOW_STEPS = 20  # in which a slow knock is done
+
+
+def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
+    """Return what draws the configuration's robots, floor tags and posters."""
+    camera, simulated = config.camera, config.camera.simulated
+    lying = [*config.tracker.floor_tags, *simulated.posters]
+    true = {offset.robot: offset for offset in simulated.tag_offsets}
+    calibrated = {robot.id: robot.calibration.tag_offset for robot in config.robots if robot.calibration is not None}
+    offsets = [true.get(robot.id) or calibrated.get(robot.id) or TagOffset() for robot in config.robots]
+    return SceneRenderer(
+        CameraGeometry.from_model(camera.model),
+        (camera.width, camera.height),
+        robot_targets(config),
+        camera.noise_gray,
+        rng,
+        shutter=Shutter(camera.exposure_s, camera.model.line_time_s),
+        prints=[_print(tag) for tag in lying],
+        offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in offsets]),
+        light=simulated.light,
+    )
+
+
+class ScenePlay:
+    """The timed parts of ``camera.simulated``."""
+
+    def __init__(self, config: Config) -> None:
+        self._settings = config.camera.simulated
+        self._rows = {robot.id: row for row, robot in enumerate(config.robots)}
+        self._calibrated = CameraGeometry.from_model(config.camera.model)
+        self._progress = [0.0] * len(self._settings.knocks)
+
+    def looks(self, t: float) -> NDArray[np.int64]:
+        """Return (N,) whose tag each robot carries."""
+        looks = np.arange(len(self._rows))
+        for swap in self._settings.swaps:
+            if t >= swap.at_s:
+                one, other = (self._rows[robot] for robot in swap.robots)
+                looks[[one, other]] = looks[[other, one]]
+        return looks
+
+    def covered(self, t: float) -> list[int]:
+        """Return the rows of the robots whose tags are covered."""
+        covers = self._settings.covers
+        return [self._rows[cover.robot] for cover in covers if cover.at_s <= t < cover.at_s + cover.duration_s]
+
+    def frozen(self, t: float) -> bool:
+        """Return whether the same picture is sent again."""
+        return any(o.kind == "frozen" and o.at_s < t <= o.at_s + o.duration_s for o in self._settings.outages)
+
+    def stalled_for(self, t: float) -> float:
+        """Return for how long no image will come [s]."""
+        stalls = (o for o in self._settings.outages if o.kind == "stalled" and o.at_s <= t < o.at_s + o.duration_s)
+        return max((o.at_s + o.duration_s - t for o in stalls), default=0.0)
+
+    def camera(self, t: float) -> CameraGeometry | None:
+        """Return where the camera hangs now, None if it has not moved since the last call."""
+        progress = [_progress(knock, t) for knock in self._settings.knocks]
+        if progress == self._progress:
+            return None
+        self._progress = progress
+        T = self._calibrated.T_world_camera.copy()
+        for knock, share in zip(self._settings.knocks, progress, strict=True):
+            T[:3, :3] = T[:3, :3] @ cv2.Rodrigues(share * np.radians(np.array(knock.rotation_deg)))[0]
+            T[:3, 3] += share * np.array(knock.shift_m)
+        return self._calibrated.moved(T)
+
+
+def _progress(knock: Knock, t: float) -> float:
+    """Return how much of a knock has happened, in [0, 1]."""
+    if t < knock.at_s or knock.over_s == 0.0:
+        return float(t >= knock.at_s)
+    return min(1.0, math.floor(_SLOW_STEPS * (t - knock.at_s) / knock.over_s) / _SLOW_STEPS)
+
+
+def _print(tag: FloorTag) -> Print:
+    target = Target(tag.tag, tag.side_m, tag.height_m, 0.0)
+    return Print(target, tag.x_m, tag.y_m, math.radians(tag.heading_deg))

@@ -1,0 +1,33 @@
+"""What the tracker looks for."""
+
+from typing import NamedTuple
+
+from robofleet.config.tree import Config
+
+
+class Target(NamedTuple):
+    """A tag to follow."""
+
+    tag: int
+    side: float  # of its black square [m]
+    height: float  # above the floor [m]
+    max_speed: float  # 0 for a tag that lies still [m/s]
+
+
+def robot_targets(config: Config) -> list[Target]:
+    """Return the tags of all robots, in the configuration's order."""
+    t = config.tracker
+    return [
+        Target(
+            robot.tag,
+            t.tag_side_m,
+            t.tag_height_m if robot.tag_height_m is None else robot.tag_height_m,
+            robot.vehicle.max_speed_m_s,
+        )
+        for robot in config.robots
+    ]
+
+
+def floor_targets(config: Config) -> list[Target]:
+    """Return the tags that lie on the floor, in the configuration's order."""
+    return [Target(floor.tag, floor.side_m, floor.height_m, 0.0) for floor in config.tracker.floor_tags]
