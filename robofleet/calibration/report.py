@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from robofleet.calibration.store import CalibrationError
 from robofleet.clock import utc_now
 from robofleet.figures import COLOURS, INK, QUIET, STYLE
 
@@ -48,20 +49,24 @@ class Report:
         self._parts.append("<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>")
 
     def figure(self, figure: Figure, caption: str) -> None:
-        """Add a plot; make it inside ``with style():``."""
+        """Add a plot; make it inside ``with mpl.rc_context(STYLE):``."""
         buffer = io.StringIO()
         with mpl.rc_context(STYLE):
-            figure.savefig(buffer, format="svg", metadata={"Date": None})
+            figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
         svg = re.sub(r"^.*?(?=<svg)", "", buffer.getvalue(), flags=re.DOTALL)
         self._parts.append(f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>")
 
     def write(self, file: Path) -> None:
-        """Write the page."""
+        """Write the page; CalibrationError if it cannot be."""
         when = utc_now().isoformat(timespec="seconds")
         head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{_CSS}</style>'
         body = f'<h1>{html.escape(self._title)}</h1><p class="when">{when}</p>' + "\n".join(self._parts)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n')
+        page = f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(page, encoding="utf-8")
+        except OSError as error:
+            raise CalibrationError(f"{file}: cannot be written: {error.strerror}") from error
 
 
 def _shown(cell: object) -> str:

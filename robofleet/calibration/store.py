@@ -48,7 +48,7 @@ def provenance(
 def load(file: Path, kind: type[M]) -> M:
     """Read a calibration; CalibrationError with every fault of a file that cannot be read or is impossible."""
     try:
-        return kind.model_validate(yaml.safe_load(file.read_text()))
+        return kind.model_validate(yaml.safe_load(file.read_text(encoding="utf-8")))
     except OSError as error:
         raise CalibrationError(f"{file}: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -59,15 +59,22 @@ def load(file: Path, kind: type[M]) -> M:
 
 
 def save(file: Path, calibration: Model) -> Path | None:
-    """Write a calibration to ``file``; returns where the one before was moved to, None if there was none."""
+    """Write a calibration to ``file``; returns where the one before was moved to, None if there was none.
+
+    Raises:
+        CalibrationError: if it cannot be written; the one before is still in its place then.
+    """
     header = f"# Written by tools/calibrate.py; the one before it is in {KEPT}/.\n"
     tree = calibration.model_dump(mode="json", exclude_none=True)
-    text = header + yaml.safe_dump(tree, sort_keys=False, width=110, allow_unicode=True)
-    file.parent.mkdir(parents=True, exist_ok=True)
+    text = header + yaml.safe_dump(tree, sort_keys=False, width=110)
     written = file.with_name(f".{file.name}.new")
-    written.write_text(text)
-    kept = _keep(file) if file.exists() else None
-    written.replace(file)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        kept = _keep(file) if file.exists() else None
+        written.write_text(text, encoding="utf-8")
+        written.replace(file)
+    except OSError as error:
+        raise CalibrationError(f"{file}: cannot be written: {error.strerror}") from error
     return kept
 
 

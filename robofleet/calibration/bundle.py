@@ -1,0 +1,221 @@
+"""A lens fitted to views of a board: robust bundle adjustment, and how certain every parameter is.
+
+Unknown are the lens (P values: focal lengths, centre, distortion) and each view's pose (rotation vector and
+translation, board to camera). The poses are eliminated view by view (Schur complement), so that a view is a P x P
+matrix of information: what remains when a view is left out, or would come with another one, is a sum. Weights are
+Huber's, on the distance of a corner. A weak prior (any lens that could be) keeps undetermined values finite;
+what it weighs is far below a pixel's noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from robofleet.calibration.board import Array, View
+from robofleet.calibration.lens import Lens, cost
+from robofleet.tracking.camera import Lens as Kind
+
+_POWERS = {  # of a ray's slope (or angle), by which a coefficient's share of it grows
+    "pinhole": (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3, 0, 0),
+    "fisheye": (2, 4, 6, 8),
+}
+_PRIOR = 0.5  # standard deviation of a distortion's share at the image's corner, and of the focal length's
+_PRIOR_CENTRE = 0.1  # of the image's size
+_START_NOISE_PX = 0.2
+_HUBER = 3.0  # [standard deviations of a coordinate]
+_FOCAL_STARTS = (0.4, 0.6, 0.9, 1.4, 2.2, 4.0)  # [image widths]
+_START_VIEWS = 8  # that choose among them
+_STEPS = 60
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A lens, the V views' poses, and what is known of both."""
+
+    lens: Lens
+    views: tuple[View, ...]
+    poses: Array  # (V, 6)
+    residuals: tuple[Array, ...]  # V of (M, 2) [px], projected minus found
+    information: Array  # (V, P, P) of the lens, poses eliminated [1 / px^2 of noise]
+    pulls: Array  # (V, P) of each view on the lens, poses eliminated; they add up to none
+    prior: Array  # (P,)
+    noise_px: float  # standard deviation of a coordinate, robust
+
+    @property
+    def covariance(self) -> Array:
+        """Return the lens's covariance (P, P): the Jacobian's, with the robust noise."""
+        return self.noise_px**2 * inverse(self.information.sum(axis=0) + np.diag(self.prior))
+
+    @property
+    def typical_px(self) -> Array:
+        """Return by how much most of each view's corners miss (V,) [px]."""
+        return np.array([typical(r) for r in self.residuals])
+
+    @property
+    def surprise(self) -> Array:
+        """Return how hard each view (V,) pulls on the lens, against what noise would do: 1 on average.
+
+        A view whose corners fit, but only because the others gave way or its pose did, shows here: the pull's square
+        in terms of its covariance, a chi-square over P.
+        """
+        spread = inverse(self.information.sum(axis=0) + np.diag(self.prior))
+        pulls = [
+            pull @ inverse(own - own @ spread @ own) @ pull
+            for own, pull in zip(self.information, self.pulls, strict=True)
+        ]
+        return np.array(pulls) / (self.noise_px**2 * len(self.prior))
+
+    @property
+    def leaving_out(self) -> Array:
+        """Return how the lens (V, P) changes when a view is left out, to first order."""
+        whole = self.information.sum(axis=0) + np.diag(self.prior)
+        return np.array([-inverse(whole - own) @ pull for own, pull in zip(self.information, self.pulls, strict=True)])
+
+    @property
+    def jackknife(self) -> Array:
+        """Return the covariance (P, P) that the views tell by leaving out each one: also of errors that they share."""
+        changes = self.leaving_out
+        count = len(changes)
+        centred = changes - changes.mean(axis=0)
+        return np.asarray(centred.T @ centred * (count - 1) / count)
+
+    def without(self, left_out: Sequence[int]) -> "Fit":
+        """Return the fit to the other views, from here."""
+        kept = [k for k in range(len(self.views)) if k not in left_out]
+        return _adjusted(self.lens, tuple(self.views[k] for k in kept), self.poses[kept], self.prior)
+
+
+def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[View]) -> Fit:
+    """Fit a lens with so many distortion coefficients to views."""
+    views = tuple(views)
+    few, starts = views[:: -(-len(views) // _START_VIEWS)], []
+    for scale in _FOCAL_STARTS:
+        f = scale * size[0]
+        values = np.array([f, f, (size[0] - 1) / 2, (size[1] - 1) / 2, *[0.0] * coefficients])
+        lens = Lens(kind, size, values)
+        starts.append((sum(cost(lens.project(v.points, lens.pose(v))[0] - v.pixels) for v in few), scale, lens))
+    lens = min(starts, key=lambda start: start[:2])[2]
+    prior, poses = _prior(lens), np.array([lens.pose(view) for view in views])
+    first = _adjusted(lens, views, poses, prior)
+    again = np.array([first.lens.pose(view) for view in views])  # some may have started on the wrong one of two
+    return _adjusted(first.lens, views, again, prior)
+
+
+def typical(residuals: Array) -> float:
+    """Return the median distance of residuals (N, 2): a few bad corners do not make a bad view."""
+    return float(np.median(np.linalg.norm(residuals, axis=1)))
+
+
+def inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric matrix that may be all but singular: large there, never infinite."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    return np.asarray((vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(scale, scale))
+
+
+def view_information(J_lens: Array, J_pose: Array) -> Array:
+    """Return what corners (M, 2, P), (M, 2, 6) tell of the lens when their view's pose is unknown (P, P)."""
+    A, B = J_lens.reshape(-1, J_lens.shape[2]), J_pose.reshape(-1, 6)
+    return np.asarray(A.T @ A - A.T @ B @ np.linalg.solve(B.T @ B, B.T @ A))
+
+
+def _prior(lens: Lens) -> Array:
+    """Return the information (P,) of what any lens could be, in the units of the start's noise."""
+    width, height = lens.size
+    corner = float(np.hypot(width, height) / 2 / lens.values[0])
+    powers = np.array(_POWERS[lens.kind][: len(lens.values) - 4])
+    sigma = [_PRIOR * lens.values[0], _PRIOR * lens.values[0], _PRIOR_CENTRE * width, _PRIOR_CENTRE * height]
+    return np.asarray((_START_NOISE_PX / np.array([*sigma, *_PRIOR * corner**-powers])) ** 2)
+
+
+class _Blocks(NamedTuple):
+    """One view's part of the normal equations."""
+
+    lens: Array  # (P, P)
+    both: Array  # (P, 6)
+    pose: Array  # (6, 6)
+    pull_lens: Array  # (P,): minus half the gradient
+    pull_pose: Array  # (6,)
+
+
+def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Array) -> Fit:
+    """Return the fit that Levenberg and Marquardt's steps end at; weights and noise follow the residuals."""
+    centre, damping = lens.values, 1e-3
+    residuals = _residuals(lens, views, poses)
+    for _ in range(_STEPS):
+        noise = _noise(residuals)
+        weights = [_weights(r, noise) for r in residuals]
+        blocks = [_blocks(lens, *parts) for parts in zip(views, poses, residuals, weights, strict=True)]
+        before = _weighted(residuals, weights) + float(prior @ (lens.values - centre) ** 2)
+        while damping < 1e12:
+            step, steps = _step(blocks, prior, prior * (centre - lens.values), damping)
+            tried = replace(lens, values=lens.values + step)
+            moved = _residuals(tried, views, poses + steps)
+            after = _weighted(moved, weights) + float(prior @ (tried.values - centre) ** 2)
+            if after <= before:
+                break
+            damping *= 10.0
+        else:
+            break
+        lens, poses, residuals, damping = tried, poses + steps, moved, max(damping / 10.0, 1e-9)
+        if before - after <= 1e-9 * before and abs(_noise(residuals) - noise) <= 1e-4 * noise:
+            break
+    return _told(lens, views, poses, residuals, prior)
+
+
+def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Array) -> Fit:
+    scale = _noise(residuals)
+    weights = [_weights(r, scale) for r in residuals]
+    reduced = [_reduced(_blocks(lens, *p), 0.0) for p in zip(views, poses, residuals, weights, strict=True)]
+    free = 2.0 * sum(float(w.sum()) for w in weights) - 6 * len(views) - len(lens.values)
+    noise = np.sqrt(_weighted(residuals, weights) / max(free, 1.0))
+    information, pulls = (np.array(parts) for parts in zip(*reduced, strict=True))
+    return Fit(lens, views, poses, tuple(residuals), information, pulls, prior, float(noise))
+
+
+def _blocks(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> _Blocks:
+    _, J_lens, J_pose = lens.project(view.points, pose)
+    root = np.sqrt(weights)[:, None, None]
+    A, B = (root * J_lens).reshape(-1, len(lens.values)), (root * J_pose).reshape(-1, 6)
+    r = -(root[..., 0] * residuals).ravel()
+    return _Blocks(A.T @ A, A.T @ B, B.T @ B, A.T @ r, B.T @ r)
+
+
+def _reduced(blocks: _Blocks, damping: float) -> tuple[Array, Array]:
+    """Return a view's information and pull on the lens, its pose eliminated."""
+    damped = blocks.pose + damping * np.diag(np.diag(blocks.pose))
+    solved = np.linalg.solve(damped, np.column_stack([blocks.both.T, blocks.pull_pose]))
+    return blocks.lens - blocks.both @ solved[:, :-1], blocks.pull_lens - blocks.both @ solved[:, -1]
+
+
+def _step(blocks: list[_Blocks], prior: Array, pull_prior: Array, damping: float) -> tuple[Array, Array]:
+    """Return the damped step of the lens (P,) and of the poses (V, 6)."""
+    reduced = [_reduced(block, damping) for block in blocks]
+    whole = np.sum([information for information, _ in reduced], axis=0) + np.diag(prior)
+    whole += damping * np.diag(np.sum([np.diag(block.lens) for block in blocks], axis=0))
+    step = inverse(whole) @ (np.sum([pull for _, pull in reduced], axis=0) + pull_prior)
+    steps = [
+        np.linalg.solve(block.pose + damping * np.diag(np.diag(block.pose)), block.pull_pose - block.both.T @ step)
+        for block in blocks
+    ]
+    return step, np.array(steps)
+
+
+def _residuals(lens: Lens, views: Sequence[View], poses: Array) -> list[Array]:
+    return [lens.project(view.points, pose)[0] - view.pixels for view, pose in zip(views, poses, strict=True)]
+
+
+def _noise(residuals: list[Array]) -> float:
+    """Return the standard deviation of a coordinate that most residuals have [px]."""
+    return max(1.4826 * float(np.median(np.abs(np.concatenate(residuals)))), 1e-6)
+
+
+def _weights(residuals: Array, noise: float) -> Array:
+    return np.asarray(np.minimum(1.0, _HUBER * noise / np.maximum(np.linalg.norm(residuals, axis=1), 1e-12)))
+
+
+def _weighted(residuals: list[Array], weights: list[Array]) -> float:
+    cost = sum(float((w[:, None] * r * r).sum()) for r, w in zip(residuals, weights, strict=True))
+    return cost if np.isfinite(cost) else np.inf

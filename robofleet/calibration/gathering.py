@@ -1,0 +1,92 @@
+"""Images of a board, one by one: from a folder or a video; the views worth having are kept."""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from robofleet.calibration.board import Board, BoardCheck, BoardDetector, Image, View
+from robofleet.calibration.store import CalibrationError
+from robofleet.calibration.views import Collector, Offer
+
+FIRST = 3  # views before a lens is fitted at all
+
+
+class Gathering:
+    """Takes images, keeps the views worth having, and remembers what became of the others."""
+
+    def __init__(self, board: Board, *, film: bool) -> None:
+        self._board, self._film = board, film
+        self._detector, self._check = BoardDetector(board), BoardCheck(board)
+        self._collector: Collector | None = None
+        self.size = (0, 0)  # of the images, width and height [px]
+        self.fates: dict[str, Offer] = {}
+
+    @property
+    def views(self) -> list[View]:
+        """The views worth having."""
+        return [] if self._collector is None else self._collector.views
+
+    @property
+    def counts(self) -> Counter[Offer]:
+        """How many images had which fate."""
+        return Counter(self.fates.values())
+
+    def take(self, name: str, image: Image) -> Offer:
+        """Look at an image; CalibrationError if it has another size than those before."""
+        size = (image.shape[1], image.shape[0])
+        if self._collector is None:
+            self.size, self._collector = size, Collector(size, film=self._film)
+        if size != self.size:
+            raise CalibrationError(
+                f"{name}: {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}: "
+                "take the images of one camera at one resolution"
+            )
+        sight = self._detector.detect(name, image)
+        self._check.add(sight)
+        self.fates[name] = Offer.NO_BOARD if sight.view is None else self._collector.offer(sight.view)
+        return self.fates[name]
+
+    def refuse(self) -> None:
+        """Raise a CalibrationError if there is nothing to fit a lens to, or if the board is another one."""
+        if not self.fates:
+            raise CalibrationError("there is no image")
+        faults = self._check.faults()
+        if not faults and len(self.views) < FIRST:
+            told = ", ".join(f"{count} {offer.value}" for offer, count in self.counts.items())
+            hold = "; hold the board still for a moment at each place" if self.counts[Offer.MOVING] else ""
+            faults = [f"{len(self.views)} views are too few to say anything of the lens ({told}){hold}"]
+        if faults:
+            raise CalibrationError(faults)
+
+
+def gather(source: Path, board: Board) -> Gathering:
+    """Return what a folder of images or a video shows."""
+    gathering = Gathering(board, film=not source.is_dir())
+    for name, image in _images(source):
+        gathering.take(name, image)
+    return gathering
+
+
+def _images(source: Path) -> Iterator[tuple[str, Image]]:
+    """Yield names and gray images of a folder (by name) or a video."""
+    if source.is_dir():
+        for file in sorted(source.iterdir()):
+            if file.suffix.lower() in {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}:
+                image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+                if image is None:
+                    raise CalibrationError(f"{file}: cannot be read as an image")
+                yield file.name, np.asarray(image, np.uint8)
+        return
+    video = cv2.VideoCapture(str(source))
+    if not source.exists() or not video.isOpened():
+        raise CalibrationError(f"{source}: is neither a folder of images nor a video that can be read")
+    number = 0
+    while True:
+        ok, frame = video.read()
+        if not ok:
+            return
+        number += 1
+        yield f"{source.name}:frame {number}", np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
