@@ -97,7 +97,8 @@ class SceneRenderer:
         self._geometry = geometry
         width, height = self._size
         plane = geometry.to_plane(self._pixels, self._height).reshape(height, width, 2)
-        self._plane = [np.ascontiguousarray(plane[..., axis], dtype=np.float32) for axis in (0, 1)]
+        plane_x, plane_y = (np.ascontiguousarray(plane[..., axis], dtype=np.float32) for axis in (0, 1))
+        self._plane = plane_x, plane_y
         self._sigmas = _BLUR_PX * _scales(plane)
         self._textures = np.stack([textures(robot.tag, self._side, self._sigmas) for robot in self._robots])
         floor = self._floor.grays(plane + (plane - geometry.position[:2]) * self._further(0.0))
@@ -105,9 +106,7 @@ class SceneRenderer:
         for (tag, side, tag_height, _), x, y, psi in self._prints:
             lying = np.array([[x, y, psi]])
             look, still = (textures(tag, side, self._sigmas)[None], np.zeros(1, np.int64)), np.zeros((1, 3))
-            self._draw(
-                background, np.full_like(background, self._offset), look, side, [tag_height], lying, still, still
-            )
+            self._draw(background, np.zeros_like(background), look, side, [tag_height], lying, still, still)
         self._background = background
 
     def render(self, poses: Array, velocities: Array | None = None) -> Image:

@@ -28,9 +28,10 @@ Indices = NDArray[np.int64]
 CELLS = 8  # of the pattern, black rim included
 FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 
-_SAMPLES = 32  # along a side of the fitted square, about one a pixel
-_REACH = 0.61  # half the fitted square [sides]: most of the white cell beyond the black rim
-_BLUR_PX = 0.75  # standard deviation expected of lens, pixel and interpolation; a wrong one does not bias
+_SAMPLES_PX = 1.0  # of the fitted square, a pixel; fewer alias, and the error then depends on where the edges lie
+_FEWEST, _MOST = 16, 64  # samples along a side
+_REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
+_BLUR_PX = 0.65  # standard deviation expected of lens, pixel and interpolation; a wrong one does not bias
 _STEPS = 5  # Gauss-Newton, at most
 _CONVERGED = 0.001  # a last step this short is the last [sides, rad]
 _LONGEST_STEP = 0.06  # [sides]
@@ -60,8 +61,10 @@ class PhotometricFit:
         self._line_time = line_time
         self._sides = np.array([target.side for target in targets])
         self.heights = np.array([target.height for target in targets])
-        self._templates = np.stack([_template(target, _side_px(geometry, target)) for target in targets])
-        self._at = _samples()[0].real.astype(np.float32)
+        sizes = [side_px(geometry, target) for target in targets]
+        at = _samples(round(min(max(_SAMPLES_PX * 2.0 * _REACH * max(sizes), _FEWEST), _MOST)))
+        self._templates = np.stack([_template(tag.tag, px, at) for tag, px in zip(targets, sizes, strict=True)])
+        self._at = at[0].real.astype(np.float32)
         self._nodes = np.stack([_NODES.real, _NODES.imag], axis=1)
         self._to_coefficients = np.linalg.inv(_monomials(_NODES))
         self.fit(np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, complex), np.zeros(1))  # compiles, or loads
@@ -108,18 +111,15 @@ def side_px(geometry: CameraGeometry, target: Target) -> float:
     return float(geometry.K[0, 0]) * target.side / (float(geometry.position[2]) - target.height)
 
 
-_side_px = side_px
-
-
 def pattern(tag: int) -> NDArray[np.bool_]:
     """Return the tag's cells (8, 8), true where white, row 0 at the top as OpenCV prints it."""
     family = cv2.aruco.getPredefinedDictionary(FAMILY)
     return np.asarray(family.generateImageMarker(tag, CELLS) > 0)
 
 
-def _samples() -> Complex:
-    """Return where the fit samples a tag, (_SAMPLES, _SAMPLES), row 0 at the print's top."""
-    at = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2.0 - 1.0) * _REACH
+def _samples(count: int) -> Complex:
+    """Return where the fit samples a tag, (count, count), row 0 at the print's top."""
+    at = ((np.arange(count) + 0.5) / count * 2.0 - 1.0) * _REACH
     return at[None, :] - 1j * at[:, None]
 
 
@@ -129,18 +129,17 @@ def _monomials(points: Complex) -> Array:
     return np.stack([a**i * b**j for j in range(3) for i in range(3)], axis=-1)
 
 
-def _template(target: Target, side_px: float) -> NDArray[np.float32]:
-    """Return the rows (5, n) to multiply a patch of n greys with.
+def _template(tag: int, side_px: float, at: Complex) -> NDArray[np.float32]:
+    """Return the rows (5, n) to multiply a patch of n greys with, sampled at ``at``.
 
     Correlation times the patch's norm; contrast; contrast times the offset forward, left [sides] and counter-clockwise
     [rad]. Brightness and a slope of the light are fitted too, and dropped.
     """
     blur = _BLUR_PX / side_px
-    at = _samples()
     z = (at[0].real[:, None] - (np.arange(CELLS + 1) / CELLS - 0.5)) / blur
     step = np.vectorize(math.erf)(z / math.sqrt(2.0)) / 2.0
     slope = np.exp(-z * z / 2.0) / (blur * math.sqrt(2.0 * math.pi))
-    cell, edge, black = step[:, :-1] - step[:, 1:], slope[:, :-1] - slope[:, 1:], 1.0 - pattern(target.tag)
+    cell, edge, black = step[:, :-1] - step[:, 1:], slope[:, :-1] - slope[:, 1:], 1.0 - pattern(tag)
     look, forward, left = -cell @ black @ cell.T, -cell @ black @ edge.T, edge @ black @ cell.T
     spin = at.real * left - at.imag * forward
     basis = np.stack([look, -forward, -left, -spin, np.ones_like(look), at.real, at.imag]).reshape(7, -1)

@@ -227,6 +227,13 @@ def test_prints_that_lie_still_are_where_they_lie() -> None:
     size = 0.125 * GEOMETRY.K[0, 0] / 2.5  # with the paper around it
     assert np.ptp(changed, axis=0).min() > size
     assert np.ptp(changed, axis=0).max() < 1.5 * size
+    # The same print on a robot at the same place and height is as bright.
+    carried = SceneRenderer(GEOMETRY, (MODEL.width, MODEL.height), [low], 3.0, np.random.default_rng(1))
+    noisy = scene(noise=3.0, prints=[Print(low, 0.5, -0.4, 0.7)])
+    u, v = np.rint(expected).astype(int)
+    inner = np.s_[v - 12 : v + 13, u - 12 : u + 13]
+    robot = carried.render(np.array([(0.5, -0.4, 0.7)]))[inner].astype(float)
+    assert abs(robot.mean() - noisy.render(NOBODY)[inner].mean()) < 1.0
 
 
 def test_each_tag_has_its_own_height() -> None:

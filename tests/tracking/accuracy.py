@@ -8,7 +8,7 @@ begins cold. Columns: position rms and largest error [mm], heading rms and large
 filter takes away [mm]; how many of the tags were measured in their image (predicting is not measuring); and what was
 said that is wrong: of no such tag, or of a tag over 5 mm away, or of one twice. The rms are of the rest. The bound is
 Cramer and Rao's: the least rms that any unbiased estimator of the same greys can have, with gain, offset and a slope of
-the light unknown.
+the light unknown (and no cable).
 """
 
 import argparse
@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting, Sighting
-from tests.tracking.raycast import Cable, Print, RayCamera, RayCaster, along, clutter
+from tests.tracking.raycamera import RayCamera
+from tests.tracking.raycast import Cable, Print, RayCaster, along, clutter
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ SCENES = {
     "noise 3.5": Scene(3.5),
     "noise 5": Scene(5.0),
     "cable of 2 px": Scene(3.5, cable_px=2.0),
-    "15 % light": Scene(2.0, darkness=0.15),
+    "15 % light": Scene(3.5, darkness=0.15),
     "rolling shutter, 20 ms": Scene(3.5, line_time=0.02 / SIZE[1], steady=True),
     "fisheye": Scene(3.5, fisheye=True),
 }
@@ -117,41 +118,44 @@ class Score:
 def camera(scene: Scene, defocus: float) -> RayCamera:
     """Return the camera: 2.5 m up, tilted by 2 degrees, an exposure of 4 ms."""
     T = np.eye(4)
-    T[:3, :3] = (
-        cv2.Rodrigues(np.array([math.pi, 0.0, 0.0]))[0] @ cv2.Rodrigues(np.array([0.0, math.radians(2.0), 0.0]))[0]
-    )
+    down, tilt = (cv2.Rodrigues(np.array(turn))[0] for turn in ([math.pi, 0.0, 0.0], [0.0, math.radians(2.0), 0.0]))
+    T[:3, :3] = down @ tilt
     T[2, 3] = 2.5
     distortion = _FISHEYE if scene.fisheye else _BARREL
     return RayCamera(SIZE, _K, distortion, T, scene.fisheye, 0.004, scene.line_time, defocus)
 
 
-def drives(scene: Scene, frames: int, seed: int = 1) -> Iterator[tuple[Setting, RayCaster, Iterator[Frame]]]:
-    """Yield three drives that count ``frames`` images in all."""
-    for number, (defocus, light) in enumerate(_DRIVES):
-        rng = np.random.default_rng((seed, number))
+def drives(scene: Scene, frames: Sequence[int]) -> Iterator[tuple[Setting, RayCaster, Iterator[Frame]]]:
+    """Yield up to three drives; so many images of each count."""
+    for number, (wanted, (defocus, light)) in enumerate(zip(frames, _DRIVES, strict=False)):
+        rng = np.random.default_rng((1, number))
         eye = camera(scene, defocus)
         caster = RayCaster(eye, clutter(SIZE, rng), rng)
         geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera, "fisheye" if eye.fisheye else "pinhole")
         tags = rng.choice(587, 8, replace=False).tolist()
         setting = Setting(geometry, SIZE, [Target(tag, SIDE, HEIGHT, 0.3) for tag in tags], scene.line_time)
-        yield setting, caster, _drive(scene, caster, tags, -(-frames // len(_DRIVES)), light, rng)
+        yield setting, caster, _drive(scene, caster, tags, wanted, light, rng)
 
 
-def evaluate(scene: Scene, names: Sequence[str], frames: int) -> dict[str, dict[str, float]]:
-    """Return each candidate's row of the table, and the bound's."""
-    scores, bounds = {name: Score() for name in names}, []
+def evaluate(scene: Scene, names: Sequence[str], frames: Sequence[int]) -> dict[str, dict[str, float]]:
+    """Return the rows of the table: candidates', and the bound's if it is named."""
+    scores, bounds = {name: Score() for name in names if name != BOUND}, []
     for setting, caster, pictures in drives(scene, frames):
-        candidates = {name: CANDIDATES[name](setting) for name in names}
-        for k, frame in enumerate(pictures):
+        candidates = {name: CANDIDATES[name](setting) for name in scores}
+        begun = False
+        for frame in pictures:
             for name, see in candidates.items():
                 seen = see(frame.image, frame.exposure_ns)
                 if frame.counts:
                     scores[name].add(frame.prints, seen)
-            if k == LEAD_IN:
-                bounds += [_least(caster, tag, frame.level, scene.noise) for tag in frame.prints]
+            if BOUND in names and frame.counts and not begun:
+                bounds += [_least(caster, tag._replace(cable=None), frame.level, scene.noise) for tag in frame.prints]
+                begun = True
     rows = {name: score.row() for name, score in scores.items()}
-    position, heading = np.array(bounds).T
-    return {BOUND: {"rms_mm": _rms(position), "rms_deg": _rms(heading)}, **rows}
+    if bounds:
+        position, heading = np.array(bounds).T
+        rows[BOUND] = {"rms_mm": _rms(position), "rms_deg": _rms(heading)}
+    return rows
 
 
 def _drive(
@@ -218,13 +222,19 @@ def main() -> None:
     parser.add_argument("--only", default="", help="candidates whose name has this in it")
     parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
     arguments = parser.parse_args()
+    names = [name for name in CANDIDATES if arguments.only in name]
+    scenes = {title: scene for title, scene in SCENES.items() if arguments.scenes in title}
+    if not names:
+        parser.error(f"--only {arguments.only}: of {', '.join(CANDIDATES)}")
+    if not scenes:
+        parser.error(f"--scenes {arguments.scenes}: of {', '.join(SCENES)}")
+    if arguments.frames < 1:
+        parser.error(f"--frames {arguments.frames}: at least 1")
     cv2.setNumThreads(1)
     tables = {}
-    for title, scene in SCENES.items():
-        if arguments.scenes not in title:
-            continue
-        names = [name for name in CANDIDATES if arguments.only in name and (name != UNTIMED or scene.line_time)]
-        tables[title] = evaluate(scene, names, arguments.frames)
+    for title, scene in scenes.items():
+        shown = [name for name in names if name != UNTIMED or scene.line_time]
+        tables[title] = evaluate(scene, [*shown, BOUND], [math.ceil(arguments.frames / len(_DRIVES))] * len(_DRIVES))
         if not arguments.json:
             _show(title, tables[title])
     if arguments.json:

@@ -6,20 +6,20 @@ exposure, which a rolling shutter shifts from row to row. The print is made of s
 averaged exactly over the sub-sample's footprint; a disc of defocus and the pixel's square gather the sub-samples. Then
 come uneven light, shot and read noise, clipping and 8 bits. Around the prints lies a floor of clutter at z = 0.
 
-Conventions: integer pixel coordinates are pixel centres; world z up; camera x right, y down, z forward. A print's
-forward is its right and its left its top, with the pattern upright as OpenCV draws it. Times count from the instant at
-which the middle row, (H - 1) / 2, is in mid-exposure. Grey levels are linear in the light.
+A print's forward is its right and its left its top, with the pattern upright as OpenCV draws it. Times count from the
+instant at which the image's middle row is in mid-exposure. Grey levels are linear in the light.
 """
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import ArrayLike, NDArray
+
+from tests.tracking.raycamera import RayCamera
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -72,49 +72,13 @@ def along(pose: tuple[float, float, float], twist: tuple[float, float, float], t
     return x, y, pose[2] + turn
 
 
-@dataclass(frozen=True, eq=False)
-class RayCamera:
-    """A calibrated camera: OpenCV's pinhole distortion of 0 to 14 coefficients, or fisheye with 4."""
-
-    size: tuple[int, int]  # width, height [px]
-    K: Array  # (3, 3) [px]
-    distortion: Array
-    T_world_camera: Array  # (4, 4), camera to world
-    fisheye: bool = False
-    exposure: float = 0.0  # of a row [s]
-    line_time: float = 0.0  # from a row to the next [s]
-    defocus: float = 0.7  # radius of the disc that a point of light makes [px], at most 1
-
-    def project(self, points_world: Array) -> Array:
-        """Return the pixels (N, 2) of points (N, 3) [m]."""
-        in_camera = (points_world - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, :3]
-        ray = in_camera[:, :2] / in_camera[:, 2:]
-        if self.fisheye:
-            r = np.hypot(*ray.T)[:, None]
-            distorted = ray * _fisheye(np.arctan(r), self.distortion)[0] / np.maximum(r, 1e-12)
-        else:
-            distorted = np.stack(_pinhole(ray[:, 0], ray[:, 1], self.distortion), axis=1)
-        return distorted * np.diag(self.K)[:2] + self.K[:2, 2]
-
-    def on_plane(self, pixels: Array, height: float) -> Array:
-        """Return x, y (N, 2) [m] where the rays of pixels (N, 2) meet z = height."""
-        distorted = (pixels - self.K[:2, 2]) / np.diag(self.K)[:2]
-        undo = _fisheye_ray if self.fisheye else _pinhole_ray
-        ray = np.column_stack([undo(distorted, self.distortion), np.ones(len(pixels))]) @ self.T_world_camera[:3, :3].T
-        eye = self.T_world_camera[:3, 3]
-        return eye[:2] + ray[:, :2] * ((height - eye[2]) / ray[:, 2:])
-
-    def row_time(self, v: Array) -> Array:
-        """Return when rows ``v`` are in mid-exposure [s]."""
-        return (v - (self.size[1] - 1) / 2.0) * self.line_time
-
-    def instant(self, tag: Print) -> float:
-        """Return when the row that shows the centre of a print is in mid-exposure [s]."""
-        t = 0.0
-        for _ in range(4):
-            x, y, _psi = along(tag.pose, tag.twist, t)
-            t = float(self.row_time(self.project(np.array([[x, y, tag.height]]))[0, 1]))
-        return t
+def instant(camera: RayCamera, tag: Print) -> float:
+    """Return when the row that shows the centre of a print is in mid-exposure [s]."""
+    t = 0.0
+    for _ in range(4):
+        x, y, _psi = along(tag.pose, tag.twist, t)
+        t = float(camera.row_time(camera.project(np.array([[x, y, tag.height]]))[0, 1]))
+    return t
 
 
 class RayCaster:
@@ -151,7 +115,7 @@ class RayCaster:
     def patch(self, tag: Print) -> Patch:
         """Cast the rays around one print."""
         camera = self.camera
-        x, y, psi = along(tag.pose, tag.twist, camera.instant(tag))
+        x, y, psi = along(tag.pose, tag.twist, instant(camera, tag))
         rim = 0.5 * CELLS / 8.0 * tag.side * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
         c, s = math.cos(psi), math.sin(psi)
         corners = camera.project(np.column_stack([rim @ [[c, s], [-s, c]] + [x, y], np.full(4, tag.height)]))
@@ -160,15 +124,17 @@ class RayCaster:
             camera.on_plane(middle + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]), tag.height), axis=0
         )
         pixel = math.sqrt(abs(ahead[0, 0] * ahead[2, 1] - ahead[0, 1] * ahead[2, 0]))  # on the print's plane [m]
-        motion = camera.exposure * (math.hypot(*tag.twist[:2]) + 0.8 * tag.side * abs(tag.twist[2])) / pixel
-        first = np.floor(corners.min(0) - motion - 2.0).astype(int).clip(0, camera.size)
-        last = np.ceil(corners.max(0) + motion + 3.0).astype(int).clip(0, camera.size)
+        # Of its quickest point [px/s].
+        speed = (math.hypot(*tag.twist[:2]) + 0.9 * tag.side * abs(tag.twist[2])) / pixel
+        smear = speed * (camera.exposure + 2.0 * np.ptp(corners[:, 1]) * camera.line_time)
+        first = np.floor(corners.min(0) - smear - 2.0).astype(int).clip(0, camera.size)
+        last = np.ceil(corners.max(0) + smear + 3.0).astype(int).clip(0, camera.size)
         if (first >= last).any():
             none = np.zeros((0, 0), np.float32)
             return Patch((slice(0, 0), slice(0, 0)), none, none)
         # A pixel more on every side, for the defocus.
         u, v = ((np.arange((b - a + 2) * _SUB) + 0.5) / _SUB + a - 1.5 for a, b in zip(first, last, strict=True))
-        cover, light = self._exposed(tag, u, v, pixel / _SUB, max(1, math.ceil(motion / _INSTANT_PX)))
+        cover, light = self._exposed(tag, u, v, pixel / _SUB, max(1, math.ceil(speed * camera.exposure / _INSTANT_PX)))
         where = slice(first[1], last[1]), slice(first[0], last[0])
         return Patch(where, self._gathered(cover), self._gathered(light))
 
@@ -217,7 +183,7 @@ class RayCaster:
         away = np.abs(math.cos(run) * d_y - math.sin(run) * d_x)
         return np.clip((0.5 * cable.width - away) / footprint + 0.5, 0.0, 1.0)
 
-    def _meet(self, u: Array, v: Array, height: float, origin: tuple[float, ...]) -> tuple[Floats, Floats]:
+    def _meet(self, u: Array, v: Array, height: float, origin: tuple[float, float, float]) -> tuple[Floats, Floats]:
         """Return x, y (V, U) from ``origin`` [m] where the rays of columns ``u`` and rows ``v`` meet a plane."""
         nodes = np.cos(math.pi * (np.arange(_NODES) + 0.5) / _NODES)
         to_nodes = np.linalg.inv(chebvander(nodes, _NODES - 1))
@@ -229,7 +195,9 @@ class RayCaster:
         (u_nodes, from_u), (v_nodes, from_v) = span(u), span(v)
         pixels = np.stack(np.meshgrid(u_nodes, v_nodes), axis=-1).reshape(-1, 2)
         x, y = self.camera.on_plane(pixels, height).T.reshape(2, _NODES, _NODES)
-        x, y = (from_v @ (at - zero) @ from_u.T for at, zero in zip((x, y), origin, strict=False))
+        # On a busy machine BLAS's threads wait for each other longer than such a product takes: einsum has none.
+        x = np.einsum("vi,ui->vu", from_v @ (x - origin[0]), from_u)
+        y = np.einsum("vi,ui->vu", from_v @ (y - origin[1]), from_u)
         return x.astype(np.float32), y.astype(np.float32)
 
     def _gathered(self, fine: Floats) -> Floats:
@@ -261,8 +229,9 @@ def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
 def _lamps(size: tuple[int, int]) -> Floats:
     """Return the uneven light (H, W): bright up left, three quarters of that in the far corner."""
     width, height = size
-    away = np.hypot((np.arange(width) - 0.3 * width)[None, :], (np.arange(height) - 0.4 * height)[:, None]) / width
-    return (1.0 - 0.4 * away**2).astype(np.float32)
+    u, v = np.arange(width, dtype=np.float32) / width - 0.3, np.arange(height, dtype=np.float32)[:, None] / width
+    v -= 0.4 * height / width
+    return np.float32(1.0) - np.float32(0.4) * (u * u + v * v)
 
 
 def _edges(at: Floats, width: float) -> tuple[NDArray[np.int64], Floats, Floats]:
@@ -286,47 +255,3 @@ def _gather(defocus: float) -> Floats:
     on_v = np.abs(away[..., None] + radius * np.sin(angle)) < 0.5
     weights = np.einsum("iak,jbk->ijab", on_v.astype(np.float32), on_u.astype(np.float32)).reshape(_SUB * _SUB, 9)
     return weights / weights.sum()
-
-
-def _pinhole(x: NDArray[Any], y: NDArray[Any], distortion: Array) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Distort rays x/z, y/z, real or complex, as OpenCV's documentation defines it."""
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = np.pad(distortion, (0, 14 - len(distortion)))
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    a = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
-    b = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
-    cx, sx, cy, sy = math.cos(tilt_x), math.sin(tilt_x), math.cos(tilt_y), math.sin(tilt_y)
-    R = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]]) @ [[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]]
-    T = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]]) @ R
-    z = T[2, 0] * a + T[2, 1] * b + T[2, 2]
-    return (T[0, 0] * a + T[0, 1] * b + T[0, 2]) / z, (T[1, 0] * a + T[1, 1] * b + T[1, 2]) / z
-
-
-def _pinhole_ray(distorted: Array, distortion: Array) -> Array:
-    """Undo :func:`_pinhole` (N, 2) by Newton's method; the derivatives are those of a complex step, exact."""
-    x, y = distorted.T
-    for _ in range(20):
-        a, b = _pinhole(x, y, distortion)
-        by_x, by_y = _pinhole(x + 1e-30j, y, distortion), _pinhole(x, y + 1e-30j, distortion)
-        j = [[part.imag / 1e-30 for part in parts] for parts in (by_x, by_y)]
-        miss_a, miss_b = a - distorted[:, 0], b - distorted[:, 1]
-        det = j[0][0] * j[1][1] - j[1][0] * j[0][1]
-        x, y = x - (j[1][1] * miss_a - j[1][0] * miss_b) / det, y - (j[0][0] * miss_b - j[0][1] * miss_a) / det
-    return np.stack([x, y], axis=1)
-
-
-def _fisheye(theta: Array, distortion: Array) -> tuple[Array, Array]:
-    """Return the distorted angle and its derivative."""
-    k1, k2, k3, k4 = distortion
-    odd = np.polynomial.Polynomial([0.0, 1.0, 0.0, k1, 0.0, k2, 0.0, k3, 0.0, k4])
-    return odd(theta), odd.deriv()(theta)
-
-
-def _fisheye_ray(distorted: Array, distortion: Array) -> Array:
-    """Return x/z, y/z (N, 2) of distorted rays (N, 2), by Newton's method on the angle."""
-    r = np.hypot(*distorted.T)[:, None]
-    theta = r.copy()
-    for _ in range(20):
-        angle, slope = _fisheye(theta, distortion)
-        theta -= (angle - r) / slope
-    return distorted * np.tan(theta) / np.maximum(r, 1e-12)

@@ -1,0 +1,34 @@
+"""The tracker's accuracy on a few ray-cast frames; ``python -m tests.tracking.accuracy`` has the whole table."""
+
+import pytest
+
+from tests.tracking.accuracy import SCENES, evaluate
+from tests.tracking.peers import OURS, UNTIMED
+
+
+@pytest.mark.parametrize(("title", "frames"), [("noise 3.5", (8, 8)), ("fisheye", (8,))])
+def test_placed_to_hundredths_of_a_millimetre(title: str, frames: tuple[int, ...]) -> None:
+    row = evaluate(SCENES[title], [OURS], frames)[OURS]
+    assert row["wrong"] == 0
+    assert row["measured"] >= 0.995
+    assert row["rms_mm"] <= 0.03
+    assert row["rms_deg"] <= 0.05
+
+
+def test_followed_under_a_cable() -> None:
+    row = evaluate(SCENES["cable of 2 px"], [OURS], [15])[OURS]
+    assert row["wrong"] == 0
+    assert row["measured"] >= 0.95
+
+
+def test_followed_when_the_light_goes_out() -> None:
+    row = evaluate(SCENES["15 % light"], [OURS], [8])[OURS]
+    assert row["wrong"] == 0
+    assert row["measured"] == 1.0
+
+
+def test_rolling_shutter_is_accounted_for() -> None:
+    rows = evaluate(SCENES["rolling shutter, 20 ms"], [OURS, UNTIMED], [10])
+    assert rows[OURS]["measured"] >= 0.995
+    assert rows[OURS]["rms_mm"] <= 0.1
+    assert rows[UNTIMED]["rms_mm"] > 0.5  # 0.2 m/s for up to 10 ms

@@ -1,0 +1,228 @@
+"""The ray-cast camera, held to OpenCV's projection and to arithmetic."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.tracking.raycamera import RayCamera
+from tests.tracking.raycast import BLACK, WHITE, Cable, Print, RayCaster, along, clutter, instant
+
+Array = NDArray[np.float64]
+
+SIZE = (640, 480)
+K = np.array([[1240.0, 0.0, 322.0], [0.0, 1230.0, 236.0], [0.0, 0.0, 1.0]])
+PINHOLE = np.array([-0.1, 0.015, 4e-4, -3e-4, 0.002, 0.01, -0.004, 0.001, 1e-3, -2e-3, 5e-4, 1e-3, 0.02, -0.03])
+FISHEYE = np.array([-0.02, 0.003, -0.001, 0.0004])
+SIDE, HEIGHT = 0.07, 0.08
+FAMILY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+DOWN = cv2.Rodrigues(np.array([3.1411411738, 0.0, 0.0548283519]))[0]
+
+
+def camera(distortion: Array = PINHOLE[:5], fisheye: bool = False, **shutter: float) -> RayCamera:
+    T = np.eye(4)
+    T[:3, :3], T[2, 3] = DOWN, 2.5
+    return RayCamera(SIZE, K, distortion, T, fisheye, **shutter)
+
+
+def caster(eye: RayCamera) -> RayCaster:
+    return RayCaster(eye, np.full(SIZE[::-1], 128.0, np.float32), np.random.default_rng(1))
+
+
+def by_opencv(eye: RayCamera, points: Array) -> Array:
+    project = cv2.fisheye.projectPoints if eye.fisheye else cv2.projectPoints
+    turn, shift = cv2.Rodrigues(DOWN.T)[0], -DOWN.T @ eye.T_world_camera[:3, 3]
+    distortion = eye.distortion if len(eye.distortion) else np.zeros(4)
+    return project(points.reshape(-1, 1, 3), turn, shift, K, distortion)[0].reshape(-1, 2)
+
+
+def corners(pose: tuple[float, ...], side: float) -> Array:
+    """Corners (4, 3) of a square, the print's top left first, then clockwise in the print."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    square = side / 2.0 * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
+    return np.column_stack([square @ [[c, s], [-s, c]] + pose[:2], np.full(4, HEIGHT)])
+
+
+def outline(pose: tuple[float, ...], row: int, column: int, cells: int) -> Array:
+    """The rim (N, 3) of a square of so many cells of the paper's 10 x 10, from a row and a column on."""
+    top_left, top_right, _, bottom_left = corners(pose, SIDE * 10.0 / 8.0)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * cells + [column, row]
+    rim = top_left + square / 10.0 @ np.stack([top_right - top_left, bottom_left - top_left])
+    return np.concatenate([np.linspace(a, b, 20)[:-1] for a, b in zip(rim, np.roll(rim, -1, 0), strict=True)])
+
+
+def centroid(image: Array) -> Array:
+    """Mean pixel (u, v) of a picture's weights."""
+    v, u = np.indices(image.shape)
+    return np.array([(image * u).sum(), (image * v).sum()]) / image.sum()
+
+
+def area_and_centroid(polygon: Array) -> tuple[float, Array]:
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    cross = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+    return float(abs(cross.sum()) / 2.0), ((a + b) * cross[:, None]).sum(0) / (3.0 * cross.sum())
+
+
+@pytest.mark.parametrize("coefficients", [0, 4, 5, 8, 12, 14])
+def test_pinhole_is_opencvs(coefficients: int) -> None:
+    eye = camera(PINHOLE[:coefficients])
+    points = np.random.default_rng(1).uniform([-0.6, -0.5, 0.0], [0.6, 0.5, 0.3], (50, 3))
+    assert np.abs(eye.project(points) - by_opencv(eye, points)).max() < 1e-6
+    points[:, 2] = HEIGHT
+    assert np.abs(eye.on_plane(by_opencv(eye, points), HEIGHT) - points[:, :2]).max() < 1e-9
+
+
+def test_fisheye_is_opencvs() -> None:
+    eye = camera(FISHEYE, fisheye=True)
+    points = np.random.default_rng(1).uniform([-3.0, -3.0, 0.0], [3.0, 3.0, 0.3], (50, 3))
+    assert np.abs(eye.project(points) - by_opencv(eye, points)).max() < 1e-6
+    points[:, 2] = HEIGHT
+    assert np.abs(eye.on_plane(by_opencv(eye, points), HEIGHT) - points[:, :2]).max() < 1e-9
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
+    eye = camera(FISHEYE if fisheye else PINHOLE, fisheye)
+    for x, y, psi in np.random.default_rng(2).uniform([-0.45, -0.3, -3.0], [0.45, 0.3, 3.0], (6, 3)).tolist():
+        patch = caster(eye).patch(Print(5, SIDE, HEIGHT, (x, y, psi)))
+        cover, black = np.zeros(SIZE[::-1]), np.zeros(SIZE[::-1])
+        cover[patch.where], black[patch.where] = patch.cover, (WHITE * patch.cover - patch.light) / (WHITE - BLACK)
+        # Light is only spread: area and centroid are those of the outlines.
+        area, middle = area_and_centroid(by_opencv(eye, outline((x, y, psi), 0, 0, 10)))
+        assert cover.sum() == pytest.approx(area, rel=2e-5)
+        assert np.abs(centroid(cover) - middle).max() < 1e-3
+        cells = np.argwhere(np.pad(FAMILY.generateImageMarker(5, 8), 1, constant_values=255) == 0).tolist()
+        parts = [area_and_centroid(by_opencv(eye, outline((x, y, psi), *cell, 1))) for cell in cells]
+        area = sum(part for part, _ in parts)
+        assert black.sum() == pytest.approx(area, rel=1e-4)
+        assert np.abs(centroid(black) - sum(part * middle for part, middle in parts) / area).max() < 4e-3
+
+
+def test_cells_lie_as_opencv_draws_them() -> None:
+    eye, pose = camera(), (0.1, -0.05, 0.7)
+    picture = np.pad(FAMILY.generateImageMarker(40, 8), 1, constant_values=255)
+    light = caster(eye).patch(Print(40, 2.5 * SIDE, HEIGHT, pose))  # large cells, to look into their middles
+    shown = np.full(SIZE[::-1], np.nan)
+    shown[light.where] = light.light
+    top_left, top_right, _, bottom_left = corners(pose, SIDE * 2.5 * 10.0 / 8.0)
+    for row, column in np.ndindex(10, 10):
+        at = top_left + (column + 0.5) / 10 * (top_right - top_left) + (row + 0.5) / 10 * (bottom_left - top_left)
+        u, v = np.rint(by_opencv(eye, at[None])[0]).astype(int)
+        if 0 <= u < SIZE[0] and 0 <= v < SIZE[1]:
+            assert shown[v, u] == pytest.approx(WHITE if picture[row, column] else BLACK, abs=0.01)
+
+
+def flat(defocus: float = 0.8, **shutter: float) -> RayCamera:
+    """A camera a metre above the floor that sees a millimetre a pixel: u = 1000 x, v = 240 - 1000 y."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 1.0
+    return RayCamera(
+        SIZE,
+        np.array([[1e3, 0.0, 0.0], [0.0, 1e3, 240.0], [0.0, 0.0, 1.0]]),
+        np.zeros(0),
+        T,
+        **shutter,
+        defocus=defocus,
+    )
+
+
+def paper(
+    eye: RayCamera, pose: tuple[float, float, float], twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Array:
+    """How much of each pixel a sheet of 100 mm covers."""
+    patch = caster(eye).patch(Print(0, 0.08, 0.0, pose, twist))
+    cover = np.zeros(SIZE[::-1])
+    cover[patch.where] = patch.cover
+    return cover
+
+
+@pytest.mark.parametrize(("defocus", "way"), [(0.4, 0.0), (0.7, 0.0), (1.0, 0.0), (0.7, 0.5), (0.7, 2.4)])
+def test_edge_is_spread_by_disc_pixel_and_motion(defocus: float, way: float) -> None:
+    edge, exposure = 200.3, 0.01  # at mid-exposure, while it goes its way [px]
+    pose, twist = ((edge + 50.0) / 1e3, 0.0, 0.0), (way / 1e3 / exposure, 0.0, 0.0)
+    row = paper(flat(defocus, exposure=exposure), pose, twist)[240]
+    across = defocus * np.linspace(-0.999, 0.999, 999)
+    share = np.sqrt(defocus**2 - across**2)
+    moved = (np.arange(50) + 0.5) / 50 * way - way / 2.0
+    u = np.arange(180, 220)[:, None, None]
+    inside = (u + 0.5 - edge - across - moved[:, None]).clip(0.0, 1.0).mean(1)
+    assert np.abs(row[180:220] - inside @ share / share.sum()).max() < 0.004
+
+
+def test_every_row_has_its_own_instant() -> None:
+    eye = flat(exposure=0.004, line_time=20e-6)
+    pose, twist = (0.25, 0.1, 0.0), (0.5, 0.0, 0.0)
+    cover = paper(eye, pose, twist)
+    rows = np.arange(100, 180)
+    middles = (cover[rows] @ np.arange(SIZE[0])) / cover[rows].sum(1)
+    assert np.abs(middles - (250.0 + 500.0 * (rows - 239.5) * 20e-6)).max() < 0.01
+    x, y, _ = along(pose, twist, instant(eye, Print(0, 0.08, 0.0, pose, twist)))
+    assert np.abs(centroid(cover) - eye.project(np.array([[x, y, 0.0]]))[0]).max() < 0.002
+
+
+def test_rows_go_down_the_image_with_what_moves_along_them() -> None:
+    still = flat()
+    fleeing = flat(line_time=1e-4)
+    twist = (0.0, -1.0, 0.0)  # down the image, a tenth of a row each row
+    rows = [cover.sum(1) > 50.0 for cover in (paper(still, (0.25, 0.0, 0.0)), paper(fleeing, (0.25, 0.0, 0.0), twist))]
+    assert rows[0].sum() == 100
+    assert rows[1].sum() == pytest.approx(100 / 0.9, abs=1.0)
+
+
+def test_arc_is_the_integral_of_its_twist() -> None:
+    pose, twist = (0.3, -0.2, 2.5), (0.2, 0.05, -2.0)
+    t = (np.arange(4000) + 0.5) * 1e-4
+    psi = pose[2] + twist[2] * t
+    velocity = np.stack([np.cos(psi) * 0.2 - np.sin(psi) * 0.05, np.sin(psi) * 0.2 + np.cos(psi) * 0.05])
+    x, y, heading = along(pose, twist, 0.4)
+    assert np.allclose([x, y], np.array(pose[:2]) + velocity.sum(1) * 1e-4, atol=1e-8)
+    assert heading == pytest.approx(1.7)
+
+
+def test_cable_is_as_wide_as_said_and_lies_above() -> None:
+    cable = Cable(0.01, 0.0, math.pi / 2.0, 0.003, 0.1, 60.0)
+    patch = caster(flat()).patch(Print(0, 0.08, 0.0, (0.25, 0.0, 0.0), cable=cable))
+    over = patch.cover[0]  # a row above the paper
+    u = np.arange(patch.where[1].start, patch.where[1].stop)
+    assert over.sum() == pytest.approx(3.0 / 0.9, abs=0.01)  # nearer to the lens: larger
+    assert over @ u / over.sum() == pytest.approx(260.0 / 0.9, abs=0.01)
+    assert patch.light[0].sum() == pytest.approx(60.0 * over.sum(), rel=1e-4)
+
+
+@pytest.mark.parametrize(("level", "noise"), [(1.0, 2.0), (1.0, 5.0), (0.15, 2.0)])
+def test_light_and_noise_are_as_stated(level: float, noise: float) -> None:
+    source, prints = caster(flat()), [Print(0, 0.08, 0.0, (0.25, 0.0, 0.0))]
+    grey = source.light(prints).astype(np.float64) * level
+    images = np.array([source.image(prints, level, noise) for _ in range(16)], np.float64)
+    black, floor, white = grey < level * 30.0, (grey > level * 100.0) & (grey < level * 130.0), grey > level * 180.0
+    for shown in (black, floor, white) if level == 1.0 else (floor, white):  # black in the dark is clipped
+        assert images[:, shown].mean() == pytest.approx(grey[shown].mean(), abs=0.05)
+        expected = noise**2 * (0.5 + 0.5 * grey[shown].mean() / 128.0) + 1.0 / 12.0
+        assert ((images - grey)[:, shown] ** 2).mean() == pytest.approx(expected, rel=0.03)
+
+
+def test_light_is_clipped_and_uneven() -> None:
+    source = caster(flat())
+    assert source.image((), 3.0, 0.0).max() == 255
+    assert source.image((), 0.0, 3.0).min() == 0
+    light = source.light(())
+    assert light.max() > 1.2 * light.min()
+
+
+def test_prints_outside_and_at_the_rim_are_cut_off() -> None:
+    source = caster(flat())
+    empty = source.light(())
+    assert np.array_equal(source.light([Print(0, 0.08, 0.0, (5.0, 0.0, 0.0))]), empty)
+    half = source.light([Print(0, 0.08, 0.0, (-0.0005, 0.0, 0.3))]) != empty  # the image begins at -0.5 px
+    assert half[200:280, :40].all()
+    whole = source.light([Print(0, 0.08, 0.0, (0.3, 0.0, 0.3))]) != empty
+    assert half.sum() == pytest.approx(whole.sum() / 2.0, rel=0.02)
+
+
+def test_clutter_is_full_of_contrast_and_repeats_with_its_seed() -> None:
+    floor, again = (clutter(SIZE, np.random.default_rng(3)) for _ in range(2))
+    assert np.array_equal(floor, again)
+    assert floor.min() < 40.0
+    assert floor.max() > 200.0
