@@ -79,6 +79,15 @@ class TickGrid:
         return (now_ns - self.origin_ns) // self.period_ns
 
 
+def from_monotonic(stamp_ns: int) -> int:
+    """Return the kernel's stamp on CLOCK_MONOTONIC as an instant of ``WallClock`` [ns]."""
+    offsets = []
+    for _ in range(3):  # the tightest pair of readings counts: this process may be interrupted between two
+        before_ns, now_ns, after_ns = time.monotonic_ns(), time.clock_gettime_ns(_CLOCK), time.monotonic_ns()
+        offsets.append((after_ns - before_ns, now_ns - (before_ns + after_ns) // 2))
+    return stamp_ns + min(offsets)[1]
+
+
 def stopwatch_ns() -> int:
     """Return an instant for measuring how long code took, in every mode [ns]."""
     return time.perf_counter_ns()

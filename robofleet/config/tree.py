@@ -305,6 +305,30 @@ class SimulatedCameraSettings(Model):
     tag_offsets: Annotated[tuple[TrueTagOffset, ...], Field(strict=False)] = ()  # default: as calibrated
 
 
+class V4L2Settings(Model):
+    """A camera of the kernel's (``camera.source: v4l2``)."""
+
+    device: Annotated[str, Field(min_length=1)] = "/dev/video0"  # a link in /dev/v4l/by-id stays when it is replugged
+    format: Literal["MJPG", "GREY"] = "MJPG"
+    gain: int | None = 0  # in the driver's units; null: this camera has no gain to set
+    stamp: Literal["start", "end"] = "start"  # what its driver stamps: the exposure's start, or the end of the transfer
+
+
+class FilesSettings(Model):
+    """A video, or a folder of images (``camera.source: files``). Paths count from where robofleet is started."""
+
+    path: Annotated[str, Field(min_length=1)]
+    stamps: str | None = None  # CSV of mid-exposures, see tracking/files.py; null: each image's name is its own, in ns
+
+
+class BaslerSettings(Model):
+    """A Basler camera through pylon (``camera.source: basler``)."""
+
+    serial: str | None = None  # null: the only one that is plugged in
+    gain: NonNegative = 0.0  # [dB]; of an older camera in the units of its GainRaw
+    trigger_source: Literal["Software", "Line1", "Line2", "Line3"] = "Software"  # with ``camera.trigger: tick``
+
+
 class CameraSettings(Model):
     """The overhead camera. ``trigger: tick`` exposes a fixed time before every tick; ``free`` does not."""
 
@@ -316,9 +340,12 @@ class CameraSettings(Model):
     trigger: Literal["free", "tick"] = "tick"
     trigger_lead_s: Positive = 0.018  # from mid-exposure to the tick
     exposure_s: Positive = 0.004
-    readout_s: NonNegative = 0.004
-    noise_gray: NonNegative = 3.0
+    readout_s: NonNegative = 0.004  # from the end of the (first row's) exposure until the image is here
+    noise_gray: NonNegative = 3.0  # of a pixel; 0: of no pixel, so that two images may be equal
     simulated: SimulatedCameraSettings = SimulatedCameraSettings()
+    v4l2: V4L2Settings = V4L2Settings()
+    files: FilesSettings | None = None
+    basler: BaslerSettings = BaslerSettings()
 
 
 class LockstepSettings(Model):

@@ -252,6 +252,11 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
         else:
             if lockstep and not issubclass(found, simulated):
                 yield path, f"{name!r} is real, and lockstep's time is not: run without --lockstep"
+            yield from getattr(found, "refusals", _none)(config)
+
+
+def _none(_config: Config) -> tuple[Complaint, ...]:
+    return ()
 
 
 def _shown(value: float, unit: str) -> str:

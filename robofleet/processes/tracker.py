@@ -1,6 +1,7 @@
 """The tracker: it owns its camera, finds the tags and publishes one message an image."""
 
-from collections.abc import Callable
+import sys
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,9 +16,17 @@ from robofleet.plugins import load
 from robofleet.simulation.sources import TruthSource
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import Happening
-from robofleet.tracking.sources import CameraContext, CameraReader, ScheduledCamera
+from robofleet.tracking.sources import (
+    CameraContext,
+    CameraPoller,
+    CameraReader,
+    Lost,
+    ReopenedCamera,
+    ScheduledCamera,
+)
 from robofleet.tracking.targets import floor_targets, robot_targets
 from robofleet.tracking.tracker import TagTracker
+from robofleet.tracking.watch import CameraWatch
 
 _EPOCH = 1
 _IDLE_NS = 100 * MS
@@ -29,7 +38,6 @@ class Observation(NamedTuple):
     exposure_ns: int  # mid-exposure [this host's clock]
     poses: tuple[TagPose, ...]
     refused: int
-    happenings: tuple[Happening, ...] = ()
 
 
 class PoseSource(Protocol):
@@ -40,6 +48,9 @@ class PoseSource(Protocol):
 
     def observe(self, now_ns: int) -> Observation | None:
         """Return the observation that is ready, or None."""
+
+    def news(self) -> tuple[Happening, ...]:
+        """Return what happened to the camera and to the tags since the last call, with an image or without one."""
 
     def close(self) -> None:
         """Let go of the device."""
@@ -79,7 +90,7 @@ class Tracker:
         observation = self._source.observe(now_ns)
         if observation is not None:
             self._send(observation, self._clock.now_ns() - now_ns)
-            self._tell(observation.happenings)
+        self._tell(self._source.news())
         next_ns = self._source.next_ns()
         return now_ns + _IDLE_NS if next_ns is None else next_ns
 
@@ -126,19 +137,24 @@ def compile_kernels(config: Config) -> None:
 
 
 class _CameraPoses:
-    """A camera's images through the detector."""
+    """A camera's images through the detector, those that can be believed."""
 
     def __init__(self, context: CameraContext, wake: Wake) -> None:
-        config = context.config
-        camera = load("robofleet.cameras", config.camera.source)(context)
-        self._camera = camera
-        self._scheduled: Callable[[], int | None] | None = None
-        self._reader: CameraReader | None = None
-        if isinstance(camera, ScheduledCamera):
-            self._scheduled = camera.ready_ns
-        else:
-            self._reader = CameraReader(camera, wake)
-        model = config.camera.model
+        config, camera = context.config, context.config.camera
+        open_camera = partial(load("robofleet.cameras", camera.source), context)
+        first = open_camera()
+        device = ReopenedCamera(first, open_camera, camera.model.camera)
+        self._feed = CameraPoller(device) if isinstance(first, ScheduledCamera) else CameraReader(device, wake)
+        self._ticks = context.ticks
+        self._free = camera.trigger == "free"
+        period_s = 1 / camera.rate_hz if self._free else config.controller.tick_s
+        self._watch = CameraWatch(
+            (camera.width, camera.height), round(period_s * S), camera.noise_gray > 0, context.clock.now_ns()
+        )
+        self._seen_tick = 0  # the newest one when something came last
+        self._why = ""
+        self._seen: list[Happening] = []
+        model = camera.model
         self._tracker = TagTracker(
             CameraGeometry.from_model(model),
             (model.width, model.height),
@@ -147,24 +163,43 @@ class _CameraPoses:
         )
 
     def next_ns(self) -> int | None:
-        return None if self._scheduled is None else self._scheduled()
+        times = [at_ns for at_ns in (self._feed.next_ns(), self._watch.deadline_ns) if at_ns is not None]
+        return min(times, default=None)
 
     def observe(self, now_ns: int) -> Observation | None:
-        if self._reader is not None:
-            frame = self._reader.newest()
-        else:
-            ready_ns = self.next_ns()
-            frame = self._camera.read() if ready_ns is not None and ready_ns <= now_ns else None
-        if frame is None:
+        taken = self._feed.take(now_ns)
+        tick = self._ticks.newest
+        if taken is None:
+            # One tick without its image may be the last one before the controller stopped.
+            self._watch.wait(now_ns, expected=self._free or tick not in (self._seen_tick, self._seen_tick + 1))
             return None
-        sightings = self._tracker.track(frame.image, frame.exposure_ns)
+        self._seen_tick = tick
+        if isinstance(taken, Lost):
+            self._watch.lose(taken.event)
+            self._report(taken.why)
+            return None
+        if not self._watch.look(taken.image, taken.exposure_ns, now_ns):
+            return None
+        sightings = self._tracker.track(taken.image, taken.exposure_ns)
+        self._seen += sightings.happenings
         poses = tuple(
             TagPose(seen.tag, seen.after_ns, seen.coasted_ns, seen.x, seen.y, seen.psi) for seen in sightings.poses
         )
-        return Observation(frame.exposure_ns, poses, sightings.refused, sightings.happenings)
+        return Observation(taken.exposure_ns, poses, sightings.refused)
+
+    def news(self) -> tuple[Happening, ...]:
+        seen = tuple(self._seen)
+        self._seen.clear()
+        return self._watch.news() + seen
 
     def close(self) -> None:
-        self._camera.close()
+        self._feed.close()
+
+    def _report(self, why: str) -> None:
+        """Write to the process's log what an event has no room for."""
+        if why and why != self._why:
+            print(f"camera: {why}", file=sys.stderr)
+        self._why = why
 
 
 class _TruthPoses:
@@ -182,6 +217,9 @@ class _TruthPoses:
             return None
         exposure_ns, poses = self._source.read()
         return Observation(exposure_ns, tuple(TagPose(tag, 0, 0, *pose) for tag, *pose in poses), 0)
+
+    def news(self) -> tuple[Happening, ...]:
+        return ()
 
     def close(self) -> None:
         self._source.close()

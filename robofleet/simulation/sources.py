@@ -51,10 +51,9 @@ class World:
 class SimulatedCamera:
     """Renders what an overhead camera would see. A camera like any other: what reads it cannot tell."""
 
-    identity = "simulated"
-
     def __init__(self, context: CameraContext) -> None:
         config, camera = context.config, context.config.camera
+        self.identity = camera.model.camera or "simulated"  # it is the camera that is configured
         self._clock, self._ticks = context.clock, context.ticks
         self._world = World(config, context.bus)
         self._trigger = Trigger(config, context.ticks, context.clock)

@@ -1,39 +1,67 @@
-"""Cameras: where images come from. Found by the entry-point group ``robofleet.cameras`` or as ``module:Class``."""
+"""Cameras: where images come from. Found by the entry-point group ``robofleet.cameras`` or as ``module:Class``.
+
+A camera just reads and raises. One that fails is closed and opened again, ever more patiently, for as long as it takes:
+by a thread where reading waits (``CameraReader``), between two steps where it does not (``CameraPoller``).
+"""
 
 import threading
 from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import Clock
+from robofleet.clock import Clock, S
 from robofleet.comms.bus import Bus, Wake
 from robofleet.comms.ticks import TickFollower
-from robofleet.config.tree import Config
+from robofleet.config.tree import CameraSettings, Config
+from robofleet.tracking.events import TrackerEvent
+
+_FIRST_PAUSE_S = 0.2  # before a camera that failed is opened again; doubled from one failure to the next
+_LONGEST_PAUSE_S = 2.0
+_LAST_IMAGE_S = 0.2  # a reader that ends waits so long for the image that is under way
+
+
+class CameraError(Exception):
+    """A camera that cannot be used as it is asked to; the message says what is wrong and how to mend it."""
 
 
 class Frame(NamedTuple):
     """One image."""
 
     image: NDArray[np.uint8]  # gray (H, W)
-    exposure_ns: int  # mid-exposure [this host's clock]
+    exposure_ns: int  # mid-exposure; of the middle row, if the shutter rolls [this host's clock]
+
+
+class Lost(NamedTuple):
+    """No image, and there will be none for a while."""
+
+    event: TrackerEvent
+    why: str
 
 
 class Camera(Protocol):
-    """A camera, called with one :class:`CameraContext`."""
+    """A camera, made from one :class:`CameraContext`; its constructor raises if it cannot be opened.
+
+    A static method ``refusals(config)`` of its class, if there is one, returns what cannot work as
+    (dotted path, what is wrong): ``robofleet check`` asks it before anything is opened.
+    """
+
+    identity: str  # which device this is: what a calibration calls it
 
     def read(self) -> Frame:
-        """Return the next image, waiting for it; EOFError at the end of a file."""
+        """Return the next image, waiting for it; EOFError at the end of a file, any other error: unplugged."""
 
     def close(self) -> None:
-        """Let go of the device. Idempotent."""
+        """Let go of the device. Idempotent; a ``read`` that still waits in another thread may fail."""
 
 
 @runtime_checkable
 class ScheduledCamera(Protocol):
-    """A camera that knows when its next image will be there, and needs no thread: a simulated one."""
+    """A camera that knows when its next image will be there, and needs no thread: a simulated one, or a file."""
 
     def ready_ns(self) -> int | None:
         """Return when ``read`` will not wait; None while that is not known."""
@@ -41,7 +69,7 @@ class ScheduledCamera(Protocol):
 
 @dataclass(frozen=True)
 class CameraContext:
-    """What a camera is made from; ``bus`` and ``ticks`` are for a simulated one."""
+    """What a camera is made from; ``bus`` is for a simulated one, ``ticks`` for one that they trigger."""
 
     config: Config
     clock: Clock
@@ -51,23 +79,124 @@ class CameraContext:
     extra_delay_ns: int  # from the end of the readout to the image's use (lockstep's charge for the tracker's work)
 
 
-class CameraReader:
-    """Reads a camera that blocks, in a thread of its own, into one newest slot."""
+def start_to_middle_ns(camera: CameraSettings) -> int:
+    """Return the time from the start of the first row's exposure to the middle row's mid-exposure [ns]."""
+    rolling_s = camera.model.line_time_s * (camera.height - 1)
+    return round((camera.exposure_s + rolling_s) / 2 * S)
 
-    def __init__(self, camera: Camera, wake: Wake) -> None:
+
+class ReopenedCamera:
+    """A camera that is opened again when it fails, and that must be the one which was calibrated."""
+
+    def __init__(self, camera: Camera, open_again: Callable[[], Camera], calibrated: str) -> None:
+        """Take a camera that is open; ``calibrated``: its identity, empty if any camera will do."""
+        self.camera: Camera | None = camera
+        self._open, self._calibrated = open_again, calibrated
+        self._pause_s = _FIRST_PAUSE_S
+
+    def read(self) -> Frame | Lost | None:
+        """Return the next image, waiting for it, or why there is none; None when the camera was opened just now."""
+        camera = self.camera
+        try:
+            if camera is None:
+                self.camera = self._open()
+                return None
+            identity = getattr(camera, "identity", "")
+            if self._calibrated and identity != self._calibrated:
+                self.close()
+                why = f"this camera is {identity!r}, the calibration is for {self._calibrated!r}: plug in that one"
+                return Lost(TrackerEvent.CAMERA_STRANGE, why + ", or calibrate this one")
+            frame = camera.read()
+        except EOFError as end:
+            return Lost(TrackerEvent.CAMERA_ENDED, str(end))
+        except Exception as error:  # noqa: BLE001 - a camera is anybody's: whatever it raises, it gives no image
+            self.close()
+            return Lost(TrackerEvent.CAMERA_UNPLUGGED, str(error) or type(error).__name__)
+        self._pause_s = _FIRST_PAUSE_S
+        return frame
+
+    def pause_s(self) -> float:
+        """Return how long to wait before the next ``read`` after one that lost the camera [s]."""
+        pause_s = self._pause_s
+        self._pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+        return pause_s
+
+    def close(self) -> None:
+        """Let go of the device, also of one that is gone and says so. Idempotent."""
+        camera, self.camera = self.camera, None
+        if camera is not None:
+            with suppress(Exception):
+                camera.close()
+
+
+class CameraReader:
+    """Reads a camera that blocks, in a thread of its own. Of images that nobody took the newest one is kept."""
+
+    def __init__(self, camera: ReopenedCamera, wake: Wake) -> None:
         self._camera, self._wake = camera, wake
-        self._newest: deque[Frame] = deque(maxlen=1)
+        self._taken: deque[Frame | Lost] = deque()
+        self._lock = threading.Lock()
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def newest(self) -> Frame | None:
-        """Return the newest image not taken yet."""
-        return self._newest.pop() if self._newest else None
+    def next_ns(self) -> int | None:
+        """Return None: an image wakes the process."""
+        return None
+
+    def take(self, _now_ns: int) -> Frame | Lost | None:
+        """Return the newest image not taken yet, or what happened before it."""
+        with self._lock:
+            return self._taken.popleft() if self._taken else None
+
+    def close(self) -> None:
+        """End the thread and let go of the camera."""
+        self._closing.set()
+        self._thread.join(_LAST_IMAGE_S)
+        self._camera.close()
 
     def _run(self) -> None:
-        while True:
-            try:
-                self._newest.append(self._camera.read())
-            except EOFError:
-                return
+        while not self._closing.is_set():
+            taken = self._camera.read()
+            if taken is None:
+                continue
+            with self._lock:
+                if isinstance(taken, Frame) and self._taken and isinstance(self._taken[-1], Frame):
+                    self._taken.pop()
+                self._taken.append(taken)
             self._wake(0)
+            if isinstance(taken, Lost):
+                if taken.event is TrackerEvent.CAMERA_ENDED:
+                    return
+                self._closing.wait(self._camera.pause_s())
+
+
+class CameraPoller:
+    """Reads a :class:`ScheduledCamera` when its image is there."""
+
+    def __init__(self, camera: ReopenedCamera) -> None:
+        self._camera = camera
+        self._again_ns = 0
+        self._ended = False
+
+    def next_ns(self) -> int | None:
+        """Return when there will be something to take; None while that is not known."""
+        if self._ended:
+            return None
+        camera = self._camera.camera
+        return camera.ready_ns() if isinstance(camera, ScheduledCamera) else self._again_ns
+
+    def take(self, now_ns: int) -> Frame | Lost | None:
+        """Return the image that is there, or why there is none."""
+        due_ns = self.next_ns()
+        if due_ns is None or due_ns > now_ns:
+            return None
+        taken = self._camera.read()
+        if isinstance(taken, Lost):
+            self._ended = taken.event is TrackerEvent.CAMERA_ENDED
+            self._again_ns = now_ns + round(self._camera.pause_s() * S)
+        return taken
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._camera.close()

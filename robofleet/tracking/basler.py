@@ -1,0 +1,194 @@
+"""A Basler camera through pylon: the newest image only, the camera's own stamps on this host's clock.
+
+pypylon is the extra ``basler``; it is loaded when a camera is opened. Tested on pylon's own camera emulation, which has
+neither stamps nor a way to be unplugged.
+"""
+
+import importlib.util
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from robofleet.clock import MS, Clock, S
+from robofleet.comms.ticks import TickFollower
+from robofleet.config.faults import Complaint
+from robofleet.config.tree import CameraSettings, Config
+from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns
+
+_NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"
+_TIMEOUT_MS = 500  # of one wait for an image: then it is asked whether the camera is still there
+_WINDOW = 64  # images; the least delayed one of them tells
+_POLL_NS = 1 * MS
+_TOO_LATE_NS = 2 * MS  # after a trigger's instant it is left out
+
+
+class BaslerCamera:
+    """Reads the camera of ``camera.basler``; CameraError with the setting that it does not take over."""
+
+    def __init__(self, context: CameraContext) -> None:
+        """Open the camera, set it up and start it."""
+        if not _installed():
+            raise CameraError(_NO_PYPYLON)
+        genicam, pylon = _loaded()
+        self._pylon, self._clock = pylon, context.clock
+        camera = context.config.camera
+        device = _found(pylon, camera.basler.serial)
+        self.identity = _name(device)
+        self._from_arrival_ns = start_to_middle_ns(camera) - round((camera.exposure_s + camera.readout_s) * S)
+        try:
+            self._camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(device))
+            self._camera.Open()
+        except genicam.GenericException as error:
+            raise CameraError(f"{self.identity} cannot be opened: does another program have it? {error}") from error
+        try:
+            _Settings(self._camera, genicam, self.identity).apply(camera)
+            ticks_hz = self._camera.GetNodeMap().GetNode("GevTimestampTickFrequency")
+            self._stamps = DeviceClock(S / ticks_hz.Value if genicam.IsReadable(ticks_hz) else 1.0)
+            self._camera.StartGrabbing(pylon.GrabStrategy_LatestImageOnly)
+        except (CameraError, genicam.GenericException) as error:
+            self.close()
+            raise CameraError(str(error)) from error
+        self._trigger: SoftwareTrigger | None = None
+        if camera.trigger == "tick" and camera.basler.trigger_source == "Software":
+            self._trigger = SoftwareTrigger(context.config, context.ticks, context.clock)
+
+    @staticmethod
+    def refusals(_config: Config) -> Iterator[Complaint]:
+        """Return what cannot work on this machine."""
+        if not _installed():
+            yield "camera.source", _NO_PYPYLON
+
+    def read(self) -> Frame:
+        """Return the next image; one that did not arrive whole is passed over."""
+        while True:
+            if self._trigger is not None and self._trigger.wait(self._camera.IsGrabbing):
+                self._camera.TriggerSoftware.Execute()
+            with self._camera.RetrieveResult(_TIMEOUT_MS, self._pylon.TimeoutHandling_Return) as result:
+                arrival_ns = self._clock.now_ns()
+                if result.IsValid() and result.GrabSucceeded():
+                    arrival_ns = self._stamps.arrival(result.TimeStamp, arrival_ns)
+                    return Frame(result.Array, arrival_ns + self._from_arrival_ns)
+            if self._camera.IsCameraDeviceRemoved() or not self._camera.IsGrabbing():
+                raise CameraError(f"{self.identity} gives no images any more: is it plugged in?")
+
+    def close(self) -> None:
+        """Stop the camera and close it."""
+        self._camera.Close()
+
+
+def _installed() -> bool:
+    return importlib.util.find_spec("pypylon") is not None
+
+
+def _loaded() -> tuple[Any, Any]:
+    """Return pypylon's modules. Their making warns, and crashes the interpreter where warnings are errors."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from pypylon import genicam, pylon  # noqa: PLC0415 - an extra
+    return genicam, pylon
+
+
+def _found(pylon: Any, serial: str | None) -> Any:
+    """Return the camera with a serial number, or the only one that there is."""
+    devices = list(pylon.TlFactory.GetInstance().EnumerateDevices())
+    known = ", ".join(_name(device) for device in devices) or "none"
+    matching = [device for device in devices if serial in (None, device.GetSerialNumber())]
+    if not matching:
+        raise CameraError(f"camera.basler.serial: there is no such camera (there are: {known}): plug it in")
+    if len(matching) > 1:
+        raise CameraError(f"camera.basler.serial: say which camera (there are: {known})")
+    return matching[0]
+
+
+def _name(device: Any) -> str:
+    return f"{device.GetModelName()} {device.GetSerialNumber()}"
+
+
+class DeviceClock:
+    """Puts a camera's stamps on this host's clock, by the image that came with the least delay of late."""
+
+    def __init__(self, tick_ns: float) -> None:
+        """Take the unit of the stamps [ns]."""
+        self._tick_ns = tick_ns
+        self._offsets: deque[int] = deque(maxlen=_WINDOW)
+        self._last = 0
+
+    def arrival(self, stamp: int, arrival_ns: int) -> int:
+        """Return when the image stamped ``stamp`` would have arrived with the least delay [ns].
+
+        An image cannot come sooner than the least delay allows: the smallest of the last offsets is the best known.
+        A camera without stamps leaves the arrival.
+        """
+        if stamp <= self._last:
+            self._offsets.clear()  # it was started again, or it has none
+        self._last = stamp
+        stamp_ns = round(stamp * self._tick_ns)
+        self._offsets.append(arrival_ns - stamp_ns)
+        return stamp_ns + min(self._offsets)
+
+
+class SoftwareTrigger:
+    """Says when to trigger, so that mid-exposure falls ``camera.trigger_lead_s`` before the next tick."""
+
+    def __init__(self, config: Config, ticks: TickFollower, clock: Clock) -> None:
+        """Follow ticks that another thread updates."""
+        self._ticks, self._clock = ticks, clock
+        before_s = config.controller.tick_s - config.camera.trigger_lead_s
+        self._after_tick_ns = round(before_s * S) - start_to_middle_ns(config.camera)
+        self._triggered = ticks.newest
+
+    def wait(self, running: Any) -> bool:
+        """Return at the next trigger's instant; False when ``running()`` no longer holds."""
+        while running():
+            tick = self._ticks.newest
+            if tick != self._triggered:
+                self._triggered = tick
+                at_ns = self._ticks.instant(tick) + self._after_tick_ns
+                if self._clock.now_ns() <= at_ns + _TOO_LATE_NS:
+                    self._clock.sleep_until(at_ns)
+                    return True
+            self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
+        return False
+
+
+class _Settings:
+    """Writes a camera's settings, under the names that old and new models give them."""
+
+    def __init__(self, camera: Any, genicam: Any, identity: str) -> None:
+        self._camera, self._genicam, self._identity = camera, genicam, identity
+
+    def apply(self, camera: CameraSettings) -> None:
+        """Write all of them; CameraError names the one that the camera does not take over."""
+        self._put("Mono8 images", "Mono8", "PixelFormat")
+        for size, offset, pixels in ("Width", "OffsetX", camera.width), ("Height", "OffsetY", camera.height):
+            self._put_if_there(0, offset)
+            self._put(f"camera.{size.lower()}", pixels, size)
+        for name in ("ExposureAuto", "GainAuto"):
+            self._put_if_there("Off", name)
+        self._put("camera.exposure_s", camera.exposure_s * 1e6, "ExposureTime", "ExposureTimeAbs")
+        self._put("camera.basler.gain", camera.basler.gain, "Gain", "GainRaw")
+        self._put_if_there("FrameStart", "TriggerSelector")
+        if camera.trigger == "tick":
+            self._put("camera.basler.trigger_source", camera.basler.trigger_source, "TriggerSource")
+            self._put("camera.trigger", "On", "TriggerMode")
+        else:
+            self._put_if_there("Off", "TriggerMode")
+            self._put_if_there(True, "AcquisitionFrameRateEnable")
+            self._put("camera.rate_hz", camera.rate_hz, "AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+
+    def _put_if_there(self, value: Any, name: str) -> None:
+        node = self._camera.GetNodeMap().GetNode(name)
+        if self._genicam.IsWritable(node):
+            node.Value = value
+
+    def _put(self, setting: str, value: Any, *names: str) -> None:
+        """Write the first of these nodes that the camera has, and read it back."""
+        nodes = (self._camera.GetNodeMap().GetNode(name) for name in names)
+        node = next((node for node in nodes if self._genicam.IsWritable(node)), None)
+        if node is None:
+            raise CameraError(f"{self._identity} has no {' or '.join(names)} to set: {setting} cannot be kept")
+        try:
+            node.Value = type(node.Value)(value)
+        except self._genicam.GenericException as error:
+            raise CameraError(f"{self._identity} does not take over {setting}: {value}: {error}") from error

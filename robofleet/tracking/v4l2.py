@@ -1,0 +1,148 @@
+"""A camera of the kernel's (Video4Linux) through OpenCV: one buffer, fixed exposure and gain, the kernel's stamps."""
+
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.clock import MS, S, from_monotonic
+from robofleet.config.faults import Complaint
+from robofleet.config.tree import CameraSettings, Config
+from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns
+
+_MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
+_EXPOSURE_UNIT_S = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE
+_ROUNDED = {cv2.CAP_PROP_FPS: 0.01, cv2.CAP_PROP_EXPOSURE: 0.05}  # drivers round to what the sensor can do
+_OLDEST_NS = 10 * S  # a stamp further off than this is of another clock
+_AHEAD_NS = 10 * MS
+_CLOSE_WITHIN_S = 0.2
+_SYSFS = Path("/sys/class/video4linux")
+
+
+class V4L2Camera:
+    """Reads ``camera.v4l2.device``; CameraError with everything that it did not take over."""
+
+    def __init__(self, context: CameraContext, open_capture: Callable[[str, int], Any] = cv2.VideoCapture) -> None:
+        """Open the device as OpenCV does, and set it up."""
+        camera = context.config.camera
+        self._device, self._gray = camera.v4l2.device, camera.v4l2.format == "GREY"
+        self._clock = context.clock
+        self._to_middle_ns = start_to_middle_ns(camera)
+        if camera.v4l2.stamp == "end":
+            self._to_middle_ns -= round((camera.exposure_s + camera.readout_s) * S)
+        self.identity = device_identity(Path(self._device))
+        self._reading = threading.Lock()
+        self._capture = open_capture(self._device, cv2.CAP_V4L2)
+        try:
+            self._set_up(camera)
+        except CameraError:
+            self.close()
+            raise
+
+    @staticmethod
+    def refusals(config: Config) -> Iterator[Complaint]:
+        """Return what cannot work with this configuration on this machine."""
+        settings = config.camera.v4l2
+        device = Path(settings.device)
+        if not device.is_char_device():
+            found = ", ".join(str(path) for path in sorted(Path("/dev").glob("video*"))) or "none"
+            yield "camera.v4l2.device", f"there is no camera {device} (there are: {found}): plug it in, or name another"
+        elif not os.access(device, os.R_OK | os.W_OK):
+            yield "camera.v4l2.device", f"{device} may not be opened: add this user to the device's group (video)"
+        if config.camera.trigger == "tick":
+            yield "camera.trigger", "a V4L2 camera keeps its own time: set it to free"
+
+    def read(self) -> Frame:
+        """Return the next image; one that did not arrive whole is passed over."""
+        while True:
+            with self._reading:
+                arrived, data = self._capture.read()
+                stamp_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC)
+            if not arrived:
+                raise CameraError(f"{self._device} gives no image: is it plugged in?")
+            image = data if self._gray else _decoded(data)
+            if image is not None:
+                return Frame(image, self._exposure_ns(stamp_ms))
+
+    def close(self) -> None:
+        """Close the device; one that waits for an image is left to the end of the process."""
+        if self._reading.acquire(timeout=_CLOSE_WITHIN_S):
+            try:
+                self._capture.release()
+            finally:
+                self._reading.release()
+
+    def _exposure_ns(self, stamp_ms: float) -> int:
+        stamp_ns = from_monotonic(round(stamp_ms * MS))
+        if not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_NS:
+            raise CameraError(f"{self._device} stamps its images by another clock than CLOCK_MONOTONIC")
+        return stamp_ns + self._to_middle_ns
+
+    def _set_up(self, camera: CameraSettings) -> None:
+        if not self._capture.isOpened():
+            raise CameraError(f"{self._device} cannot be opened: is it plugged in, and does nobody else use it?")
+        wanted = list(_wanted(camera))
+        for _, key, asked in wanted:
+            self._capture.set(key, asked)
+        # Read back only now: width and height take effect together, and a reset may change what was set before.
+        refused = [
+            f"{name} {_shown(key, asked)} (it has {_shown(key, got)})"
+            for name, key, asked in wanted
+            if not math.isclose(got := self._capture.get(key), asked, rel_tol=_ROUNDED.get(key, 0.0))
+        ]
+        if refused:
+            hint = f"`v4l2-ctl -d {self._device} --list-formats-ext --list-ctrls` tells what it can do"
+            raise CameraError(f"{self._device} does not take over {', '.join(refused)}: {hint}")
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # a driver that needs more keeps them: the stamps stay right
+        self._capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)  # where there is one, it would end the calibration
+
+
+def device_identity(device: Path, sysfs: Path = _SYSFS) -> str:
+    """Return a camera's name and serial number; without one, the socket that it is plugged into."""
+    entry = sysfs / device.resolve().name
+    name = _line(entry / "name")
+    if not name:
+        return str(device)
+    interface = (entry / "device").resolve()  # of a USB device, which has the serial number
+    serial = _line(interface.parent / "serial")
+    return f"{name} {serial}" if serial else f"{name} at {interface.name}"
+
+
+def _wanted(camera: CameraSettings) -> Iterator[tuple[str, int, float]]:
+    """Return name, OpenCV's property and value of every setting, in an order that the kernel accepts."""
+    yield "camera.v4l2.format", cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*camera.v4l2.format)
+    yield "camera.width", cv2.CAP_PROP_FRAME_WIDTH, camera.width
+    yield "camera.height", cv2.CAP_PROP_FRAME_HEIGHT, camera.height
+    yield "camera.rate_hz", cv2.CAP_PROP_FPS, camera.rate_hz
+    yield "raw images", cv2.CAP_PROP_CONVERT_RGB, 0  # the luminance alone is decoded, by us
+    yield "manual exposure", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE
+    yield "camera.exposure_s", cv2.CAP_PROP_EXPOSURE, max(1, round(camera.exposure_s / _EXPOSURE_UNIT_S))
+    if camera.v4l2.gain is not None:
+        yield "camera.v4l2.gain", cv2.CAP_PROP_GAIN, camera.v4l2.gain
+
+
+def _shown(key: int, value: float) -> str:
+    if key == cv2.CAP_PROP_FOURCC and value > 0:
+        return int(value).to_bytes(4, "little").decode(errors="replace")
+    return f"{value * _EXPOSURE_UNIT_S:g}" if key == cv2.CAP_PROP_EXPOSURE else f"{value:g}"
+
+
+def _decoded(data: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return the luminance of a JPEG; None if it is broken."""
+    try:
+        return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)  # type: ignore[return-value]
+    except cv2.error:  # no bytes at all, or a size that cannot be
+        return None
+
+
+def _line(file: Path) -> str:
+    try:
+        return file.read_text().strip()
+    except (OSError, UnicodeDecodeError):
+        return ""

@@ -1,0 +1,106 @@
+"""Tells whether a camera still does what a camera does, image by image, and gives what happens to it a name.
+
+A trouble is said once, when it begins, and once more, as CAMERA_BACK, when a good image ends it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.clock import MS, S
+from robofleet.tracking.events import Happening, TrackerEvent
+
+_STALLED_PERIODS = 5
+_STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
+_FIRST_NS = 3 * S  # within which a camera that was just opened gives its first image
+_FROZEN_REPEATS = 3  # one may be a driver that hands a buffer out twice
+_SAMPLED_ROWS = 64  # one of so many is compared: a few microseconds
+
+
+class _Look(NamedTuple):
+    """What is kept of an image, to know it again."""
+
+    pixels: bytes
+    exposure_ns: int
+
+
+class CameraWatch:
+    """Watches one camera. ``now_ns`` never goes back."""
+
+    def __init__(self, size: tuple[int, int], period_ns: int, noisy: bool, now_ns: int) -> None:
+        """Take the images' (width, height), their period, and whether noise makes two equal ones impossible."""
+        self._shape = size[::-1]
+        self._patience_ns = max(_STALLED_PERIODS * period_ns, _STALLED_NS)
+        self._noisy = noisy
+        self._last: _Look | None = None
+        self._repeats = 0
+        self._images = 0
+        self._good_ns = now_ns  # when the newest good image came
+        self._stalled_ns: int | None = now_ns + _FIRST_NS
+        self._waiting_since_ns = now_ns
+        self._lost = False
+        self._said: set[TrackerEvent] = set()  # since all was well
+        self._news: list[Happening] = []
+
+    @property
+    def deadline_ns(self) -> int | None:
+        """When ``wait`` will have something to say [ns]; None: not before an image comes."""
+        return self._stalled_ns
+
+    def look(self, image: NDArray[np.uint8], exposure_ns: int, now_ns: int) -> bool:
+        """Return whether an image that came just now can be believed."""
+        self._images += 1
+        self._waiting_since_ns, self._stalled_ns = now_ns, now_ns + self._patience_ns
+        self._lost = False
+        if np.shape(image) != self._shape or image.dtype != np.uint8:
+            self._say(TrackerEvent.CAMERA_RESIZED, float(np.shape(image)[1]) if np.ndim(image) > 1 else 0.0)
+            return False
+        if self._seen_before(image, exposure_ns):
+            self._repeats += 1
+            if self._repeats >= _FROZEN_REPEATS:
+                self._say(TrackerEvent.CAMERA_FROZEN, self._repeats)
+            return False
+        self._repeats = 0
+        if self._said:
+            self._news.append(Happening(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
+            self._said.clear()
+        self._good_ns = now_ns
+        return True
+
+    def wait(self, now_ns: int, *, expected: bool) -> None:
+        """Note that no image came; ``expected``: nothing keeps the camera from giving one."""
+        if self._lost:
+            return
+        if not expected:
+            self._waiting_since_ns, self._stalled_ns = now_ns, None
+        elif self._stalled_ns is None:
+            self._stalled_ns = self._waiting_since_ns + self._patience_ns
+        if self._stalled_ns is not None and now_ns >= self._stalled_ns:
+            self._stalled_ns = None
+            self._say(TrackerEvent.CAMERA_STALLED, (now_ns - self._waiting_since_ns) / S)
+
+    def lose(self, event: TrackerEvent) -> None:
+        """Note that the camera ended, is unplugged or is another one."""
+        self._lost, self._stalled_ns = True, None
+        self._say(event, self._images if event is TrackerEvent.CAMERA_ENDED else 0.0)
+
+    def news(self) -> tuple[Happening, ...]:
+        """Return what happened since the last call."""
+        news = tuple(self._news)
+        self._news.clear()
+        return news
+
+    def _seen_before(self, image: NDArray[np.uint8], exposure_ns: int) -> bool:
+        """Return whether this is the last image again: its pixels, or no later exposure."""
+        rows = image[len(image) % _SAMPLED_ROWS // 2 :: _SAMPLED_ROWS]
+        look = _Look(rows.tobytes(), exposure_ns)
+        last, self._last = self._last, look
+        if last is None:
+            return False
+        return exposure_ns <= last.exposure_ns or (self._noisy and look.pixels == last.pixels)
+
+    def _say(self, event: TrackerEvent, value: float) -> None:
+        if event not in self._said:
+            self._said.add(event)
+            self._news.append(Happening(event, value=float(value)))
