@@ -1,5 +1,7 @@
 """A robot that does not exist: the driver closes its loop through the plant of ``robofleet.vehicles.plant``."""
 
+from collections import deque
+
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, TruePose, WheelSpeeds
 from robofleet.vehicles.plant import Plant
 
@@ -12,17 +14,19 @@ class SimulatedRobot:
     def __init__(self, context: DriverContext) -> None:
         sim = context.simulation
         self._now_ns = context.now_ns
-        self._plant = Plant(context.drive, sim.imperfections, sim.start, sim.rng)
+        self._plant = Plant(sim.drive, sim.imperfections, sim.start, sim.rng)
         self._longest_step_ns = round(sim.imperfections.loop_period / _NS)
         self._stalls = sim.stalls
+        self._delay_ns = round(sim.imperfections.actuation_delay / _NS)
         self._command = STOP
+        self._coming: deque[tuple[int, WheelSpeeds]] = deque()  # commands that do not act yet, and when they will
         self._reached_ns = context.now_ns()
         self._first_motion_ns: int | None = None
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels from now on [rad/s]."""
         self._advance()
-        self._command = wheels
+        self._coming.append((self._reached_ns + self._delay_ns, wheels))
         if self._first_motion_ns is None and wheels != STOP:
             self._first_motion_ns = self._reached_ns
 
@@ -43,7 +47,11 @@ class SimulatedRobot:
     def _advance(self) -> None:
         now_ns = self._now_ns()
         while self._reached_ns < now_ns:
+            while self._coming and self._coming[0][0] <= self._reached_ns:
+                _, self._command = self._coming.popleft()
             step_ns = min(now_ns - self._reached_ns, self._longest_step_ns)
+            if self._coming:
+                step_ns = min(step_ns, self._coming[0][0] - self._reached_ns)
             blocked = bool(self._stalls) and self._blocked()
             self._plant.step(self._command, step_ns * _NS, blocked=blocked)
             self._reached_ns += step_ns

@@ -5,147 +5,18 @@
 Exit 0: measured, and good enough to use; 2: refused, one line for each reason. Nothing is written then.
 """
 
-import re
 import sys
-from pathlib import Path
-from typing import Annotated, Literal
 
-import cv2
 import typer
-from rich.console import Console
 
-from robofleet.calibration.board import Board
-from robofleet.calibration.floor import Ceiling
-from robofleet.calibration.gathering import Gathering, gather
-from robofleet.calibration.intrinsics import Asked, Measured, measure
-from robofleet.calibration.intrinsics_page import page
-from robofleet.calibration.live import Screen, capture, live_config, open_camera
-from robofleet.calibration.store import CalibrationError, load, save
-from robofleet.clock import utc_now
+from robofleet.calibration.commands.intrinsics import intrinsics
+from robofleet.calibration.commands.robots import latency, offsets
+from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import ConfigError
-from robofleet.config.tree import NAME_PATTERN, CameraModel
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
-
-ReportFile = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE", help="Default: runs/<UTC time>-<command>/report.html.")
-]
-
-
-def report_file(asked: Path | None, command: str) -> Path:
-    """Return where the page goes."""
-    return asked or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
-
-
-@app.callback()
-def calibrate() -> None:
-    """Keep the commands' names, even if there is only one."""
-
-
-@app.command()
-def intrinsics(
-    name: Annotated[str, typer.Argument(help="The camera's name: CONFIGS/cameras/NAME.yaml is written.")],
-    source: Annotated[Path | None, typer.Argument(help="Folder of images, or a video, of the board.")] = None,
-    live: Annotated[Path | None, typer.Option(metavar="CONFIG", help="Read the camera of a configuration.")] = None,
-    squares: Annotated[str, typer.Option(help="The board's squares, across x down.")] = "11x8",
-    square_mm: Annotated[float, typer.Option()] = 40.0,
-    marker_mm: Annotated[float, typer.Option()] = 30.0,
-    dictionary: Annotated[str, typer.Option(help="The markers'.")] = "DICT_5X5_250",
-    lens: Annotated[Literal["pinhole", "fisheye"], typer.Option()] = "pinhole",
-    coefficients: Annotated[int | None, typer.Option(help="Of a pinhole's distortion: 4, 5, 8, 12 or 14.")] = None,
-    height_m: Annotated[float, typer.Option(help="Of the camera over the floor, for figures in mm.")] = 2.5,
-    tag_height_m: Annotated[float, typer.Option(help="Of the robots' tags.")] = 0.08,
-    arena_m: Annotated[str, typer.Option(help="For example 3.2x2.0; default: all seen within 45 degrees.")] = "",
-    camera: Annotated[str, typer.Option(help="Which camera it is, as its source names it.")] = "",
-    configs: Annotated[Path, typer.Option()] = Path("configs"),
-    report: ReportFile = None,
-) -> None:
-    """Measure a lens from views of a ChArUco board (tools/tag_sheet.py prints it)."""
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise CalibrationError(f"{name!r} is no name: a small letter, then small letters, digits, - or _")
-    if (source is None) == (live is None):
-        raise CalibrationError("name a folder or a video, or a configuration with --live")
-    if not re.fullmatch(r"\d{1,3}x\d{1,3}", squares):
-        raise CalibrationError(f"--squares: {squares!r} is not two whole numbers with an x between them")
-    across, down = map(int, squares.split("x"))
-    board = Board((across, down), square_mm / 1e3, marker_mm / 1e3, dictionary)
-    arena = _pair(arena_m, "--arena-m") if arena_m else None
-    if not 0.0 <= tag_height_m < height_m < 1000.0:
-        raise CalibrationError("--tag-height-m must lie between the floor and the camera's --height-m")
-    ceiling, count = Ceiling(height_m, tag_height_m, arena), _coefficients(lens, coefficients)
-
-    def ask(size: tuple[int, int]) -> Asked:
-        return Asked(board, lens, count, size, ceiling)
-
-    file, shown = configs / "cameras" / f"{name}.yaml", report_file(report, "intrinsics")
-    if live is not None:
-        source_camera = open_camera(live_config(live))
-        gathering, identity = Gathering(board, film=True), getattr(source_camera, "identity", "")
-        try:
-            with Screen(Console(stderr=True)) as screen:
-                capture(source_camera, gathering, ask, screen)
-        finally:
-            source_camera.close()
-            _keep(gathering, shown.parent / "views")
-    else:
-        assert source is not None
-        gathering, identity = gather(source, board), ""
-    gathering.refuse()
-    measured = measure(gathering.views, ask(gathering.size))
-    faults = measured.faults()
-    page(measured, gathering, faults).write(shown)
-    if faults:
-        raise CalibrationError([*faults, f"nothing was written; report: {shown}"])
-    _write(file, measured, camera or identity)
-    print(f"report: {shown}")
-
-
-def _keep(gathering: Gathering, folder: Path) -> None:
-    """Write the views of a capture, so that it can be measured again."""
-    if not gathering.views:
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    for view in gathering.views:
-        cv2.imwrite(str(folder / f"{view.name.replace(' ', '-')}.png"), view.image)
-    print(f"views: {folder}")
-
-
-def _write(file: Path, measured: Measured, camera: str) -> None:
-    model = measured.model(camera, measured.held_out())
-    earlier = _earlier(file)
-    if earlier is not None and earlier.height == model.height:
-        model = model.model_copy(update={"line_time_s": earlier.line_time_s})  # not the lens's: it was not measured
-    kept = save(file, model)
-    for warning in measured.warnings():
-        print(warning)
-    print(f"places are known to {measured.arena_mm:.2f} mm rms over the arena, as far as the lens goes")
-    print(f"written: {file}" + (f"; the one before: {kept}" if kept else ""))
-    if earlier is not None and earlier.T_world_camera is not None:
-        print("the camera's place belonged to the earlier lens and was dropped: run tools/calibrate.py arena again")
-
-
-def _earlier(file: Path) -> CameraModel | None:
-    try:
-        return load(file, CameraModel)
-    except CalibrationError:
-        return None
-
-
-def _coefficients(lens: str, asked: int | None) -> int:
-    allowed = (4,) if lens == "fisheye" else (5, 4, 8, 12, 14)
-    if asked is not None and asked not in allowed:
-        raise CalibrationError(f"--coefficients: a {lens} lens has {', '.join(map(str, sorted(allowed)))}, not {asked}")
-    return asked or allowed[0]
-
-
-def _pair(text: str, option: str) -> tuple[float, float]:
-    try:
-        a, b = (float(part) for part in text.split("x"))
-    except ValueError as error:
-        raise CalibrationError(f"{option}: {text!r} is not two numbers with an x between them") from error
-    if not (0 < a < 1000 and 0 < b < 1000):
-        raise CalibrationError(f"{option}: {text!r} is not two sizes")
-    return a, b
+for command in (intrinsics, offsets, latency):
+    app.command()(command)
 
 
 def main() -> None:

@@ -1,16 +1,37 @@
 """From the configuration's tree to what the rooms take: parameters without units in their names."""
 
 import secrets
+from dataclasses import replace
 
 import numpy as np
 
+from robofleet.clock import S
 from robofleet.config.tree import Config, Group, Robot, Vehicle
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections, Stall
 
 
-def drive(vehicle: Vehicle) -> DifferentialDrive:
-    """Return what the controller and the gate believe of a robot."""
+def drive(robot: Robot) -> DifferentialDrive:
+    """Return what the controller and the gate believe of a robot: its vehicle's values, or what was measured of it."""
+    nominal, measured = vehicle_drive(robot.vehicle), robot.calibration
+    if measured is None:
+        return nominal
+    return replace(
+        nominal,
+        wheel_radius=_first(measured.wheel_radius_m, nominal.wheel_radius),
+        wheel_base=_first(measured.wheel_base_m, nominal.wheel_base),
+        motor_lag=_first(measured.motor_lag_s, nominal.motor_lag),
+    )
+
+
+def delay_ns(config: Config, robot: Robot) -> int:
+    """Return the time from a tick to the moment when a robot's command of that tick acts [ns]."""
+    measured = None if robot.calibration is None else robot.calibration.delay_s
+    return round(_first(measured, config.controller.command_delay_s) * S)
+
+
+def vehicle_drive(vehicle: Vehicle) -> DifferentialDrive:
+    """Return what is known of a kind of robot, whatever was measured of one: what a simulated one is made by."""
     return DifferentialDrive(
         vehicle.wheel_radius_m,
         vehicle.wheel_base_m,
@@ -36,6 +57,7 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
         top_speed_sag=p.top_speed_sag,
         battery_life=p.battery_life_s,
         wheel_gain_error=p.wheel_gain_error,
+        actuation_delay=p.actuation_delay_s,
     )
 
 
@@ -63,3 +85,7 @@ def generator(seed: int, *key: str) -> np.random.Generator:
 def entropy(seed: int, *key: str) -> np.random.Generator:
     """Return randomness that no other start of the same process draws again: boot ids must differ."""
     return np.random.default_rng([seed, *("/".join(key)).encode(), *secrets.token_bytes(16)])
+
+
+def _first(measured: float | None, believed: float) -> float:
+    return believed if measured is None else measured

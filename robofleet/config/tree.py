@@ -49,6 +49,7 @@ class PlantErrors(Model):
     loop_period_s: Positive
     deadband_rad_s: NonNegative
     breakaway_rad_s: NonNegative
+    actuation_delay_s: NonNegative = 0.0  # from a command's arrival to the moment when the wheels begin to follow it
     wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # of both wheels' travel, relative
     wheel_gain_spread: Fraction
     wheel_base_spread: Fraction
@@ -143,7 +144,7 @@ class PathFile(Model):
 class Group(Model):
     """Robots that do something together, first one first."""
 
-    behaviour: Literal["platoon"]
+    behaviour: Literal["platoon", "excitation"]  # excitation: what tools/calibrate.py lets the robots drive
     robots: Annotated[tuple[Name, ...], Field(min_length=1, strict=False)]
     path: PathFile
     spacing_m: Positive

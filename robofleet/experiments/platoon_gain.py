@@ -74,7 +74,7 @@ def _along(parameters: GainParameters, base: Config, integrator: Integrator, amp
         integrator,
         "point",
     )
-    vehicle = slices.drive(base.platoon[0].vehicle)
+    vehicle = slices.drive(base.platoon[0])
     platoon = Platoon(path, settings, (vehicle,) * parameters.robots)
     fleet = _Circling(vehicle, radius, group.spacing_m, parameters.robots, c.point_ahead_m)
     driving = np.ones(parameters.robots, dtype=np.bool_)

@@ -179,13 +179,13 @@ def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
 
 def _wheels(config: Config, lap: Lap) -> Iterator[Bound]:
     """Wheel and body speeds along the lap, for each kind of robot; both are proportional to the path rate."""
-    kinds = {robot.vehicle: robot.id for robot in reversed(config.platoon)}
-    for vehicle, robot_id in kinds.items():
+    kinds = {slices.drive(robot): robot.id for robot in reversed(config.platoon)}
+    for drive, robot_id in kinds.items():
         body = np.abs(lap.v)
-        wheel = (body + np.abs(lap.omega) * vehicle.wheel_base_m / 2) / vehicle.wheel_radius_m
+        wheel = (body + np.abs(lap.omega) * drive.wheel_base / 2) / drive.wheel_radius
         for what, values, limit, unit in (
-            ("the fastest wheel along the path", wheel, vehicle.max_wheel_speed_rad_s, "rad/s"),
-            ("the highest speed along the path", body, vehicle.max_speed_m_s, "m/s"),
+            ("the fastest wheel along the path", wheel, drive.max_wheel_speed, "rad/s"),
+            ("the highest speed along the path", body, drive.max_speed, "m/s"),
         ):
             k = int(values.argmax())
             fits = _rounded_down(config.groups[0].path_rate * limit / float(values[k]))

@@ -1,6 +1,7 @@
 """The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +21,12 @@ from robofleet.comms.messages import (
 )
 from robofleet.config import slices
 from robofleet.config.tree import Config
+from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
+from robofleet.vehicles.differential_drive import DifferentialDrive
 
 _EPOCH = 1
 _UNSEEN = [math.nan] * 3
@@ -48,10 +51,10 @@ class Controller:
         self._clock = clock
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
-        self._delay_s, self._delay_ns = c.command_delay_s, round(c.command_delay_s * S)
+        self._first_delay_s = slices.delay_ns(config, robots[0]) / S
         self._lost_after_ns = round(c.filter.lost_after_s * S)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
-        self._platoon = _platoon(config)
+        self._behaviour = _BEHAVIOURS[config.groups[0].behaviour](config)
         self._filter = _filter(config)
         self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
         self._newest: list[RobotStatus | None] = [None] * len(robots)
@@ -86,12 +89,12 @@ class Controller:
         measured = self._read_poses()
         lost = tick_ns - self._filter.measured_ns > self._lost_after_ns
         driving = ~lost if self._phase is Phase.RUNNING else np.zeros_like(lost)
-        here, there = self._filter.predict(tick_ns, tick_ns + self._delay_ns)
+        here, there = self._filter.predict(tick_ns)
         run_tick = self._index - self._start_index if self._phase is Phase.RUNNING else 0
-        t = run_tick * self._tick_s + self._delay_s
+        t = run_tick * self._tick_s + self._first_delay_s
         w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else None
-        decisions = self._platoon.tick(t, there, driving, w)
-        self._filter.command(tick_ns + self._delay_ns, decisions[:, WHEELS])
+        decisions = self._behaviour.tick(t, there, driving, w)
+        self._filter.command(tick_ns, decisions[:, WHEELS])
         self._publish_commands(decisions[:, WHEELS].tolist())
         self._publish_record(tick_ns, here, measured, lost, decisions)
 
@@ -101,7 +104,7 @@ class Controller:
             self._phase = Phase(state.phase)
             if self._phase is Phase.RUNNING:
                 self._start_index = self._index
-                self._platoon.restart()
+                self._behaviour.restart()
         for row, inbox in enumerate(self._statuses):
             self._newest[row] = inbox.take() or self._newest[row]
 
@@ -111,19 +114,18 @@ class Controller:
         n = len(self._rows)
         if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
             return [False] * n
-        exposure_ns = self._exposure(message)
-        if exposure_ns > self._grid.instant(self._index + 1):  # impossible, and the filter would be blind until then
+        exposure_ns, latest_ns = self._exposure(message), self._grid.instant(self._index + 1)
+        if exposure_ns > latest_ns:  # impossible, and the filter would be blind until then
             return [False] * n
-        poses = [_UNSEEN] * n
-        for tag, _, coasted_ns, *pose in message.poses:
+        poses, instants_ns = [_UNSEEN] * n, [exposure_ns] * n
+        for tag, after_ns, coasted_ns, *pose in message.poses:
             row = self._rows.get(tag)
-            if row is not None and coasted_ns == 0:
-                poses[row] = pose
-        measured = np.array(poses)
-        used = self._filter.observe(exposure_ns, measured).tolist()
+            if row is not None and coasted_ns == 0 and exposure_ns + after_ns <= latest_ns:
+                poses[row], instants_ns[row] = pose, exposure_ns + after_ns
+        used = self._filter.observe(np.array(instants_ns), np.array(poses)).tolist()
         for row, how in enumerate(used):
             if how == CARRIED:
-                self._platoon.carried(row)
+                self._behaviour.carried(row)
         self._consumed = message.seq, message.exposure_ns
         return [how != UNUSED for how in used]
 
@@ -156,13 +158,13 @@ class Controller:
 
 def compile_kernels(config: Config) -> None:
     """Compile every numba kernel of the control path, or load it from the cache, before the first tick."""
-    platoon, fleet_filter = _platoon(config), _filter(config)
+    behaviour, fleet_filter = _BEHAVIOURS[config.groups[0].behaviour](config), _filter(config)
     n = len(config.platoon)
     for instant_ns in (S, 2 * S):
-        fleet_filter.observe(instant_ns, np.zeros((n, 3)))
-        _, there = fleet_filter.predict(instant_ns + 1, instant_ns + 2)
+        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, 3)))
+        _, there = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
-        decisions = platoon.tick(0.0, there, np.ones(n, dtype=np.bool_), w)
+        decisions = behaviour.tick(0.0, there, np.ones(n, dtype=np.bool_), w)
         fleet_filter.command(instant_ns, decisions[:, WHEELS])
 
 
@@ -178,8 +180,22 @@ def _platoon(config: Config) -> Platoon:
         c.integrator,
         group.track,
     )
-    drives = tuple(slices.drive(robot.vehicle) for robot in config.platoon)
-    return Platoon(Path.hermite(*slices.knots(group)), settings, drives)
+    return Platoon(Path.hermite(*slices.knots(group)), settings, _drives(config))
+
+
+def excitation(config: Config) -> Excitation:
+    """Return the calibrating drive of the group: the same one for the same seed."""
+    c, robots = config.controller, config.platoon
+    radii = tuple(robot.vehicle.body_radius_m for robot in robots)
+    settings = ExcitationSettings(c.tick_s, c.point_ahead_m, config.arena.size_m, radii)
+    return Excitation(settings, _drives(config), slices.generator(config.run.seed, "excitation"))
+
+
+_BEHAVIOURS: dict[str, Callable[[Config], Platoon | Excitation]] = {"platoon": _platoon, "excitation": excitation}
+
+
+def _drives(config: Config) -> tuple[DifferentialDrive, ...]:
+    return tuple(slices.drive(robot) for robot in config.platoon)
 
 
 def _filter(config: Config) -> FleetFilter:
@@ -193,4 +209,4 @@ def _filter(config: Config) -> FleetFilter:
         f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0,
         f.efficiency_time_s,
     )
-    return FleetFilter(tuple(slices.drive(robot.vehicle) for robot in config.platoon), noise)
+    return FleetFilter(_drives(config), tuple(slices.delay_ns(config, robot) for robot in config.platoon), noise)

@@ -143,8 +143,9 @@ class DriverProcess:
             robot = config.robot(robot_id)
             context = DriverContext(
                 robot_id,
-                slices.drive(robot.vehicle),
+                slices.drive(robot),
                 Simulation(
+                    slices.vehicle_drive(robot.vehicle),
                     slices.imperfections(robot.vehicle),
                     slices.start_pose(robot),
                     slices.stalls(config, robot_id),

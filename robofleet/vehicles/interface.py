@@ -59,6 +59,7 @@ class Imperfections:
     top_speed_sag: float  # fraction of the top speed lost when the battery is empty
     battery_life: float  # [s]
     wheel_gain_error: float = 0.0  # of both wheels' travel, relative
+    actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
 
 
 class Stall(NamedTuple):
@@ -72,6 +73,7 @@ class Stall(NamedTuple):
 class Simulation:
     """What only a simulated robot needs."""
 
+    drive: DifferentialDrive  # the kind of robot that it is one of
     imperfections: Imperfections
     start: tuple[float, float, float]  # x, y [m], psi [rad]; world
     stalls: tuple[Stall, ...]
@@ -83,7 +85,7 @@ class DriverContext:
     """What a driver is made from."""
 
     robot: str
-    drive: DifferentialDrive
+    drive: DifferentialDrive  # as believed
     simulation: Simulation
     now_ns: Callable[[], int]  # the process's clock
 

@@ -42,7 +42,7 @@ class Bench:
 
     def __init__(self, imperfections: Imperfections = WORN, stalls: tuple[Stall, ...] = ()) -> None:
         self.now_ns = 5 * S
-        simulation = Simulation(imperfections, START, stalls, np.random.default_rng(4))
+        simulation = Simulation(DRIVE, imperfections, START, stalls, np.random.default_rng(4))
         self.robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: self.now_ns))
 
     def wait(self, ns: int, asked_every: int | None = None) -> None:
@@ -133,3 +133,17 @@ def test_stalls_may_be_many() -> None:
 
 def test_it_knows_the_truth() -> None:
     assert isinstance(Bench().robot, SimulatedDriver)
+
+
+def test_a_command_acts_when_its_delay_has_passed() -> None:
+    late, prompt = Bench(replace(IDEAL, actuation_delay=0.045)), Bench(IDEAL)
+    for bench in (late, prompt):
+        bench.robot.write(WheelSpeeds(5.0, 5.0))
+        bench.wait(20 * MS)
+        bench.robot.write(WheelSpeeds(2.0, 2.0))
+    late.wait(45 * MS, asked_every=MS)
+    assert late.robot.truth() == pytest.approx(prompt.robot.truth(), abs=1e-12)
+    late.wait(100 * MS, asked_every=MS)
+    prompt.wait(100 * MS)
+    assert late.robot.truth() == pytest.approx(prompt.robot.truth(), abs=1e-12)
+    assert late.robot.read().left_angle == pytest.approx(5.0 * 0.02 + 2.0 * 0.1)

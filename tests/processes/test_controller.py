@@ -200,3 +200,42 @@ def test_rubbish_disturbs_nothing(stand: Stand) -> None:
     stand.next_tick()
     assert [robot.measured for robot in stand.newest.robots] == [0] * 4
     assert stand.newest.phase == Phase.IDLE
+
+
+def test_every_robot_of_an_image_has_its_own_mid_exposure(stand: Stand) -> None:
+    """A rolling shutter: robots at one speed are ahead of their images by as long as these are old."""
+    r1, r2 = stand.robots[0], stand.robots[1]
+    stand.state(Phase.RUNNING)
+    for k in range(20):
+        x = 0.001 * k
+        ahead = 0.001 / TICK_NS * 8 * MS
+        poses = (TagPose(r1.tag, 8 * MS, 0, x + ahead, 0.0, 0.0), TagPose(r2.tag, 0, 0, x, 0.5, 0.0))
+        now_ns = stand.bench.now_ns
+        stand.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, poses), CAMERA)
+        stand.next_tick()
+        one, other = stand.newest.robots[:2]
+        assert (one.measured, other.measured) == (float(k > 0), float(k > 0))  # the first echoes no tick
+    assert stand.node._filter.measured_ns[0] - stand.node._filter.measured_ns[1] == 8 * MS
+
+
+@pytest.mark.parametrize("after_ns", [2 * TICK_NS, 10**9])
+def test_a_mid_exposure_that_is_to_come_is_not_used(stand: Stand, after_ns: int) -> None:
+    """It would leave the filter blind for this robot until then."""
+    stand.seen(3)
+    now_ns = stand.bench.now_ns
+    pose = TagPose(stand.robots[0].tag, after_ns, 0, 0.1, 0.2, 0.3)
+    stand.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
+    stand.next_tick()
+    assert stand.newest.robots[0].measured == 0
+    stand.seen(1)
+    assert stand.newest.robots[0].measured == 1
+
+
+def test_a_coasted_pose_is_no_measurement(stand: Stand) -> None:
+    stand.seen(3)
+    now_ns = stand.bench.now_ns
+    robot = stand.robots[0]
+    pose = TagPose(robot.tag, 0, 33 * MS, robot.start.x_m, robot.start.y_m, robot.start.psi)
+    stand.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
+    stand.next_tick()
+    assert stand.newest.robots[0].measured == 0

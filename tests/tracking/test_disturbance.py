@@ -17,7 +17,7 @@ NOISE = FilterNoise(0.0004, 0.006, 0.0015, 0.06, 5.0, efficiency=0.15, efficienc
 
 def drive(noise: FilterNoise, efficiency: tuple[float, float], seconds: float) -> tuple[FleetFilter, np.ndarray]:
     """Drive a robot whose wheels travel ``efficiency`` of what is believed; return the filter and the true pose."""
-    fleet, pose, rng = FleetFilter((DRIVE,), noise), (0.1, -0.2, 0.5), np.random.default_rng(3)
+    fleet, pose, rng = FleetFilter((DRIVE,), (0,), noise), (0.1, -0.2, 0.5), np.random.default_rng(3)
     instant = 10**12
     for k in range(round(seconds / 0.033)):
         wheels = (6.0 + math.sin(0.05 * k), 5.0 + math.cos(0.03 * k))
@@ -26,7 +26,7 @@ def drive(noise: FilterNoise, efficiency: tuple[float, float], seconds: float) -
         pose = arc(*pose, v, omega, 0.033)
         instant += TICK
         measured = np.array(pose) + rng.normal(0, (0.0002, 0.0002, 0.002))
-        fleet.observe(instant, measured[None])
+        fleet.observe(np.array([instant]), measured[None])
     return fleet, np.array([pose])
 
 

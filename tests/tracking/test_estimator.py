@@ -40,7 +40,7 @@ class Lab:
 
     def __init__(self, believed_lag: float = 0.08, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         self.plant = Plant(DRIVE, LAG_ONLY, start, np.random.default_rng(1))
-        self.filter = FleetFilter((replace(DRIVE, motor_lag=believed_lag),), NOISE)
+        self.filter = FleetFilter((replace(DRIVE, motor_lag=believed_lag),), (DELAY,), NOISE)
         self.now_ns = 10 * S
         self.tick_ns = self.now_ns
         self.blocked = False
@@ -64,11 +64,12 @@ class Lab:
         image = self.pose() + (0.0 if add is None else add)
         self.exposed_ns = self.now_ns
         self.run_to(self.tick_ns)
-        used = int(self.filter.observe(self.exposed_ns, np.array([image if seen else [np.nan] * 3]))[0])
-        here, _ = self.filter.predict(self.tick_ns, self.tick_ns + DELAY)
+        poses = np.array([image if seen else [np.nan] * 3])
+        used = int(self.filter.observe(np.array([self.exposed_ns]), poses)[0])
+        here, _ = self.filter.predict(self.tick_ns)
         self.error = apart(here[0], self.pose())
         self._next = wheels
-        self.filter.command(self.tick_ns + DELAY, np.array([wheels]))
+        self.filter.command(self.tick_ns, np.array([wheels]))
         return used
 
     def run_to(self, instant_ns: int) -> None:
@@ -98,7 +99,7 @@ def test_it_predicts_the_instant_when_the_next_command_acts() -> None:
     for k in range(60):
         lab.tick(weaving(k))
         if k > 30:
-            _, there = lab.filter.predict(lab.tick_ns, lab.tick_ns + DELAY)
+            _, there = lab.filter.predict(lab.tick_ns)
             lab.run_to(lab.tick_ns + DELAY)
             assert apart(there[0], lab.pose())[0] < 0.0005
 
@@ -154,10 +155,10 @@ def test_an_image_that_is_not_newer_is_not_used() -> None:
     lab = Lab()
     for k in range(30):
         lab.tick(weaving(k))
-    before, _ = lab.filter.predict(lab.tick_ns, lab.tick_ns)
+    before, _ = lab.filter.predict(lab.tick_ns)
     for exposed_ns in (lab.exposed_ns, lab.exposed_ns - MS, 1):
-        assert lab.filter.observe(exposed_ns, np.zeros((1, 3))).tolist() == [UNUSED]
-    after, _ = lab.filter.predict(lab.tick_ns, lab.tick_ns)
+        assert lab.filter.observe(np.array([exposed_ns]), np.zeros((1, 3))).tolist() == [UNUSED]
+    after, _ = lab.filter.predict(lab.tick_ns)
     assert np.array_equal(before, after)
     assert lab.filter.measured_ns[0] == lab.exposed_ns
 
@@ -178,7 +179,7 @@ def test_the_heading_wraps_at_pi(spin: float) -> None:
     lab = Lab(start=(0.0, 0.0, math.copysign(3.0, spin)))
     for k in range(120):
         assert lab.tick(WheelSpeeds(-spin, spin)) == (USED if k else CARRIED)
-        here, there = lab.filter.predict(lab.tick_ns, lab.tick_ns + 5 * TICK)
+        here, there = lab.filter.predict(lab.tick_ns + 5 * TICK)
         assert (-math.pi < np.array([here[0, 2], there[0, 2]])).all()
         assert (np.array([here[0, 2], there[0, 2]]) <= math.pi).all()
         if k > 30:
@@ -197,11 +198,11 @@ def test_noise_about_pi_is_no_outlier() -> None:
 
 def test_before_the_first_image_it_knows_nothing_and_takes_no_time() -> None:
     """The clock's zero may be weeks ago: nothing is integrated from there."""
-    fleet = FleetFilter((DRIVE,) * 4, NOISE)
+    fleet = FleetFilter((DRIVE,) * 4, (DELAY,) * 4, NOISE)
     month_ns = 30 * 24 * 3600 * S
     for k in range(100):
         fleet.command(month_ns + k * TICK, np.full((4, 2), 5.0))
-        here, there = fleet.predict(month_ns + k * TICK, month_ns + (k + 1) * TICK)
+        here, there = fleet.predict(month_ns + k * TICK)
         assert not here.any()
         assert not there.any()
     assert not fleet.measured_ns.any()

@@ -65,13 +65,13 @@ def instants() -> list[int]:
 
 def test_it_is_the_textbooks_filter_and_its_innovations_are_chi_square() -> None:
     images, true = world(np.random.default_rng(11), WHEELS)
-    fleet = FleetFilter((DRIVE,) * ROBOTS, noise(gate_sigma=1e6))
+    fleet = FleetFilter((DRIVE,) * ROBOTS, (0,) * ROBOTS, noise(gate_sigma=1e6))
     fleet.command(1, WHEELS)
     books = [Textbook(wrapped(image)) for image in images[0]]
     nis, errors = [], []
     for k, instant in enumerate(instants()):
-        used = fleet.observe(instant, images[k])
-        here, _ = fleet.predict(instant, instant)
+        used = fleet.observe(np.full(ROBOTS, instant), images[k])
+        here, _ = fleet.predict(instant)
         if k:
             assert (used == USED).all()
             nis += [b.observe(image, w) for b, image, w in zip(books, images[k], WHEELS, strict=True)]
@@ -88,7 +88,7 @@ def test_it_is_the_textbooks_filter_and_its_innovations_are_chi_square() -> None
 def test_the_gate_refuses_as_many_good_images_as_chi_square_says() -> None:
     """Robots at rest; the gate is the 99 % quantile of chi-square with 3 degrees of freedom."""
     images, _ = world(np.random.default_rng(12), np.zeros((ROBOTS, 2)))
-    fleet = FleetFilter((DRIVE,) * ROBOTS, noise(gate_sigma=math.sqrt(11.345)))
-    used = [fleet.observe(instant, image) for instant, image in zip(instants(), images, strict=True)]
+    fleet = FleetFilter((DRIVE,) * ROBOTS, (0,) * ROBOTS, noise(gate_sigma=math.sqrt(11.345)))
+    used = [fleet.observe(np.full(ROBOTS, instant), image) for instant, image in zip(instants(), images, strict=True)]
     refused = (np.array(used[1:]) == UNUSED).mean()
     assert 0.005 < refused < 0.016

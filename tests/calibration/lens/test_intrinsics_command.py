@@ -23,7 +23,7 @@ from robofleet.calibration.views import Offer
 from robofleet.config.load import load_config
 from robofleet.config.tree import CameraModel, PoseSettings
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 class Said(NamedTuple):

@@ -1,0 +1,1 @@
+"""The commands of ``tools/calibrate.py``: what they ask, write and say."""

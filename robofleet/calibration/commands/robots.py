@@ -1,0 +1,133 @@
+"""``calibrate.py offsets`` and ``latency``: what a drive tells of each robot."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from robofleet.calibration import drive as drives
+from robofleet.calibration import latency as latencies
+from robofleet.calibration import offsets as tag_offsets
+from robofleet.calibration import robots as robot_files
+from robofleet.calibration.commands.shared import report_file
+from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.store import CalibrationError, save
+from robofleet.clock import S
+from robofleet.config import slices
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config, RobotCalibration
+
+DriveConfig = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
+DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Drive simulated robots on a simulated clock.")]
+DriveRobots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Default: all of the group.")]
+DriveFolder = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="For drive.npz and report.html. Default: runs/<UTC time>-..."),
+]
+DriveRecording = Annotated[
+    Path | None, typer.Option("--recording", metavar="FILE", help="The drive.npz of an earlier drive: nothing moves.")
+]
+
+Found = TypeVar("Found")
+
+
+def offsets(
+    config: DriveConfig,
+    lockstep: DriveLockstep = False,
+    robots: DriveRobots = "",
+    out: DriveFolder = None,
+    recording: DriveRecording = None,
+) -> None:
+    """Let the robots drive, one after the other, and find where their tags sit, and their wheels' radius and base."""
+    tree, driven, folder, data = _drive("offsets", config, lockstep, robots, out, recording)
+    found = _each(driven, lambda one: tag_offsets.find(one, slices.drive(tree.robot(one.robot))))
+    before = _each(driven, lambda one: robot_files.earlier(robot_files.file_of(config, one.robot), one.robot))
+    after = [robot_files.with_offsets(b, f, data) for b, f in zip(before, found, strict=True)]
+    page = robot_files.offsets_page(found, driven, [tree.robot(one.robot).vehicle for one in driven])
+    page.write(folder / "report.html")
+    _keep(config, tree, after, robot_files.offsets_table(found), folder)
+
+
+def latency(
+    config: DriveConfig,
+    lockstep: DriveLockstep = False,
+    robots: DriveRobots = "",
+    out: DriveFolder = None,
+    recording: DriveRecording = None,
+) -> None:
+    """Let the robots drive, one after the other, and find how late their wheels follow: delay and motor lag."""
+    tree, driven, folder, data = _drive("latency", config, lockstep, robots, out, recording)
+    found = _each(driven, latencies.find)
+    before = _each(driven, lambda one: robot_files.earlier(robot_files.file_of(config, one.robot), one.robot))
+    after = [robot_files.with_latency(b, f, data) for b, f in zip(before, found, strict=True)]
+    known = [tree.robot(one.robot) for one in driven]
+    page = robot_files.latency_page(found, [(slices.delay_ns(tree, robot) / S, slices.drive(robot)) for robot in known])
+    page.write(folder / "report.html")
+    _keep(config, tree, after, robot_files.latency_table(found), folder)
+
+
+def _drive(
+    command: str, config: Path, lockstep: bool, robots: str, out: Path | None, recording: Path | None
+) -> tuple[Config, list[RobotDrive], Path, bytes]:
+    """Return the configuration, what the robots did, the folder for the page, and the recording's bytes."""
+    names = [name.strip() for name in robots.split(",") if name.strip()]
+    folder = out or report_file(None, command).parent
+    if recording is not None:
+        tree, driven = load_config(config), drives.chosen(recording, names)
+        for unknown in (one.robot for one in driven if one.robot not in {robot.id for robot in tree.robots}):
+            raise CalibrationError(
+                f"{recording}: {unknown} drove, but {config} has no such robot: name its configuration"
+            )
+        return tree, driven, folder, recording.read_bytes()
+    tree, count = drives.configure(config, names, lockstep=lockstep)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise CalibrationError(f"--out: {folder} is there already and not empty: name another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s", file=sys.stderr)
+    run = drives.run(tree, folder, lambda text: print(text, file=sys.stderr), lockstep=lockstep)
+    driven = drives.extract(run, count)
+    drives.save(folder / drives.FILE, driven)
+    print(folder / drives.FILE)
+    for one in (one for one in driven if one.held_s):
+        print(f"{one.robot} was held for {one.held_s:.1f} s: another robot or the edge was near", file=sys.stderr)
+    return tree, driven, folder, (folder / drives.FILE).read_bytes()
+
+
+def _each(driven: Sequence[RobotDrive], find: Callable[[RobotDrive], Found]) -> list[Found]:
+    """Return what is found for every robot; CalibrationError with all that is refused."""
+    found: list[Found] = []
+    faults: list[str] = []
+    for one in driven:
+        try:
+            found.append(find(one))
+        except CalibrationError as refused:
+            faults += refused.faults
+    if faults:
+        raise CalibrationError(faults)
+    return found
+
+
+def _keep(
+    config: Path,
+    tree: Config,
+    calibrations: Sequence[RobotCalibration],
+    table: tuple[tuple[str, ...], list[tuple[str, ...]]],
+    folder: Path,
+) -> None:
+    """Write every robot's file, and say what was found."""
+    head, rows = table
+    shown = Table(*head)
+    for row in rows:
+        shown.add_row(*row)
+    Console().print(shown)
+    print(folder / "report.html")
+    for calibration in calibrations:
+        file = robot_files.file_of(config, calibration.robot)
+        kept = save(file, calibration)
+        unused = tree.robot(calibration.robot).calibration is None
+        hint = f": use it with `calibration: {calibration.robot}` in {config}" if unused else ""
+        print(f"{file}{f', the one before is {kept}' if kept else ''}{hint}")

@@ -1,0 +1,215 @@
+"""A drive that shows what a robot is: spins, straights, and pseudo-random wheel speeds, one robot after the other.
+
+The wheel speeds follow a script, not the poses: what a robot does with them is what is measured. Poses keep it safe
+and within reach: it goes along the freest line, random motion is mirrored where it would leave a small disc, and a
+robot that would come too near another one or the arena's edge is held.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.control.platoon import Column
+from robofleet.vehicles.differential_drive import (
+    DifferentialDrive,
+    arc,
+    body_from_wheels,
+    feasible_ratio,
+    point_from_pose,
+)
+
+Array = NDArray[np.float64]
+Pose = tuple[float, float, float]
+
+_SPIN, _STRAIGHT = 0.4, 0.5  # of what the wheels can do
+_SLOWEST, _FASTEST = 0.25, 0.6  # random wheel speeds, of the highest; slow ones would be lost in the dead band
+_TURNED = 1.1 * math.tau  # a spin [rad]
+_REST_S = 0.5
+_RANDOM_S = 20.0
+_LINE = 0.3  # longest straight [m]
+_LINE_STEP = 0.02
+_DISC = 0.08  # random motion stays so near [m]
+_KEPT_OUT = 0.03  # between bodies, and to the edge [m]
+_DIRECTIONS = 36
+_ARRIVED = 0.03  # of a turn [rad]
+
+
+class Act(Enum):
+    """What a robot does in a part of its script."""
+
+    REST = 0
+    SPIN = 1
+    TURN = 2  # towards the freest line
+    LINE = 3  # along it
+    RANDOM = 4
+
+
+class Part(NamedTuple):
+    """A part of a robot's script: until when [s, from the script's start], and the wheels' speeds [rad/s]."""
+
+    until: float
+    act: Act
+    left: float = 0.0
+    right: float = 0.0
+
+
+@dataclass(frozen=True)
+class ExcitationSettings:
+    """What the drive must know of its surroundings."""
+
+    tick: float  # control step [s]
+    point_ahead: float  # l of the points that are reported [m]
+    arena: tuple[float, float]  # size [m]
+    body_radii: tuple[float, ...]  # [m]
+
+
+class Excitation:
+    """The drive of all robots, in their group's order: each its script, while the others stand."""
+
+    def __init__(
+        self, settings: ExcitationSettings, vehicles: tuple[DifferentialDrive, ...], rng: np.random.Generator
+    ) -> None:
+        self._settings, self._vehicles = settings, vehicles
+        self._scripts = [list(_script(vehicle, settings.tick, rng)) for vehicle in vehicles]
+        self.ends = np.cumsum([script[-1].until for script in self._scripts])  # of each robot's script [s]
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new run."""
+        self._row, self._part = 0, 0
+        self._heading = math.nan  # of the line; NaN: not turned towards it yet
+        self._length = 0.0
+        self._anchor: tuple[float, float] | None = None  # of the random motion
+
+    def carried(self, robot: int) -> None:
+        """Nothing is remembered of where a robot was."""
+
+    def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
+        """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.
+
+        Arguments as of :meth:`Platoon.tick`. SATURATED is 1 where a robot is held.
+        """
+        decisions = np.zeros((len(poses), len(Column)))
+        ahead = self._settings.point_ahead
+        for row, (x, y, psi) in enumerate(poses.tolist()):
+            point = point_from_pose(x, y, psi, ahead)
+            decisions[row, : Column.REFERENCE_PARAMETER] = *point, *point
+        row = int(np.searchsorted(self.ends, t, side="right"))
+        if row >= len(poses) or not driving[row]:
+            return decisions
+        x, y, psi = poses[row].tolist()
+        pose = x, y, psi
+        others = np.delete(np.column_stack([poses[:, :2], self._settings.body_radii]), row, axis=0)
+        surroundings = _Surroundings(others, self._settings.arena, self._settings.body_radii[row])
+        left, right, held = self._wheels(row, t, pose, surroundings)
+        vehicle = self._vehicles[row]
+        v, omega = body_from_wheels(left, right, vehicle.wheel_radius, vehicle.wheel_base)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        u = c * v - s * ahead * omega, s * v + c * ahead * omega
+        decisions[row, Column.U_X :] = *u, 0.0, left, right, float(held)
+        return decisions
+
+    def _wheels(self, row: int, t: float, pose: Pose, around: "_Surroundings") -> tuple[float, float, bool]:
+        """Return the wheel speeds of the robot whose turn it is, and whether it is held."""
+        script, vehicle = self._scripts[row], self._vehicles[row]
+        local = t - (self.ends[row - 1] if row else 0.0)
+        if row != self._row:
+            self.restart()
+            self._row = row
+        while self._part < len(script) - 1 and script[self._part].until <= local:
+            self._part += 1
+        part, since = script[self._part], script[self._part - 1].until if self._part else 0.0
+        left, right = part.left, part.right
+        if part.act is Act.TURN:
+            return *self._turn(pose, around, vehicle), False
+        if part.act is Act.LINE and (local - since) * abs(left) * vehicle.wheel_radius >= self._length:
+            return 0.0, 0.0, self._length == 0.0
+        wanted = [(left, right)]
+        if part.act is Act.RANDOM:
+            self._anchor = self._anchor or pose[:2]
+            wanted.append((-right, -left))
+        reach = self._settings.tick + 2.0 * vehicle.motor_lag  # [s] in which a moving robot still comes to rest
+        for left, right in wanted:
+            v, omega = body_from_wheels(left, right, vehicle.wheel_radius, vehicle.wheel_base)
+            if around.allow(pose, arc(*pose, v, omega, reach), self._anchor):
+                return left, right, False
+        return 0.0, 0.0, True
+
+    def _turn(self, pose: Pose, around: "_Surroundings", vehicle: DifferentialDrive) -> tuple[float, float]:
+        """Choose the freest line when asked first, and turn towards it."""
+        if math.isnan(self._heading):
+            self._heading, self._length = around.freest(pose)
+        left = math.remainder(self._heading - pose[2], math.tau)
+        if abs(left) < _ARRIVED:
+            return 0.0, 0.0
+        speed = math.copysign(_SPIN * min(1.0, max(0.2, abs(left) / 0.4)), left) * vehicle.max_wheel_speed
+        return -speed, speed
+
+
+class _Surroundings(NamedTuple):
+    """What one robot must not touch."""
+
+    others: Array  # (M, 3): x, y, body radius [m]
+    arena: tuple[float, float]
+    radius: float
+
+    def clearance(self, x: float, y: float) -> float:
+        """Return the distance to the nearest body or edge [m]."""
+        edge = min(self.arena[0] / 2 - abs(x), self.arena[1] / 2 - abs(y)) - self.radius
+        if not len(self.others):
+            return edge
+        apart = np.hypot(self.others[:, 0] - x, self.others[:, 1] - y) - self.others[:, 2] - self.radius
+        return min(edge, float(apart.min()))
+
+    def allow(self, now: Pose, then: Pose, anchor: tuple[float, float] | None) -> bool:
+        """Return whether a motion keeps out of everything, or leads away from it, and stays near the anchor."""
+        clear = self.clearance(*then[:2])
+        if clear < _KEPT_OUT and clear < self.clearance(*now[:2]):
+            return False
+        if anchor is None:
+            return True
+        away = math.dist(then[:2], anchor)
+        return away <= _DISC or away <= math.dist(now[:2], anchor)
+
+    def freest(self, pose: Pose) -> tuple[float, float]:
+        """Return the heading of the longest free line from here, and its length [m]; of equal ones the nearest."""
+        x, y, psi = pose
+        turns = sorted((math.tau * k / _DIRECTIONS - math.pi for k in range(1, _DIRECTIONS + 1)), key=abs)
+        best = psi, 0.0
+        for turn in turns:
+            c, s = math.cos(psi + turn), math.sin(psi + turn)
+            length = 0.0
+            while length < _LINE and self.clearance(x + (length + 0.05) * c, y + (length + 0.05) * s) >= _KEPT_OUT:
+                length += _LINE_STEP
+            if length > best[1]:
+                best = psi + turn, length
+        return best
+
+
+def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -> Iterator[Part]:
+    """Give the parts of one robot's script in their order."""
+    radius, base, highest = vehicle.wheel_radius, vehicle.wheel_base, vehicle.max_wheel_speed
+    spin, straight = _SPIN * highest, _STRAIGHT * min(highest, vehicle.max_speed / radius)
+    omega = body_from_wheels(-spin, spin, radius, base)[1]
+    plan = [(Act.SPIN, _TURNED / omega, -spin, spin), (Act.SPIN, _TURNED / omega, spin, -spin)]
+    plan.append((Act.TURN, math.pi / omega + 1.0, 0.0, 0.0))
+    plan += [(Act.LINE, _LINE / (straight * radius), way * straight, way * straight) for way in (1.0, -1.0) * 2]
+    until = _REST_S
+    yield Part(until, Act.REST)
+    for act, duration, left, right in plan:
+        until += duration
+        yield Part(until, act, left, right)
+        until += _REST_S
+        yield Part(until, Act.REST)
+    end = until + _RANDOM_S
+    while until < end:
+        until += tick * int(rng.integers(3, 7))
+        left, right = (rng.uniform(_SLOWEST, _FASTEST, 2) * rng.choice((-1.0, 1.0), 2) * highest).tolist()
+        ratio = feasible_ratio(left, right, radius, highest, vehicle.max_speed)
+        yield Part(until, Act.RANDOM, ratio * left, ratio * right)
+    yield Part(until + _REST_S, Act.REST)

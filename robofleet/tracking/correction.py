@@ -1,0 +1,114 @@
+"""The fleet filter's algebra for one robot: how certainty is lost by moving, and won by a measurement.
+
+State: x, y [m], psi [rad], efficiency of the left and of the right wheel. P: its covariance (5, 5).
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.kernels import kernel
+
+Array = NDArray[np.float64]
+
+_MOST_EFFICIENT = 2.0
+
+
+@kernel
+def start_anew(x: Array, p: Array, measured: Array, variance: Array, wander: Array) -> None:
+    """Believe a measurement alone, and every wheel again."""
+    x[:3] = measured
+    p[:] = 0.0
+    for k in range(3):
+        p[k, k] = variance[k]
+    for k in range(3, 5):
+        x[k] = 1.0
+        p[k, k] = wander[0]
+
+
+@kernel
+def predict_covariance(
+    x: Array, p: Array, moved: Array, travel: Array, base: float, duration: float, drift: Array, wander: Array
+) -> None:
+    """P <- F P F' + Q, F the derivative of the motion: a wrong heading turns the way that was covered, a wrong
+    efficiency lengthens one wheel's part of it. Efficiencies forget towards 1.
+    """
+    heading = x[2] - moved[2] / 2.0
+    kept = np.exp(-duration / wander[1])
+    f = np.eye(5)
+    f[0, 2], f[1, 2] = -moved[1], moved[0]
+    for side in range(2):
+        k = 3 + side
+        f[0, k], f[1, k] = travel[side] / 2.0 * np.cos(heading), travel[side] / 2.0 * np.sin(heading)
+        f[2, k] = travel[side] / base * (1.0 if side == 1 else -1.0)
+        f[k, k] = kept
+        x[k] = 1.0 + (x[k] - 1.0) * kept
+    p[:] = _product(f, _product(f, p).T)
+    for k in range(3):
+        p[k, k] += drift[k] * duration
+    for k in range(3, 5):
+        p[k, k] += wander[0] * (1.0 - kept * kept)
+
+
+@kernel
+def _product(a: Array, b: Array) -> Array:
+    """a b for small square matrices: numba's own needs scipy."""
+    n = len(a)
+    result = np.zeros((n, n))
+    for i in range(n):
+        for k in range(n):
+            if a[i, k] != 0.0:
+                for j in range(n):
+                    result[i, j] += a[i, k] * b[k, j]
+    return result
+
+
+@kernel
+def held_up(p: Array, moved: Array) -> Array:
+    """The covariance of a robot that may have done all, none or twice of the motion since it was seen last.
+
+    Blocked motors and spinning wheels are no outliers: without this a robot that is held up would be refused for
+    several images, and believed to drive on.
+    """
+    wide = p.copy()
+    for i in range(3):
+        for j in range(3):
+            wide[i, j] += moved[i] * moved[j]
+    return wide
+
+
+@kernel
+def correct(x: Array, p: Array, prior: Array, innovation: Array, variance: Array, gate: float) -> bool:
+    """Correct state and covariance ``p``, with ``prior`` in its place, unless the innovation is beyond the gate.
+
+    The three coordinates are independent measurements: they correct one after the other.
+    """
+    n = len(x)
+    change, gain, trial = np.zeros(n), np.empty(n), prior.copy()
+    distance = 0.0
+    for k in range(3):
+        s = trial[k, k] + variance[k]
+        residual = innovation[k] - change[k]
+        distance += residual * residual / s
+        for i in range(n):
+            gain[i] = trial[i, k] / s
+            change[i] += gain[i] * residual
+        for j in range(n):
+            shared = trial[k, j]
+            for i in range(n):
+                trial[i, j] -= gain[i] * shared
+    if distance > gate:
+        return False
+    for i in range(n):
+        x[i] += change[i]
+    for k in range(3, n):
+        x[k] = min(max(x[k], 0.0), _MOST_EFFICIENT)
+    p[:] = trial
+    return True
+
+
+@kernel
+def wrapped(angle: float) -> float:
+    """Return the angle in (-pi, pi]."""
+    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))

@@ -1,0 +1,95 @@
+"""Drives whose truth is known: a simulated robot with a tag somewhere on it, driven by the excitation alone."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.simulated import SimulatedRobot
+from robofleet.calibration.drive import RobotDrive
+from robofleet.config.tree import TagOffset
+from robofleet.control.excitation import Excitation, ExcitationSettings
+from robofleet.control.platoon import WHEELS
+from robofleet.tracking.offset import tag_from_centre
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
+
+MS, S = 1_000_000, 1_000_000_000
+TICK, LEAD, ENCODER = 33 * MS, 18 * MS, 20 * MS
+DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+WORN = Imperfections(
+    motor_lag=0.06,
+    speed_quantum=0.2244,
+    loop_period=0.01,
+    deadband=0.5,
+    breakaway=0.7,
+    wheel_gain_spread=0.03,
+    wheel_base_spread=0.01,
+    slip=0.02,
+    slip_noise=0.2,
+    top_speed_sag=0.1,
+    battery_life=2400.0,
+    actuation_delay=0.043,
+)
+OFFSET = TagOffset(forward_m=0.0123, left_m=-0.0071, heading_deg=3.4)
+
+Make = Callable[..., RobotDrive]
+
+
+@pytest.fixture(scope="session")
+def driven() -> Make:
+    """Return what makes the drive of one robot: its faults, where its tag sits, and what its poses are worth."""
+    return drive
+
+
+def drive(
+    imperfections: Imperfections = WORN,
+    offset: TagOffset = OFFSET,
+    seed: int = 1,
+    noise: tuple[float, float] = (3e-5, math.radians(0.05)),
+    lost: float = 0.0,
+) -> RobotDrive:
+    rng = np.random.default_rng(seed)
+    settings = ExcitationSettings(TICK / S, 0.08, (3.2, 2.0), (0.055,))
+    excitation = Excitation(settings, (DRIVE,), np.random.default_rng(seed))
+    now_ns = 0
+    simulation = Simulation(DRIVE, imperfections, (0.2, -0.1, 0.5), (), np.random.default_rng(seed))
+    robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: now_ns))
+    ticks = int(excitation.ends[0] * S) // TICK
+    events = [(k * TICK, 2) for k in range(1, ticks)] + [(k * TICK - LEAD, 0) for k in range(1, ticks)]
+    events += [(k * ENCODER, 1) for k in range(ticks * TICK // ENCODER)]
+    commands, poses, encoders = [], [], []
+    for now_ns, what in sorted(events):
+        at_s, truth, reading = now_ns / S, robot.truth(), robot.read()
+        if what == 0 and rng.random() >= lost:
+            seen = tag_from_centre(*truth[:3], offset)
+            poses.append((at_s, *(np.array(seen) + rng.normal(size=3) * (noise[0], noise[0], noise[1]))))
+        elif what == 1:
+            encoders.append((at_s, reading.left_angle, reading.right_angle))
+        elif what == 2:
+            wheels = excitation.tick(at_s, np.array([truth[:3]]), np.array([True]))[0, WHEELS]
+            robot.write(WheelSpeeds(*wheels.tolist()))
+            commands.append((at_s, *wheels))
+    told, seen_poses, counted = (np.array(rows) for rows in (commands, poses, encoders))
+    return RobotDrive(
+        "r1", told[:, 0], told[:, 1:], seen_poses[:, 0], seen_poses[:, 1:], counted[:, 0], counted[:, 1:], 0.0
+    )
+
+
+@pytest.fixture(scope="session")
+def worn(driven: Make) -> RobotDrive:
+    """Return the drive of a robot with every fault."""
+    return driven()
+
+
+@pytest.fixture(scope="session")
+def smooth(driven: Make) -> RobotDrive:
+    """Return the drive of a robot that has lag and delay alone."""
+    return driven(
+        replace(
+            WORN, speed_quantum=0.0, deadband=0.0, breakaway=0.0, wheel_gain_spread=0.0, wheel_base_spread=0.0,
+            slip=0.0, top_speed_sag=0.0,
+        )
+    )  # fmt: skip

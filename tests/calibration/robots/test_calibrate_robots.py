@@ -1,0 +1,149 @@
+"""``tools/calibrate.py offsets`` and ``latency``: files written whole, kept, and used; bad input refused."""
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robofleet.calibration import drive
+from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.store import load
+from robofleet.config import slices
+from robofleet.config.load import load_config
+from robofleet.config.tree import RobotCalibration
+
+from .conftest import OFFSET
+
+ROOT = Path(__file__).parents[3]
+
+Calibrate = Callable[..., int]
+
+
+@pytest.fixture
+def calibrate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Calibrate:
+    """Return what runs the tool in this process and gives its exit code."""
+    spec = importlib.util.spec_from_file_location("calibrate", ROOT / "tools" / "calibrate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> int:
+        monkeypatch.setattr(sys, "argv", ["calibrate.py", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            tool.main()
+        return end.value.code if isinstance(end.value.code, int) else 0
+
+    return run
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """Return a configuration in a folder of its own."""
+    file = tmp_path / "lab.yaml"
+    file.write_text((ROOT / "configs" / "platoon.yaml").read_text().replace("source: camera", "source: truth"))
+    return file
+
+
+@pytest.fixture
+def recorded(worn: RobotDrive, tmp_path: Path) -> Path:
+    file = tmp_path / "drive.npz"
+    drive.save(file, [worn])
+    return file
+
+
+def test_both_parts_stand_in_one_file_and_the_one_before_is_kept(
+    calibrate: Calibrate, lab: Path, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = lab.parent / "robots" / "r1.yaml"
+    assert calibrate("offsets", lab, "--recording", recorded, "--out", lab.parent / "a") == 0
+    first = load(file, RobotCalibration)
+    assert (first.delay_s, first.latency) == (None, None)
+    assert calibrate("latency", lab, "--recording", recorded, "--out", lab.parent / "b") == 0
+    both = load(file, RobotCalibration)
+    assert both.model_copy(update={"delay_s": None, "motor_lag_s": None, "latency": None}) == first
+    assert calibrate("offsets", lab, "--recording", recorded, "--out", lab.parent / "c") == 0
+    again = load(file, RobotCalibration)
+    assert (again.delay_s, again.motor_lag_s, again.latency) == (both.delay_s, both.motor_lag_s, both.latency)
+    assert len(list((file.parent / "earlier").glob("r1-*.yaml"))) == 2
+    for page in "abc":
+        assert (lab.parent / page / "report.html").read_text().count("<svg") == 1
+    assert "calibration: r1" in capsys.readouterr().out
+
+
+def test_what_was_written_is_what_was_measured_and_can_be_used(calibrate: Calibrate, lab: Path, recorded: Path) -> None:
+    for command in ("offsets", "latency"):
+        assert calibrate(command, lab, "--recording", recorded) == 0
+    config = load_config(lab, ["robots.0.calibration=r1"])
+    found = config.robots[0].calibration
+    assert found is not None
+    assert found.tag_offset.forward_m == pytest.approx(OFFSET.forward_m, abs=0.00004)
+    assert slices.delay_ns(config, config.robots[0]) == pytest.approx(43e6, abs=1e6)
+    assert slices.drive(config.robots[0]).motor_lag == pytest.approx(0.06, abs=0.001)
+    for part, count in ((found.offsets, 5), (found.latency, 2)):
+        assert part is not None
+        assert set(part.inputs) == {"drive.npz"}
+        assert len(part.parameters) == count
+        covariance = np.array(part.covariance)
+        assert covariance.shape == (count, count)
+        assert np.allclose(covariance, covariance.T, rtol=1e-4, atol=1e-12)
+    assert found.offsets is not None
+    assert found.offsets.figures["sigma_forward_mm"] == pytest.approx(1e3 * found.offsets.covariance[0][0] ** 0.5, 1e-3)
+
+
+def test_a_drive_in_lockstep_is_kept_and_calibrates(
+    calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = lab.parent / "out"
+    assert calibrate("offsets", lab, "--lockstep", "--robots", "r2", "--out", out) == 0
+    assert "r2 drives" in capsys.readouterr().err
+    assert sorted(file.name for file in out.iterdir()) == ["drive.npz", "report.html"]
+    assert [file.name for file in (lab.parent / "robots").iterdir()] == ["r2.yaml"]
+    assert calibrate("latency", lab, "--recording", out / "drive.npz") == 0
+    assert load(lab.parent / "robots" / "r2.yaml", RobotCalibration).delay_s == pytest.approx(0.001, abs=0.001)
+    assert calibrate("offsets", lab, "--lockstep", "--out", out) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["offsets", "latency"])
+def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
+    calibrate: Calibrate, lab: Path, recorded: Path, worn: RobotDrive, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refusal(*arguments: object) -> str:
+        assert calibrate(command, lab, *arguments) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert not (lab.parent / "robots").exists()
+        assert not (lab.parent / "runs").exists()
+        return str(line)
+
+    other = lab.parent / "other.npz"
+    other.write_bytes(b"not a recording")
+    assert "is no recording" in refusal("--recording", other)
+    assert "No such file" in refusal("--recording", lab.parent / "nothing.npz")
+    assert "no robot 'r7'" in refusal("--robots", "r7", "--lockstep")
+    assert "'r2' did not drive" in refusal("--recording", recorded, "--robots", "r2")
+    stranger = RobotDrive(**{**vars(worn), "robot": "r9"})
+    drive.save(other, [worn, stranger])
+    assert "has no such robot" in refusal("--recording", other)
+    still = RobotDrive(**{**vars(worn), "poses": np.tile(worn.poses[:1], (len(worn.poses), 1)), "robot": "r2"})
+    drive.save(other, [worn, still])
+    assert refusal("--recording", other).startswith("r2: it was told to move and did not")
+
+
+def test_another_file_of_that_name_is_not_written_over(
+    calibrate: Calibrate, lab: Path, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = lab.parent / "robots" / "r1.yaml"
+    file.parent.mkdir()
+    vehicle = (ROOT / "configs" / "robots" / "gternal.yaml").read_bytes()
+    file.write_bytes(vehicle)
+    assert calibrate("latency", lab, "--recording", recorded) == 2
+    assert str(file) in capsys.readouterr().err
+    assert file.read_bytes() == vehicle
+    file.write_text("robot: r2\n")
+    assert calibrate("latency", lab, "--recording", recorded) == 2
+    assert "r2" in capsys.readouterr().err

@@ -1,0 +1,70 @@
+"""Delay and lag from drives whose truth is known: found to a millisecond, or refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robofleet.calibration import latency
+from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.increments import wheel_travel
+from robofleet.calibration.store import CalibrationError
+
+from .conftest import WORN, Make
+from .test_offsets import part
+
+
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0, 0.0), (0.002, 0.08), (0.043, 0.06), (0.12, 0.2)])
+def test_delay_and_lag_are_found_to_a_millisecond(driven: Make, delay_s: float, lag_s: float) -> None:
+    found = latency.find(driven(replace(WORN, actuation_delay=delay_s, motor_lag=lag_s)))
+    assert found.delay_s == pytest.approx(delay_s, abs=0.001)
+    assert found.motor_lag_s == pytest.approx(lag_s, abs=0.001)
+    assert found.sigma[0] < 0.0005
+
+
+def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
+    rng, found = np.random.default_rng(7), []
+    for _ in range(4):
+        noise = rng.normal(size=smooth.poses.shape) * (3e-4, 3e-4, 0.004)
+        found.append(latency.find(replace(smooth, poses=smooth.poses + noise)))
+    errors = np.array([(one.delay_s, one.motor_lag_s) for one in found]) - (0.043, 0.06)
+    scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([one.sigma for one in found]).mean(axis=0)
+    assert (scatter > 0.3).all()
+    assert (scatter < 2.2).all()
+
+
+def test_outliers_and_missing_images_change_little(driven: Make) -> None:
+    drive = driven(lost=0.2)
+    rng, poses = np.random.default_rng(3), drive.poses.copy()
+    wrong = rng.choice(len(poses), 30, replace=False)
+    poses[wrong] += rng.normal(size=(30, 3)) * (0.02, 0.02, 0.5)
+    found = latency.find(replace(drive, poses=poses))
+    assert (found.delay_s, found.motor_lag_s) == pytest.approx((0.043, 0.06), abs=0.001)
+    assert 20 <= found.left_out <= 70
+
+
+def test_the_wheels_angles_are_the_integral_of_their_speeds() -> None:
+    """Against small steps of the lag's own equation."""
+    rng = np.random.default_rng(2)
+    commands_s, commands = 0.033 * np.arange(20), rng.uniform(-8, 8, (20, 2))
+    step, w, angle, at, expected = 1e-4, np.zeros(2), np.zeros(2), [], []
+    for k in range(9000):
+        before = commands_s + 0.0512 <= k * step + 1e-9
+        target = commands[before.sum() - 1] if before.any() else np.zeros(2)
+        w_next = target + (w - target) * np.exp(-step / 0.06)
+        angle, w = angle + step * (w + w_next) / 2, w_next
+        at.append((k + 1) * step)
+        expected.append(angle)
+    assert wheel_travel(commands_s, commands, 0.0512, 0.06, np.array(at)) == pytest.approx(np.array(expected), abs=1e-3)
+
+
+def test_too_little_is_refused(worn: RobotDrive) -> None:
+    def refusal(drive: RobotDrive) -> str:
+        with pytest.raises(CalibrationError) as refused:
+            latency.find(drive)
+        (line,) = refused.value.faults
+        return line
+
+    assert "changed 4 times only" in refusal(part(worn, 0.0, 11.0))
+    assert "seen in 0 %" in refusal(replace(worn, poses_s=worn.poses_s[:0], poses=worn.poses[:0]))
+    assert "time stamps" in refusal(replace(worn, poses_s=worn.poses_s - 0.06))  # before it was told to move
