@@ -14,8 +14,8 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.simulation.sources import TruthSource
-from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import Happening
+from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.sources import (
     CameraContext,
     CameraPoller,
@@ -24,8 +24,6 @@ from robofleet.tracking.sources import (
     ReopenedCamera,
     ScheduledCamera,
 )
-from robofleet.tracking.targets import floor_targets, robot_targets
-from robofleet.tracking.tracker import TagTracker
 from robofleet.tracking.watch import CameraWatch
 
 _EPOCH = 1
@@ -154,13 +152,7 @@ class _CameraPoses:
         self._seen_tick = 0  # the newest one when something came last
         self._why = ""
         self._seen: list[Happening] = []
-        model = camera.model
-        self._tracker = TagTracker(
-            CameraGeometry.from_model(model),
-            (model.width, model.height),
-            [*robot_targets(config), *floor_targets(config)],
-            model.line_time_s,
-        )
+        self._sight = FleetSight(config)
 
     def next_ns(self) -> int | None:
         times = [at_ns for at_ns in (self._feed.next_ns(), self._watch.deadline_ns) if at_ns is not None]
@@ -180,12 +172,10 @@ class _CameraPoses:
             return None
         if not self._watch.look(taken.image, taken.exposure_ns, now_ns):
             return None
-        sightings = self._tracker.track(taken.image, taken.exposure_ns)
-        self._seen += sightings.happenings
-        poses = tuple(
-            TagPose(seen.tag, seen.after_ns, seen.coasted_ns, seen.x, seen.y, seen.psi) for seen in sightings.poses
-        )
-        return Observation(taken.exposure_ns, poses, sightings.refused)
+        sight = self._sight.see(taken.image, taken.exposure_ns)
+        self._seen += sight.happenings
+        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi) for r in sight.robots)
+        return Observation(taken.exposure_ns, poses, sight.refused)
 
     def news(self) -> tuple[Happening, ...]:
         seen = tuple(self._seen)

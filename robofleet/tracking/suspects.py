@@ -10,6 +10,7 @@ from robofleet.tracking.targets import Target
 
 SAME = 0.5  # two places closer than this are of one print [sides]
 _PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed
+_KICKED = 2.5  # a tag that lies still is believed so far from where it lay: who watches the camera judges it [sides]
 _SLIP = 1.5  # a robot may be faster than its limit: pushed, downhill, a worn wheel
 
 
@@ -27,12 +28,13 @@ class Suspects:
 
     def __init__(self, targets: Sequence[Target]) -> None:
         self._same = SAME * np.array([target.side for target in targets])
+        self._near = [(_KICKED if target.max_speed == 0.0 else SAME) * target.side for target in targets]
         self._speeds = _SLIP * np.array([target.max_speed for target in targets])
         self._suspects: dict[int, _Suspect] = {}
 
     def reach(self, target: int, elapsed_ns: int) -> float:
         """Return how far a tag can be from where it was a while ago [m]."""
-        return float(self._speeds[target] * elapsed_ns * 1e-9 + self._same[target])
+        return float(self._speeds[target] * elapsed_ns * 1e-9 + self._near[target])
 
     def same(self, tag: Found, centre: complex) -> bool:
         """Return whether a tag found is the print at ``centre``."""
