@@ -10,12 +10,13 @@ import sys
 import typer
 
 from robofleet.calibration.commands.intrinsics import intrinsics
+from robofleet.calibration.commands.place import arena, verify
 from robofleet.calibration.commands.robots import latency, offsets
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import ConfigError
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
-for command in (intrinsics, offsets, latency):
+for command in (intrinsics, arena, offsets, latency, verify):
     app.command()(command)
 
 

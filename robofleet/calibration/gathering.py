@@ -1,13 +1,10 @@
 """Images of a board, one by one: from a folder or a video; the views worth having are kept."""
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from robofleet.calibration.board import Board, BoardCheck, BoardDetector, Image, View
+from robofleet.calibration.frames import images
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.views import Collector, Offer
 
@@ -65,28 +62,6 @@ class Gathering:
 def gather(source: Path, board: Board) -> Gathering:
     """Return what a folder of images or a video shows."""
     gathering = Gathering(board, film=not source.is_dir())
-    for name, image in _images(source):
+    for name, image in images(source):
         gathering.take(name, image)
     return gathering
-
-
-def _images(source: Path) -> Iterator[tuple[str, Image]]:
-    """Yield names and gray images of a folder (by name) or a video."""
-    if source.is_dir():
-        for file in sorted(source.iterdir()):
-            if file.suffix.lower() in {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}:
-                image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-                if image is None:
-                    raise CalibrationError(f"{file}: cannot be read as an image")
-                yield file.name, np.asarray(image, np.uint8)
-        return
-    video = cv2.VideoCapture(str(source))
-    if not source.exists() or not video.isOpened():
-        raise CalibrationError(f"{source}: is neither a folder of images nor a video that can be read")
-    number = 0
-    while True:
-        ok, frame = video.read()
-        if not ok:
-            return
-        number += 1
-        yield f"{source.name}:frame {number}", np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)

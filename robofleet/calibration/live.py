@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import yaml
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -12,30 +11,12 @@ from rich.text import Text
 
 from robofleet.calibration.gathering import FIRST, Gathering
 from robofleet.calibration.intrinsics import ARENA_MM, FOCAL, Asked, Measured, measure
-from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.views import COLUMNS, ROWS, Coverage, Lean, Offer
-from robofleet.clock import S, WallClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.plugins import PluginError, load
-from robofleet.tracking.sources import Camera, CameraContext
+from robofleet.tracking.sources import Camera
 
 _ARROWS = {Lean.LEFT: "<", Lean.RIGHT: ">", Lean.UPPER: "^", Lean.LOWER: "v", Lean.FLAT: "o"}
-
-
-def open_camera(config: Config) -> Camera:
-    """Return the camera of a configuration, outside of any run; CalibrationError if there is no such kind."""
-    clock = WallClock()
-    bus = MemoryBus(config.arena.name, clock, 0)
-    ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
-    try:
-        kind = load("robofleet.cameras", config.camera.source)
-    except PluginError as error:
-        raise CalibrationError(f"camera.source: {error}") from error
-    camera: Camera = kind(CameraContext(config, clock, bus, ticks, np.random.default_rng(config.run.seed), 0))
-    return camera
 
 
 def capture(camera: Camera, gathering: Gathering, ask: Callable[[tuple[int, int]], Asked], screen: "Screen") -> None:

@@ -54,7 +54,7 @@ def load(file: Path, kind: type[M]) -> M:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise CalibrationError(f"{file}: is no YAML: {' '.join(str(error).split())}") from error
     except ValidationError as invalid:
-        faults = (f"{file}: {'.'.join(map(str, e['loc']))}: {plain_words(e)}" for e in invalid.errors())
+        faults = (f"{': '.join(_where(file, e['loc']))}: {plain_words(e, kind)}" for e in invalid.errors())
         raise CalibrationError(faults) from invalid
 
 
@@ -76,6 +76,10 @@ def save(file: Path, calibration: Model) -> Path | None:
     except OSError as error:
         raise CalibrationError(f"{file}: cannot be written: {error.strerror}") from error
     return kept
+
+
+def _where(file: Path, loc: tuple[int | str, ...]) -> tuple[str, ...]:
+    return (str(file), ".".join(map(str, loc))) if loc else (str(file),)
 
 
 def _keep(file: Path) -> Path:

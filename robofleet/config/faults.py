@@ -8,7 +8,7 @@ from typing import get_args
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from robofleet.config.tree import ENDPOINT_PATTERN, NAME_PATTERN, Config
+from robofleet.config.tree import ENDPOINT_PATTERN, NAME_PATTERN, CameraModel, Config
 
 Complaint = tuple[str, str]  # dotted path, message
 
@@ -36,12 +36,12 @@ _PATTERNS = {
 }
 
 
-def plain_words(error: ErrorDetails) -> str:
-    """Return what is wrong and how to mend it, from one of pydantic's errors."""
+def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
+    """Return what is wrong and how to mend it, from one of pydantic's errors on a tree of kind ``root``."""
     kind, given, loc, context = error["type"], error["input"], error["loc"], error.get("ctx", {})
     if kind == "extra_forbidden":
-        return f"unknown key: {did_you_mean(str(loc[-1]), _known_keys(loc[:-1]))}"
-    if kind == "missing" or given is None:
+        return f"unknown key: {did_you_mean(str(loc[-1]), _known_keys(loc[:-1], root))}"
+    if kind == "missing" or (given is None and loc):
         return "has too few values" if isinstance(loc[-1], int) and given is not None else "is missing"
     rule = _PATTERNS.get(context.get("pattern", "")) or _WORDS.get(kind, error["msg"]).format(**context)
     if isinstance(given, dict | list | tuple):
@@ -86,9 +86,9 @@ def meant(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
     return (*loc[:-1], *near) if near else loc
 
 
-def _known_keys(loc: Iterable[str | int]) -> list[str]:
+def _known_keys(loc: Iterable[str | int], root: type[BaseModel] = Config) -> list[str]:
     """Return the keys that the mapping at ``loc`` may have."""
-    kind: type[BaseModel] = Config
+    kind = root
     for part in loc:
         if isinstance(part, str):
             annotation = kind.model_fields[part].annotation
@@ -110,13 +110,20 @@ def _repeated(key: str, values: Sequence[object]) -> Iterator[Complaint]:
             yield f"robots.{i}.{key}", f"{value} is robots.{first}'s already: give each robot its own"
 
 
+def lens_fault(model: CameraModel) -> str | None:
+    """Return what is wrong with a lens's coefficients, if anything."""
+    allowed = _COEFFICIENTS[model.lens]
+    if len(model.distortion) in allowed:
+        return None
+    counts = ", ".join(map(str, allowed[:-1])) + f" or {allowed[-1]}" if len(allowed) > 1 else str(allowed[0])
+    return f"a {model.lens} lens has {counts} coefficients, not {len(model.distortion)}: calibrate again"
+
+
 def _camera_model(config: Config) -> Iterator[Complaint]:
     model = config.camera.model
-    allowed = _COEFFICIENTS[model.lens]
-    if len(model.distortion) not in allowed:
-        counts = ", ".join(map(str, allowed[:-1])) + f" or {allowed[-1]}" if len(allowed) > 1 else str(allowed[0])
-        message = f"a {model.lens} lens has {counts} coefficients, not {len(model.distortion)}: calibrate again"
-        yield "camera.model.distortion", message
+    fault = lens_fault(model)
+    if fault:
+        yield "camera.model.distortion", fault
     if model.T_world_camera is None and config.tracker.source == "camera":
         yield "camera.model", "where the camera hangs is not known: run tools/calibrate.py arena"
 

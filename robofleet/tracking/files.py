@@ -38,7 +38,7 @@ class _Entry(NamedTuple):
 
 
 def images(path: Path) -> Iterator[tuple[str, Image]]:
-    """Return every image of a video or of a folder (sorted by name) with its name, all of one size.
+    """Return every image of a video or of a folder (sorted by name), or one image, with its name; all of one size.
 
     Names are those of the files; of a video ``name.avi:frame 12``, counted from 0.
 
@@ -47,7 +47,11 @@ def images(path: Path) -> Iterator[tuple[str, Image]]:
             of another size than the first one.
     """
     first: Image | None = None
-    for name, load in _folder(path) if _is_folder(path) else _video(path):
+    if _is_folder(path):
+        entries = _folder(path)
+    else:
+        entries = iter([_file(path)]) if path.suffix.lower() in _SUFFIXES else _video(path)
+    for name, load in entries:
         image = load()
         first = image if first is None else first
         if image.shape != first.shape:

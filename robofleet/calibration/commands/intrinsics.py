@@ -11,10 +11,11 @@ from rich.console import Console
 from robofleet.calibration.board import Board
 from robofleet.calibration.commands.shared import ReportFile, report_file
 from robofleet.calibration.floor import Ceiling
+from robofleet.calibration.frames import open_camera
 from robofleet.calibration.gathering import Gathering, gather
 from robofleet.calibration.intrinsics import Asked, Measured, measure
 from robofleet.calibration.intrinsics_page import page
-from robofleet.calibration.live import Screen, capture, live_config, open_camera
+from robofleet.calibration.live import Screen, capture, live_config
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.tree import NAME_PATTERN, CameraModel
 
@@ -56,7 +57,7 @@ def intrinsics(
     file, shown = configs / "cameras" / f"{name}.yaml", report_file(report, "intrinsics")
     if live is not None:
         source_camera = open_camera(live_config(live))
-        gathering, identity = Gathering(board, film=True), getattr(source_camera, "identity", "")
+        gathering, identity = Gathering(board, film=True), source_camera.identity
         try:
             with Screen(Console(stderr=True)) as screen:
                 capture(source_camera, gathering, ask, screen)

@@ -126,7 +126,7 @@ def test_a_video_is_read(photos: Path, tmp_path: Path) -> None:
         writer.write(image)
     writer.release()
     gathering = gather(film, Board())
-    assert [view.name for view in gathering.views] == ["film.avi:frame 2", "film.avi:frame 4", "film.avi:frame 6"]
+    assert [view.name for view in gathering.views] == ["film.avi:frame 1", "film.avi:frame 3", "film.avi:frame 5"]
     assert np.array_equal(gathering.views[1].image, images[1])
     assert gathering.counts == {Offer.NEW: 3, Offer.MOVING: 3}  # the board had not held still yet
 
@@ -159,7 +159,7 @@ def no_video(folder: Path) -> Path:
     ("make", "options", "words"),
     [
         (broken, (), "a.png"),
-        (mixed, (), "b.png: 90 x 60 px, those before it 80 x 60"),
+        (mixed, (), "b.png: 90 x 60 px, but the first image has 80 x 60"),
         (empty, (), "no image"),
         (no_video, (), "input"),
         (lambda folder: folder, (), "input"),  # is not there

@@ -1,0 +1,202 @@
+"""Where the camera hangs: its pose in the world from surveyed tags and points, how sure that is, and which to doubt."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.calibration.arena_page import write_page
+from robofleet.calibration.consensus import Agreement, agree, chance
+from robofleet.calibration.fiducials import Look, Marks, look
+from robofleet.calibration.frames import Named, refuse_other_sizes
+from robofleet.calibration.placing import PARAMETERS, Lens, Placement, on_plane, rotation_vector
+from robofleet.calibration.region import predicted, region_of
+from robofleet.calibration.store import CalibrationError, load, provenance, save
+from robofleet.calibration.survey import LEAST, load_survey
+from robofleet.config.faults import lens_fault
+from robofleet.config.tree import CameraModel, PoseSettings
+from robofleet.tracking.camera import CameraGeometry
+
+Array = NDArray[np.float64]
+
+_USABLE_MM = 3.0  # predicted error on the floor; the paper's robots keep to about 5 mm
+_UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what was stated of the survey
+_WIDTH = (0.8, 1.25)  # of a tag as seen, over the surveyed side
+
+
+class Result(NamedTuple):
+    """A camera's place."""
+
+    model: CameraModel  # with it
+    figures: dict[str, float | None]
+    notes: tuple[str, ...]  # marks that were left out, and what else to know
+    kept: Path | None  # where the calibration before went
+
+
+def calibrate_arena(
+    camera: Path,
+    survey_file: Path,
+    images: Sequence[Named],
+    report: Path,
+    survey_mm: float | None = None,
+    arena_m: tuple[float, float] | None = None,
+    tag_height_m: float = 0.0,
+) -> Result:
+    """Measure where a camera hangs, write it into its file, and a page about it.
+
+    ``survey_mm``: standard deviation of the survey, one coordinate; None: estimated. ``arena_m``: the sides of a
+    rectangle around the world's origin in which robots drive; None: the rectangle of the marks.
+
+    Raises:
+        CalibrationError: the inputs do not say it, or not well enough; nothing is written then.
+    """
+    model, survey = load(camera, CameraModel), load_survey(survey_file)
+    lens = lens_of(camera, model)
+    refuse_other_sizes(images, model)
+    seen = look(survey, images, lens.size)
+    agreement = _agreement(lens, seen, survey_mm)
+    placement = agreement.placement
+    region = region_of(survey, arena_m, tag_height_m)
+    sigma = predicted(placement, region)
+    figures = _figures(agreement, seen.marks, sigma)
+    notes = (*seen.notes, *_notes(agreement, seen.marks, survey_mm))
+    if 0.0 < (in_sight := float(np.isfinite(sigma).mean())) < 1.0:
+        notes += (f"the camera sees {100 * in_sight:.0f} % of the arena: the expected error is that part's",)
+    _refuse_poor(agreement, seen.marks, figures, notes, survey_mm)
+    inputs = {camera.name: camera.read_bytes(), survey_file.name: survey_file.read_bytes()}
+    if images:
+        inputs["images"] = b"".join(image.tobytes() for _, image in images)
+    where = provenance("arena", inputs, figures, PARAMETERS, placement.covariance.tolist())
+    model = model.model_copy(update={"T_world_camera": _pose(placement.T_world_camera), "arena": where})
+    write_page(report, f"Where {camera.stem} hangs", model, agreement, seen.marks, region, sigma, notes)
+    return Result(model, figures, notes, save(camera, model))
+
+
+def lens_of(file: Path, model: CameraModel) -> Lens:
+    """Return a camera's lens; CalibrationError if its values cannot be."""
+    fault = lens_fault(model)
+    if fault:
+        raise CalibrationError(f"{file}: distortion: {fault}")
+    here = model.model_copy(update={"T_world_camera": PoseSettings(position_m=(0, 0, 0), rotation_rad=(0, 0, 0))})
+    covariance = np.zeros((0, 0))
+    if model.intrinsics is not None and model.intrinsics.covariance:
+        covariance = covariance_of(f"{file}: intrinsics", model.intrinsics.covariance, 4 + len(model.distortion))
+    return Lens(CameraGeometry.from_model(here), (model.width, model.height), covariance)
+
+
+def covariance_of(where: str, rows: Sequence[Sequence[float]], size: int) -> Array:
+    """Return a covariance (size, size) of a file; CalibrationError if it is none."""
+    if {len(rows), *map(len, rows)} != {size}:
+        raise CalibrationError(f"{where}.covariance: must have {size} rows of {size} numbers: calibrate again")
+    covariance = np.array(rows)
+    scale = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+    unit = covariance / np.outer(scale, scale)
+    if np.abs(unit - unit.T).max() > 1e-3 or np.linalg.eigvalsh(unit).min() < -1e-3:
+        raise CalibrationError(f"{where}.covariance: no errors can have it: calibrate again")
+    return covariance
+
+
+def _agreement(lens: Lens, seen: Look, survey_mm: float | None) -> Agreement:
+    """Return what the marks agree on; what is missing in the images is said beside a refusal."""
+    try:
+        if survey_mm is None and len(seen.marks) == LEAST:
+            raise CalibrationError("four marks do not tell how well they were surveyed: state it with --survey-mm")
+        return agree(lens, seen.marks, None if survey_mm is None else survey_mm / 1e3)
+    except CalibrationError as refused:
+        raise CalibrationError((*refused.faults, *seen.notes)) from refused
+
+
+def _figures(agreement: Agreement, marks: Marks, sigma: Array) -> dict[str, float | None]:
+    placement, inside = agreement.placement, agreement.inside
+    left_out = agreement.error[inside]
+    known = np.isfinite(left_out[:, 0])
+    expected = np.trace(agreement.covariance[inside][known], axis1=1, axis2=2)
+    return {
+        "marks_used": float(inside.sum()),
+        "marks_left_out": float((~inside).sum()),
+        "survey_sigma_mm": 1e3 * placement.survey_m,
+        "pixel_sigma_px": float(np.sqrt((marks.sigma_px[inside] ** 2).mean())),
+        "residual_rms_mm": _rms_mm(placement.error),
+        "held_out_rms_mm": _rms_mm(left_out[known]) if known.any() else None,
+        "held_out_expected_mm": 1e3 * math.sqrt(expected.mean()) if known.any() else None,
+        "predicted_rms_mm": float(np.sqrt(np.nanmean(sigma**2))) if np.isfinite(sigma).any() else None,
+        "predicted_max_mm": float(np.nanmax(sigma)) if np.isfinite(sigma).any() else None,
+        "arena_in_sight": float(np.isfinite(sigma).mean()),
+    }
+
+
+def _rms_mm(errors: Array) -> float:
+    return 1e3 * math.sqrt(float((errors**2).sum(axis=1).mean()))
+
+
+def _notes(agreement: Agreement, marks: Marks, survey_mm: float | None) -> list[str]:
+    """Return what to know of single marks."""
+    placement, inside = agreement.placement, agreement.inside
+    notes = []
+    for i in np.flatnonzero(~inside):
+        x, y = 1e3 * agreement.error[i]
+        notes.append(
+            f"{marks.names[i]}: lies {math.hypot(x, y):.1f} mm from where its survey says ({x:+.1f} mm in x, "
+            f"{y:+.1f} mm in y); left out: survey it again"
+        )
+    if survey_mm is not None and len(notes) > 1:
+        notes.append(
+            f"{len(notes)} marks were left out: if their surveys are right, {survey_mm:g} mm was stated too small"
+        )
+    names = [name for name, used in zip(marks.names, inside, strict=True) if used]
+    for i in np.flatnonzero(placement.turned):
+        off = math.degrees(placement.heading_error[i])
+        notes.append(f"{names[i]}: is turned by {off:+.1f} degrees from its surveyed heading; the heading is not used")
+    for i in np.flatnonzero(~np.isfinite(placement.left_out[:, 0])):
+        notes.append(f"{names[i]}: the others do not determine the pose without it, so that nothing checks it")
+    if len(marks) == LEAST:
+        notes.append("four marks: none can be left out, so that a wrong one is not found: survey a fifth")
+    elif survey_mm is None and len(marks) < LEAST + 3:
+        notes.append(f"{len(marks)} marks: a small error of one is not found; --survey-mm makes the test sharper")
+    return notes
+
+
+def _refuse_poor(
+    agreement: Agreement, marks: Marks, figures: dict[str, float | None], notes: Sequence[str], survey_mm: float | None
+) -> None:
+    """Raise CalibrationError if the pose should not be used."""
+    placement, faults = agreement.placement, []
+    widths = _widths(placement, marks)
+    if len(widths) and not _WIDTH[0] < np.median(widths) < _WIDTH[1]:
+        faults.append(
+            f"the tags look {np.median(widths):.3g} times as wide as their side_m: side_m or the survey's unit is wrong"
+        )
+    if survey_mm is not None and chance(placement.chi_square, placement.freedom) < _UNLIKELY:
+        faults.append(
+            f"the marks are {figures['residual_rms_mm']:.2g} mm rms off the best pose, too much for a survey of "
+            f"{survey_mm:g} mm: survey again, calibrate the lens (intrinsics), or state a larger --survey-mm"
+        )
+    rms = figures["predicted_rms_mm"]
+    if rms is None:
+        faults.append("the camera sees nothing of the arena: check the survey's origin, or give --arena-m")
+    elif rms > _USABLE_MM:
+        faults.append(
+            f"the pose would be {rms:.2g} mm rms off on the arena, more than {_USABLE_MM:g}: survey more marks, "
+            "farther apart, and better; or calibrate the lens (intrinsics)"
+        )
+    if faults:
+        raise CalibrationError((*faults, *notes))
+
+
+def _widths(placement: Placement, marks: Marks) -> Array:
+    """Return how wide tags look from there, over their sides (T,)."""
+    tags = marks.chosen(np.isfinite(marks.sides))
+    T, heights = placement.T_world_camera, tags.points[:, 2]
+    centre, *_ = on_plane(T, placement.lens.slopes(tags.pixels), heights)
+    edge, *_ = on_plane(T, placement.lens.slopes(tags.ahead), heights)
+    widths: Array = 2.0 * np.hypot(*(edge - centre).T) / tags.sides
+    return widths
+
+
+def _pose(T_world_camera: Array) -> PoseSettings:
+    x, y, z = np.round(T_world_camera[:3, 3], 9).tolist()
+    a, b, c = np.round(rotation_vector(T_world_camera[:3, :3]), 9).tolist()
+    return PoseSettings(position_m=(x, y, z), rotation_rad=(a, b, c))

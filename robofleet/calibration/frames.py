@@ -1,0 +1,93 @@
+"""Images to measure in: of a file, a folder, a video, or what a live camera sees now."""
+
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.calibration.store import CalibrationError
+from robofleet.clock import S, WallClock
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.ticks import TickFollower
+from robofleet.config.load import load_config
+from robofleet.config.tree import CameraModel, Config
+from robofleet.plugins import PluginError, load
+from robofleet.tracking import files
+from robofleet.tracking.sources import Camera, CameraContext, CameraError
+
+Image = NDArray[np.uint8]
+Named = tuple[str, Image]  # what to call an image, and its greys (H, W)
+
+
+def images(path: Path) -> Iterator[Named]:
+    """Return the images of a file, a folder or a video; CalibrationError at what cannot be read."""
+    try:
+        yield from files.images(path)
+    except files.ImageFileError as error:
+        raise CalibrationError(str(error)) from error
+
+
+def from_files(paths: Sequence[Path], most: int) -> list[Named]:
+    """Return the first images of files, folders and videos."""
+    return list(islice(chain.from_iterable(map(images, paths)), most))
+
+
+def taken(paths: Sequence[Path], config: Config | None, most: int) -> list[Named]:
+    """Return images of files, or of a configuration's camera; none if neither is given."""
+    if config is None:
+        return from_files(paths, most)
+    if paths:
+        raise CalibrationError("images and --live: give one of them")
+    return from_camera(config, most)
+
+
+def live_config(file: Path) -> Config:
+    """Read a configuration for its camera alone.
+
+    Its place need not be known yet, and no controller is there to trigger it.
+    """
+    return load_config(file, ["tracker.source=truth", "camera.trigger=free"])
+
+
+def from_camera(config: Config, count: int) -> list[Named]:
+    """Return the next images of a configuration's camera. Of a simulated one only the floor: no robot runs."""
+    if config.camera.source == "simulated" and config.camera.model.T_world_camera is None:
+        raise CalibrationError("camera.model: a simulated camera must hang somewhere: give it a T_world_camera")
+    camera = open_camera(config)
+    calibrated = config.camera.model.camera
+    if calibrated and camera.identity != calibrated:
+        camera.close()
+        raise CalibrationError(f"this camera is {camera.identity!r}, the lens is that of {calibrated!r}")
+    try:
+        return [(f"live image {i + 1}", camera.read().image.copy()) for i in range(count)]
+    except EOFError:
+        raise CalibrationError(f"{config.camera.source}: the camera ended before {count} images") from None
+    finally:
+        camera.close()
+
+
+def refuse_other_sizes(images: Sequence[Named], model: CameraModel) -> None:
+    """Raise CalibrationError that names each image of another size than the camera's."""
+    faults = [
+        f"{name}: is {image.shape[1]} x {image.shape[0]} px, but the camera is calibrated for "
+        f"{model.width} x {model.height}: take images of that size, or calibrate the lens for this one"
+        for name, image in images
+        if image.shape != (model.height, model.width)
+    ]
+    if faults:
+        raise CalibrationError(faults)
+
+
+def open_camera(config: Config) -> Camera:
+    """Return the camera of a configuration, outside of any run; CalibrationError if it cannot be opened."""
+    clock = WallClock()
+    bus = MemoryBus(config.arena.name, clock, 0)
+    ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
+    context = CameraContext(config, clock, bus, ticks, np.random.default_rng(config.run.seed), 0)
+    try:
+        camera: Camera = load("robofleet.cameras", config.camera.source)(context)
+    except (PluginError, CameraError) as error:
+        raise CalibrationError(f"camera.source: {error}") from error
+    return camera

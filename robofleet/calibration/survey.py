@@ -1,0 +1,78 @@
+"""What was surveyed on the floor: tags and points whose places in the world were measured by hand.
+
+A survey is a YAML file; its ``floor_tags`` are written as a configuration's ``tracker.floor_tags``. ``points`` are for
+marks that nothing finds by itself, a cross of tape say: someone read their pixels off the image.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from robofleet.calibration.store import CalibrationError, load
+from robofleet.config.tree import Finite, FloorTag, Model, NonNegative
+
+LEAST = 4  # marks that determine where a camera hangs
+_LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line
+
+
+class SurveyedPoint(Model):
+    """A mark on the floor, and where it is in the image."""
+
+    name: Annotated[str, Field(min_length=1)]
+    x_m: Finite  # [world]
+    y_m: Finite
+    height_m: NonNegative = 0.0
+    u_px: Finite
+    v_px: Finite
+
+
+class Survey(Model):
+    """Tags and points of one floor."""
+
+    floor_tags: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()
+    points: Annotated[tuple[SurveyedPoint, ...], Field(strict=False)] = ()
+
+    @property
+    def marks(self) -> tuple[FloorTag | SurveyedPoint, ...]:
+        """Return all of them, tags first."""
+        return (*self.floor_tags, *self.points)
+
+
+def load_survey(file: Path) -> Survey:
+    """Read a survey; CalibrationError with all that is wrong in it."""
+    survey = load(file, Survey)
+    faults = [f"{file}: {fault}" for fault in _faults(survey)]
+    if faults:
+        raise CalibrationError(faults)
+    return survey
+
+
+def on_one_line(points: NDArray[np.float64]) -> bool:
+    """Return whether points (N, 3) lie on a line, or all in one place: a camera can turn around it unseen."""
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return bool(spread[1] <= _LINE * spread[0])
+
+
+def _faults(survey: Survey) -> Iterator[str]:
+    """Return what is wrong between entries that are right by themselves."""
+    tags = len(survey.floor_tags)
+    names: dict[int | str, str] = {}
+    places: dict[tuple[float, float, float], str] = {}
+    for i, mark in enumerate(survey.marks):
+        where = f"floor_tags.{i}" if i < tags else f"points.{i - tags}"
+        name = mark.tag if isinstance(mark, FloorTag) else mark.name
+        if name in names:
+            yield f"{where}: {name!r} is {names[name]}'s already: survey each mark once"
+        place = (mark.x_m, mark.y_m, mark.height_m)
+        if place in places:
+            yield f"{where}: lies where {places[place]} does: two marks cannot lie in one place"
+        names.setdefault(name, where)
+        places.setdefault(place, where)
+    if len(survey.marks) < LEAST:
+        yield f"has {len(survey.marks)} tags and points: {LEAST} or more say where a camera hangs"
+    elif on_one_line(np.array([(mark.x_m, mark.y_m, mark.height_m) for mark in survey.marks])):
+        yield "all tags and points lie on one line, around which the camera could turn: lay some beside it"

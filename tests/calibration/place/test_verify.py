@@ -1,0 +1,169 @@
+"""Is the camera where it was? Judged from marks whose truth is known."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from robofleet.calibration.consensus import agree
+from robofleet.calibration.fiducials import Marks
+from robofleet.calibration.placing import Lens, moved
+from robofleet.calibration.store import CalibrationError
+from robofleet.calibration.verify import Calibrated, Verdict, judge
+from robofleet.tracking.camera import CameraGeometry
+
+Array = NDArray[np.float64]
+
+DOWN = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 2.5], [0, 0, 0, 1]])
+CAMERA = CameraGeometry([[830, 0, 646], [0, 830, 359], [0, 0, 1]], [-0.1, 0.015, 0.0004, -0.0003, 0.0], DOWN)
+LENS = Lens(CAMERA, (1280, 720), np.zeros((0, 0)))
+EIGHT = np.array([(-1.5, -0.9), (-1.5, 0.9), (1.5, -0.9), (1.5, 0.9), (0, 0.9), (0, -0.9), (-0.7, 0.1), (0.8, 0.0)])
+FLOOR = np.array([(x, y, 0.0) for x in (-1.5, 0.0, 1.5) for y in (-0.9, 0.0, 0.9)])
+SURVEY_M, PIXEL = 5e-4, 0.02
+
+
+class Lab:
+    """A floor that was surveyed once, and a camera calibrated by that."""
+
+    def __init__(self, seed: int, n: int = 8, yaw: float = 0.0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.true = np.column_stack([EIGHT[:n], np.zeros(n)])
+        self.camera = CAMERA.moved(moved(moved(DOWN, np.array([0, 0, yaw, 0, 0, 0])), self.rng.normal(0.0, 0.05, 6)))
+        self.survey = self.survey_again()
+        placement = agree(LENS, self.look(), SURVEY_M).placement
+        self.calibrated = Calibrated(placement.T_world_camera, placement.covariance, False, SURVEY_M)
+
+    def survey_again(self) -> Array:
+        n = len(self.true)
+        return self.true + np.column_stack([self.rng.normal(0.0, SURVEY_M, (n, 2)), np.zeros(n)])
+
+    def look(self) -> Marks:
+        n, nan = len(self.true), np.full(len(self.true), np.nan)
+        pixels = self.camera.project(self.true) + self.rng.normal(0.0, PIXEL, (n, 2))
+        names = tuple(f"tag {k}" for k in range(n))
+        return Marks(names, self.survey, nan, nan, pixels, np.stack([nan, nan], 1), np.full(n, PIXEL))
+
+    def knock(self, *change: float) -> None:
+        self.camera = self.camera.moved(moved(self.camera.T_world_camera, np.array(change)))
+
+    def judged(self) -> Verdict:
+        return judge(LENS, self.look(), self.calibrated, FLOOR)
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("n", [4, 8])
+def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:
+    for seed in range(15):
+        lab = Lab(seed, n)
+        if fresh:
+            lab.survey = lab.survey_again()
+            lab.calibrated = lab.calibrated._replace(fresh=True)
+        verdict = lab.judged()
+        assert verdict.good, verdict.sentences
+        assert verdict.sentences[0].startswith(f"OK: {n} marks are seen")
+
+
+def test_expected_errors_are_the_usual_ones() -> None:
+    for fresh in (False, True):
+        ratios = []
+        for seed in range(25):
+            lab = Lab(seed)
+            if fresh:
+                lab.survey = lab.survey_again()
+                lab.calibrated = lab.calibrated._replace(fresh=True)
+            words = lab.judged().sentences[0].split()
+            seen, expected = (float(words[k]) for k in (words.index("seen") + 1, words.index("survey;") + 1))
+            ratios.append((seen / expected) ** 2)
+        assert np.mean(ratios) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_tilt_is_noticed_and_told_in_degrees() -> None:
+    # Looking down with its image's right along the world's x: about that axis it tilts towards its image's top.
+    for seed in range(10):
+        lab = Lab(seed)
+        angle = (-1.0) ** seed * math.radians(0.2)
+        lab.knock(angle, 0, 0, 0, 0, 0)
+        verdict = lab.judged()
+        assert not verdict.good
+        assert "the camera was knocked" in verdict.sentences[0]
+        assert "turned by 0.2" in verdict.sentences[0] or "turned by 0.19" in verdict.sentences[0]
+        assert f"degrees towards its image's {'top' if angle > 0 else 'bottom'}" in verdict.sentences[0]
+        assert "shifted" not in verdict.sentences[0]
+        assert len(verdict.sentences) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ((0.0, 0.0, 0.01, 0.0, 0.0, 0.0), "degrees counter-clockwise about its axis"),
+        ((0.0, 0.01, 0.0, 0.0, 0.0, 0.0), "degrees towards its image's left"),
+        ((0.0, 0.0, 0.0, 0.05, 0.0, 0.0), "shifted by"),
+    ],
+)
+def test_knocks_have_the_signs_of_the_image(change: tuple[float, ...], said: str) -> None:
+    lab = Lab(3)
+    lab.knock(*change)
+    before = lab.calibrated.T
+    pixel = CAMERA.moved(before).project(np.array([[1.0, 0.0, 0.0]]))[0]
+    now = lab.camera.project(np.array([[1.0, 0.0, 0.0]]))[0]
+    sentence = lab.judged().sentences[0]
+    assert said in sentence
+    if "left" in said:  # what it sees moves to the right of its image
+        assert now[0] > pixel[0] + 2.0
+    if "counter" in said:  # and clockwise, as the camera turns the other way: the right end goes down
+        assert now[1] > pixel[1] + 2.0
+
+
+@pytest.mark.parametrize(("axis", "said"), [(0, "top"), (1, "right")])
+def test_directions_are_the_images_however_the_camera_is_turned(axis: int, said: str) -> None:
+    lab = Lab(8, yaw=2.0)
+    lab.knock(*(0.01 * lab.camera.T_world_camera[:3, axis]), 0, 0, 0)
+    assert f"0.57 degrees towards its image's {said}" in lab.judged().sentences[0]
+
+
+def test_error_of_a_knocked_camera_is_told() -> None:
+    lab = Lab(4)
+    lab.knock(0.003, -0.002, 0.004, 0.01, -0.005, 0.02)
+    off = CAMERA.moved(lab.calibrated.T).to_plane(lab.camera.project(FLOOR), 0.0) - FLOOR[:, :2]
+    words = lab.judged().sentences[0].split()
+    told = float(words[words.index("seem") + 1])
+    assert told == pytest.approx(1e3 * math.sqrt(float((off**2).sum(1).mean())), abs=0.6)
+
+
+def test_moved_tags_are_named_and_the_camera_is_not_blamed() -> None:
+    for seed in range(10):
+        lab = Lab(seed)
+        pushed = sorted(lab.rng.permutation(8)[: 1 + seed % 2].tolist())
+        lab.true[pushed, 0] += 0.01
+        verdict = lab.judged()
+        assert not verdict.good
+        assert verdict.sentences[0].startswith("the camera is in its place")
+        assert [sentence.split(":")[0] for sentence in verdict.sentences[1:]] == [f"tag {k}" for k in pushed]
+
+
+def test_a_knock_and_a_moved_tag_at_once() -> None:
+    lab = Lab(5)
+    lab.knock(0.01, 0, 0, 0, 0, 0)
+    lab.true[2, 1] += 0.015
+    verdict = lab.judged()
+    assert "the camera was knocked" in verdict.sentences[0]
+    assert [sentence.split(":")[0] for sentence in verdict.sentences[1:]] == ["tag 2"]
+
+
+def test_one_of_four_moved_is_named_by_the_calibrated_pose() -> None:
+    lab = Lab(6, 4)
+    lab.true[1, 0] += 0.01
+    verdict = lab.judged()
+    assert not verdict.good
+    assert [sentence.split(":")[0] for sentence in verdict.sentences[1:]] == ["tag 1"]
+
+
+def test_too_few_or_contradicting_marks_do_not_tell() -> None:
+    lab = Lab(7)
+    with pytest.raises(CalibrationError, match="3 surveyed marks are in sight: tag 0, tag 1, tag 2"):
+        judge(LENS, lab.look().chosen(np.arange(8) < 3), lab.calibrated, FLOOR)
+    four = Lab(7, 4)
+    four.true[:2] += [[0.1, 0.2, 0.0], [-0.2, 0.1, 0.0]]
+    with pytest.raises(CalibrationError, match="no pose shows these"):
+        four.judged()
