@@ -87,7 +87,8 @@ class TagDetector:
 
     def _squares(self, image: Image) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return corners (M, 4, 2) [px] and targets (M,) of what reads as a target."""
-        bright = float(cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA).max())
+        half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        bright = float(cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).max())
         if bright < _DARK:  # noise is brightened too, so it is smoothed first
             brightened = cv2.convertScaleAbs(cv2.blur(image, (3, 3)), alpha=_BRIGHT / max(bright, 1.0))
             image = np.asarray(brightened, np.uint8)

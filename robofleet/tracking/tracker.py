@@ -29,7 +29,7 @@ Image = NDArray[np.uint8]
 
 _ALIKE = 0.8  # least correlation of a tag where it is expected: it may be partly hidden; another id reaches 0.65
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
-_TILES = (4, 2)  # across and down: one is searched in each image
+_TILES = (4, 3)  # across and down: one is searched in each image
 _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
 _MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 

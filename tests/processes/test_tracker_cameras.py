@@ -17,7 +17,7 @@ from robofleet.comms.messages import TRACKER_NEWS, TickRecord
 from robofleet.processes.check import refusals
 from robofleet.processes.tracker import Tracker
 from robofleet.simulation.camera import SceneRenderer
-from robofleet.tracking.camera import CameraGeometry
+from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sources import CameraContext, CameraError, Frame
 
@@ -66,7 +66,7 @@ class Stand:
     def image(self) -> NDArray[np.uint8]:
         """Return what a camera would see of the robots at their start."""
         poses = [[robot.start.x_m, robot.start.y_m, robot.start.psi] for robot in self.bench.config.robots]
-        return self._renderer.render(np.array([poses] * 3))
+        return self._renderer.render(np.array(poses))
 
     def give(self, what: NDArray[np.uint8] | Exception) -> None:
         """Let the camera give this a period later, and step the tracker that it wakes."""
@@ -77,11 +77,11 @@ class Stand:
 
     @property
     def news(self) -> list[tuple[TrackerEvent, float]]:
-        """Every event so far, with its value."""
+        """Every event of the camera so far, with its value."""
         wanted = key(self.bench.config.arena.name, NEWS, CAMERA)
         messages = [TRACKER_NEWS.decode(payload) for said, payload in self._said if said == wanted]
         assert [message.seq for message in messages] == list(range(1, len(messages) + 1))
-        return [(TrackerEvent(message.event), message.value) for message in messages]
+        return [(TrackerEvent(m.event), m.value) for m in messages if m.event >= TrackerEvent.CAMERA_STALLED]
 
     @property
     def events(self) -> list[TrackerEvent]:
@@ -94,12 +94,7 @@ class Stand:
 
 @pytest.fixture(scope="module")
 def renderer(platoon_of: Make) -> SceneRenderer:
-    config = platoon_of()
-    camera, tracker = config.camera, config.tracker
-    return SceneRenderer(
-        CameraGeometry.from_model(camera.model), (camera.width, camera.height), [robot.tag for robot in config.robots],
-        tracker.tag_side_m, tracker.tag_height_m, camera.noise_gray, np.random.default_rng(5),
-    )  # fmt: skip
+    return scene_renderer(platoon_of(), np.random.default_rng(5))
 
 
 @pytest.fixture
@@ -210,7 +205,7 @@ def test_a_recording_runs_through_the_tracker_and_the_process_outlives_it(
     bench_of: Make, platoon_of: Make, renderer: SceneRenderer, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     tree = platoon_of("camera.source=files", "camera.trigger=free", f"camera.files={{path: '{tmp_path}'}}")
-    stand_still = np.array([[[robot.start.x_m, robot.start.y_m, robot.start.psi] for robot in tree.robots]] * 3)
+    stand_still = np.array([[robot.start.x_m, robot.start.y_m, robot.start.psi] for robot in tree.robots])
     for k in range(5):
         assert cv2.imwrite(str(tmp_path / f"{k * PERIOD_NS}.bmp"), renderer.render(stand_still))
     assert refusals(tree) == []

@@ -23,7 +23,7 @@ SIZE = (MODEL.width, MODEL.height)
 SIDE_M, HEIGHT_M, MAX_SPEED = 0.07, 0.08, 0.2
 IDS = (1, 2, 3)
 PERIOD_NS = 33_000_000
-SWEEP = 8  # images
+SWEEP = 12  # images
 
 Pose = tuple[float, float, float]
 STANDING: list[Pose] = [(-0.6, 0.2, 0.4), (0.1, -0.3, 2.0), (0.7, 0.4, -1.0)]
