@@ -242,6 +242,7 @@ class Cable(Model):
     points_px: Annotated[tuple[Vector2, ...], Field(min_length=2, strict=False)]
     width_px: Annotated[int, Field(ge=1, le=100)] = 2
     gray: Gray = 40
+    at_s: NonNegative = 0.0  # from then on; time counts from the first image
 
 
 class Glare(Model):

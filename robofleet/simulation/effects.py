@@ -56,7 +56,9 @@ def _glare(glare: Glare, size: tuple[int, int]) -> Effect:
 def _cable(cable: Cable) -> Effect:
     points = np.rint(np.array(cable.points_px) * (1 << _SHIFT)).astype(np.int32)
 
-    def draw(image: Image, _t: float) -> None:
+    def draw(image: Image, t: float) -> None:
+        if t < cable.at_s:
+            return
         cv2.polylines(image, [points], False, cable.gray, cable.width_px, cv2.LINE_AA, _SHIFT)
 
     return draw

@@ -11,7 +11,7 @@ from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target, robot_targets
 
-_SLOW_STEPS = 20  # in which a slow knock is done
+_SLOW_STEPS = 12  # in which a slow knock is done
 
 
 def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:

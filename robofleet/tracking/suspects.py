@@ -5,11 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robofleet.clock import S
 from robofleet.tracking.tags import Found
 from robofleet.tracking.targets import Target
 
 SAME = 0.5  # two places closer than this are of one print [sides]
-_PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed
+_PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed,
+_PATIENCE_NS = 3 * S  # and of a tag that was known, after so long: the run has ended by then
+_DRIVES_ON_NS = 3 * S // 4  # a robot that is not seen is stopped
 _KICKED = 2.5  # a tag that lies still is believed so far from where it lay: who watches the camera judges it [sides]
 _SLIP = 1.5  # a robot may be faster than its limit: pushed, downhill, a worn wheel
 
@@ -31,20 +34,28 @@ class Suspects:
         self._near = [(_KICKED if target.max_speed == 0.0 else SAME) * target.side for target in targets]
         self._speeds = _SLIP * np.array([target.max_speed for target in targets])
         self._suspects: dict[int, _Suspect] = {}
+        self._displaced: set[int] = set()
 
     def reach(self, target: int, elapsed_ns: int) -> float:
         """Return how far a tag can be from where it was a while ago [m]."""
-        return float(self._speeds[target] * elapsed_ns * 1e-9 + self._near[target])
+        if target in self._displaced:
+            return float(self._near[target])
+        return float(self._speeds[target] * min(elapsed_ns, _DRIVES_ON_NS) * 1e-9 + self._near[target])
 
     def same(self, tag: Found, centre: complex) -> bool:
         """Return whether a tag found is the print at ``centre``."""
         return bool(abs(tag.centre - centre) < self._same[tag.target])
 
     def cleared(self, target: int) -> None:
-        """The tag itself was found: a print that was only waiting is forgotten."""
+        """Forget a print that was only waiting: the tag itself was found."""
+        self._displaced.discard(target)
         suspect = self._suspects.get(target)
         if suspect is not None and not suspect.second:
             del self._suspects[target]
+
+    def displaced(self, target: int) -> None:
+        """Note that a tag stands where another one was expected: they were exchanged, and it did not drive there."""
+        self._displaced.add(target)
 
     def second(self, tag: Found, now_ns: int) -> None:
         """Remember a second print: the tag itself is seen elsewhere."""
@@ -63,8 +74,11 @@ class Suspects:
         suspect = self._suspects.get(tag.target)
         return None if suspect is None or self._follows(suspect, tag, now_ns) else suspect.centre
 
-    def sighted(self, tag: Found, now_ns: int, sweep: float) -> bool:
-        """Count a sighting; true when there were enough, and no other print in between."""
+    def sighted(self, tag: Found, now_ns: int, sweep: float, hidden_ns: int | None) -> bool:
+        """Count a sighting; true when there were enough, and no other print in between.
+
+        hidden_ns: since the tag was measured; None for one that never was.
+        """
         suspect = self._suspects.get(tag.target)
         if suspect is None or not self._follows(suspect, tag, now_ns):
             suspect = self._suspects[tag.target] = _Suspect(tag.centre, now_ns, sweep - 1.0)
@@ -72,7 +86,7 @@ class Suspects:
         if sweep - suspect.sweep > 0.5:  # tiles overlap: one print is seen in two of a sweep
             suspect.sweep = sweep
             suspect.sightings += 1
-        return suspect.sightings > _PATIENCE
+        return suspect.sightings > _PATIENCE and (hidden_ns is None or hidden_ns > _PATIENCE_NS)
 
     def _follows(self, suspect: _Suspect, tag: Found, now_ns: int) -> bool:
         return abs(tag.centre - suspect.centre) <= self.reach(tag.target, now_ns - suspect.seen_ns)

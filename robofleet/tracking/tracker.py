@@ -30,6 +30,7 @@ Image = NDArray[np.uint8]
 _ALIKE = 0.8  # least correlation of a tag where it is expected: it may be partly hidden; another id reaches 0.65
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
+_BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
 _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
 _MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
@@ -169,6 +170,7 @@ class TagTracker:
                 continue
             for tag in findings.tags:
                 if tag.target not in (i, *measured) and abs(tag.centre - self._centre[i]) < SAME * self._sides[i]:
+                    self._suspects.displaced(tag.target)
                     self._say(TrackerEvent.TAG_MISTAKEN, i, self._targets[tag.target].tag, exposure_ns)
         return found
 
@@ -206,14 +208,13 @@ class TagTracker:
     # Tags that are not
 
     def _scan(self, image: Image, exposure_ns: int, measured: set[int]) -> set[int]:
-        """Search a tile, or the whole image while nothing is followed; returns the tags that are believed."""
-        whole = not self._followed.any()
-        if whole:
-            findings = self._detector.detect(image)
-        else:
-            known = np.full_like(self._centre, np.nan)
-            known[list(measured)] = self._centre[list(measured)]
-            findings = self._detector.detect(image, self._tiles[self._images % len(self._tiles)], known)
+        """Search a tile, or the whole image at first and while nothing is followed; returns those that are believed."""
+        beginning = self._images < _BEGINNING and not self._measured_ns.all()
+        whole = beginning or not self._followed.any()
+        region = None if whole else self._tiles[self._images % len(self._tiles)]
+        known = np.full_like(self._centre, np.nan)
+        known[list(measured)] = self._centre[list(measured)]
+        findings = self._detector.detect(image, region, known)
         self._images += 1
         self._refused += findings.refused
         believed: set[int] = set()
@@ -245,7 +246,8 @@ class TagTracker:
                 self._say(TrackerEvent.TAG_FOUND, i, hidden_s, exposure_ns)
             return True
         rival = self._suspects.rival(tag, exposure_ns)
-        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._tiles))
+        hidden_ns = exposure_ns - int(self._measured_ns[i]) if known else None
+        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._tiles), hidden_ns)
         if rival is not None:
             self._refuse(TrackerEvent.TAG_TWICE, tag, rival, exposure_ns)
         elif patient and not self._followed[i]:

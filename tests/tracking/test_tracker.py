@@ -149,12 +149,12 @@ def test_a_tag_that_jumps_is_refused_until_it_stays(renderer: SceneRenderer) -> 
     watched.at(renderer, STANDING, 5)
     there = (-0.6, -0.5, 1.0)
     believed = 0
-    for k in range(6 * SWEEP):
+    for k in range(10 * SWEEP):
         (sightings,) = watched.at(renderer, [there, *STANDING[1:]])
         if 1 in measured(sightings):
             believed = believed or k
             assert error(measured(sightings)[1], there) < 3e-4
-    assert believed * PERIOD_NS > 0.5e9
+    assert believed * PERIOD_NS > 2.5e9  # the supervisor has ended the run by then
     told = [event for event, tag in watched.news if tag == 1]
     assert told[:2] == [TrackerEvent.TAG_FOUND, TrackerEvent.TAG_JUMPED]
     assert TrackerEvent.TAG_LOST in told
@@ -168,13 +168,13 @@ def test_two_tags_that_are_exchanged_are_not_believed_at_once(renderer: SceneRen
     for sightings in watched.at(renderer, exchanged, SWEEP):
         assert measured(sightings).keys() == {3}
     assert {(TrackerEvent.TAG_MISTAKEN, 1), (TrackerEvent.TAG_MISTAKEN, 2)} <= set(watched.news)
-    last = watched.at(renderer, exchanged, 6 * SWEEP)[-1]
+    last = watched.at(renderer, exchanged, 12 * SWEEP)[-1]
     assert all(error(measured(last)[tag], exchanged[i]) < 3e-4 for i, tag in enumerate(IDS))
 
 
 def test_a_newcomer_is_found_within_three_sweeps(renderer: SceneRenderer) -> None:
     watched = Watched()
-    watched.at(renderer, [*STANDING[:2], GONE], 5)
+    watched.at(renderer, [*STANDING[:2], GONE], 40)
     sightings = watched.at(renderer, STANDING, 3 * SWEEP)
     assert 3 not in measured(sightings[0])  # a second print of it could be elsewhere
     assert error(measured(sightings[-1])[3], STANDING[2]) < 3e-4
