@@ -94,18 +94,15 @@ def oracle(poses: Array, left: int, top: int, size: int) -> tuple[Array, Array]:
     return np.asarray(cover), np.asarray(light)
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "psi"), [(0.08, 0.02, 0.4), (-1.5, 0.85, 2.1), (1.45, -0.85, -1.0), (0.9, 0.85, math.pi / 2)]
-)
-def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: float, psi: float) -> None:
-    velocity = np.array([0.2, 0.15, 2.0])
-    poses = np.array([x, y, psi]) + velocity * EXPOSURE * np.linspace(-0.5, 0.5, 9)[:, None]
-    u, v = GEOMETRY.project(np.array([[x, y, HEIGHT]]))[0]
+def compared(renderer: SceneRenderer, pose: Array, velocity: Array) -> tuple[Array, Array]:
+    """A moving robot: the errors of its picture beside the oracle's, all, and those of the print as (grey, slopes)."""
+    u, v = GEOMETRY.project(np.array([[*pose[:2], HEIGHT]]))[0]
     size, left, top = 52, round(u) - 26, round(v) - 26
     patch = np.s_[top : top + size, left : left + size]
+    poses = pose + velocity * EXPOSURE * np.linspace(-0.5, 0.5, 9 if velocity.any() else 1)[:, None]
     cover, light = oracle(poses, left, top, size)
     floor = renderer.render(NOBODY)[patch].astype(float)
-    shown = renderer.render(np.array([[x, y, psi]]), velocity[None])[patch].astype(float)
+    shown = renderer.render(pose[None], velocity[None])[patch].astype(float)
     robot = shown - floor * (1 - cover)
     # The lamps' gain is smooth: three numbers for the patch, fitted.
     down, right = np.indices(shown.shape) / size
@@ -113,14 +110,33 @@ def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: fl
     gain = np.linalg.lstsq(basis, robot.ravel(), rcond=None)[0]
     assert 0.65 < gain[0] < 1.0
     error = robot - (basis @ gain).reshape(shown.shape)
-    assert np.sqrt((error**2).mean()) < 2.0  # a few pixels are off where body and paper end in the same one
     down, right = np.indices(shown.shape)
     in_print = np.hypot(right + left - u, down + top - v) < 0.5 * SIDE * GEOMETRY.K[0, 0] / 2.6
-    inner = error[in_print]
-    assert np.sqrt((inner**2).mean()) < 1.5
-    assert np.abs(inner).max() < 6.0  # two standard deviations of the noise
-    slopes = np.stack([slope[in_print] for slope in np.gradient(shown)], axis=-1)
-    assert np.abs(np.linalg.lstsq(slopes, inner, rcond=None)[0]).max() < 0.003  # shifted by so many pixels
+    return error, np.stack([error[in_print], *(slope[in_print] for slope in np.gradient(shown))], axis=-1)
+
+
+def shift_px(inner: Array) -> Array:
+    """By how many pixels, down and right, a print is off its place."""
+    return np.asarray(np.linalg.lstsq(inner[:, 1:], inner[:, 0], rcond=None)[0])
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "psi"), [(0.08, 0.02, 0.4), (-1.5, 0.85, 2.1), (1.45, -0.85, -1.0), (0.9, 0.85, math.pi / 2)]
+)
+def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: float, psi: float) -> None:
+    error, inner = compared(renderer, np.array([x, y, psi]), np.array([0.2, 0.15, 2.0]))
+    assert np.sqrt((error**2).mean()) < 2.0  # a few pixels are off where body and paper end in the same one
+    assert np.sqrt((inner[:, 0] ** 2).mean()) < 1.5
+    assert np.abs(inner[:, 0]).max() < 6.0  # two standard deviations of the noise
+    assert np.abs(shift_px(inner)).max() < 0.003
+
+
+def test_prints_are_in_their_places_to_five_micrometres(renderer: SceneRenderer) -> None:
+    rng = np.random.default_rng(3)
+    poses = rng.uniform((-1.2, -0.7, -math.pi), (1.2, 0.7, math.pi), (40, 3))
+    shifts = [shift_px(compared(renderer, pose, np.zeros(3))[1]) for pose in poses]
+    metres_a_pixel = 2.42 / GEOMETRY.K[0, 0]
+    assert np.abs(np.mean(shifts, axis=0)).max() * metres_a_pixel < 5e-6
 
 
 def test_same_seed_same_images() -> None:
