@@ -148,7 +148,7 @@ def _drive_figure(one: Offsets, drive: RobotDrive) -> Figure:
         path.plot(drive.poses[:, 0], drive.poses[:, 1], color=QUIET, lw=0.6, label="tag")
         path.plot(centres[:, 0], centres[:, 1], color=COLOURS[0], lw=1.0, label="centre")
         path.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-        path.legend()
+        path.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         for k, name in enumerate(("along x", "along y")):
             left.plot(one.at_s, one.residuals_mm[:, k], ".", ms=2, color=COLOURS[k], label=name)
         left.set(xlabel="time [s]", ylabel="residual [mm]")
