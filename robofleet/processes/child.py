@@ -48,13 +48,16 @@ def tracker(config: Config, lifeline: Lifeline) -> None:
     import cv2  # noqa: PLC0415
 
     from robofleet.processes.tracker import Tracker  # noqa: PLC0415
+    from robofleet.tracking.sources import CameraError  # noqa: PLC0415
+
+    def make(config: Config, bus: ZenohBus, clock: Clock, waker: Waker) -> Tracker:
+        try:
+            return Tracker(config, bus, clock, waker, entropy(config.run.seed, "tracker"))
+        except CameraError as error:
+            raise SystemExit(f"camera: {error}") from error
 
     cv2.setNumThreads(1)
-    _run(
-        "tracker", config, lifeline,
-        lambda c, bus, clock, waker: Tracker(c, bus, clock, waker, entropy(c.run.seed, "tracker")),
-        _TRACKER_PRIORITY,
-    )  # fmt: skip
+    _run("tracker", config, lifeline, make, _TRACKER_PRIORITY)
 
 
 def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
