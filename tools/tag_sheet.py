@@ -17,7 +17,7 @@ import typer
 
 from robofleet.calibration.sheets import PAPERS, board_page, tag_pages, write
 from robofleet.calibration.store import CalibrationError
-from robofleet.config.tree import LAST_TAG
+from robofleet.config.model import LAST_TAG
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 

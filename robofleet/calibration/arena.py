@@ -16,8 +16,8 @@ from robofleet.calibration.placing import PARAMETERS, Lens, Placement, on_plane,
 from robofleet.calibration.region import predicted, region_of
 from robofleet.calibration.store import CalibrationError, load, provenance, save
 from robofleet.calibration.survey import LEAST, load_survey
+from robofleet.config.calibrated import CameraModel, PoseSettings
 from robofleet.config.faults import lens_fault
-from robofleet.config.tree import CameraModel, PoseSettings
 from robofleet.tracking.camera import CameraGeometry
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from robofleet.calibration.consensus import Agreement
 from robofleet.calibration.fiducials import Marks
 from robofleet.calibration.region import COLUMNS, ROWS, Region
 from robofleet.calibration.report import Report
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.figures import COLOURS, INK, STYLE
 
 Array = NDArray[np.float64]

@@ -22,7 +22,8 @@ from robofleet.clock import S
 from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD
-from robofleet.config.tree import Config, TagOffset
+from robofleet.config.calibrated import TagOffset
+from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked
 from robofleet.processes.controller import excitation
 from robofleet.processes.launcher import Launcher

@@ -11,8 +11,9 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S, WallClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.ticks import TickFollower
+from robofleet.config.calibrated import CameraModel
 from robofleet.config.load import load_config
-from robofleet.config.tree import CameraModel, Config
+from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
 from robofleet.tracking import files
 from robofleet.tracking.sources import Camera, CameraContext, CameraError

@@ -13,7 +13,7 @@ from robofleet.calibration.bundle import Fit, fit, typical
 from robofleet.calibration.floor import Ceiling, FloorErrors
 from robofleet.calibration.store import CalibrationError, provenance
 from robofleet.calibration.views import Coverage, Wanted, next_view
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import Lens as Kind
 
 VIEWS = 12  # at least: fewer leave too little to compare

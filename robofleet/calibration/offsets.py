@@ -25,7 +25,7 @@ from robofleet.calibration.increments import (
     wheel_travel,
 )
 from robofleet.calibration.store import CalibrationError
-from robofleet.config.tree import TagOffset
+from robofleet.config.calibrated import TagOffset
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]

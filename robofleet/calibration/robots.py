@@ -13,7 +13,8 @@ from robofleet.calibration.latency import Latency
 from robofleet.calibration.offsets import Offsets
 from robofleet.calibration.report import Report
 from robofleet.calibration.store import CalibrationError, load, provenance
-from robofleet.config.tree import RobotCalibration, TagOffset, Vehicle
+from robofleet.config.calibrated import RobotCalibration, TagOffset
+from robofleet.config.tree import Vehicle
 from robofleet.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive

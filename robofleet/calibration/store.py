@@ -10,8 +10,9 @@ import yaml
 from pydantic import ValidationError
 
 from robofleet.clock import utc_now
+from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
-from robofleet.config.tree import Model, Provenance
+from robofleet.config.model import Model
 
 KEPT = "earlier"  # folder beside a calibration, of those that it replaced
 

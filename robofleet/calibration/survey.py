@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.calibration.store import CalibrationError, load
-from robofleet.config.tree import Finite, FloorTag, Model, NonNegative
+from robofleet.config.calibrated import FloorTag
+from robofleet.config.model import Finite, Model, NonNegative
 
 LEAST = 4  # marks that determine where a camera hangs
 _LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line

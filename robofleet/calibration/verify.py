@@ -22,7 +22,7 @@ from robofleet.calibration.placing import Lens, Placement, change_between, error
 from robofleet.calibration.region import region_of
 from robofleet.calibration.store import CalibrationError, load, provenance
 from robofleet.calibration.survey import LEAST, load_survey, on_one_line
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 
 Array = NDArray[np.float64]

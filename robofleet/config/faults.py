@@ -8,7 +8,9 @@ from typing import get_args
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from robofleet.config.tree import ENDPOINT_PATTERN, NAME_PATTERN, CameraModel, Config
+from robofleet.config.calibrated import CameraModel
+from robofleet.config.model import ENDPOINT_PATTERN, NAME_PATTERN
+from robofleet.config.tree import Config
 
 Complaint = tuple[str, str]  # dotted path, message
 

@@ -6,26 +6,26 @@ Every key carries its unit. World frame: the arena's centre on the floor, x alon
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
-LAST_TAG = 586  # AprilTag 36h11 has 587 ids
-ENDPOINT_PATTERN = r"^tcp/[^\s/]+:\d{1,5}$"
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Gray = Annotated[int, Field(ge=0, le=255)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-Vector2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
-Vector3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
-
-
-class Model(BaseModel):
-    """A frozen part of the tree; unknown keys are refused, and a number must be a number."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+from robofleet.config.calibrated import (
+    FloorTag,
+    RobotCalibration,
+)
+from robofleet.config.camera import (
+    CameraSettings,
+)
+from robofleet.config.model import (
+    ENDPOINT_PATTERN,
+    LAST_TAG,
+    Finite,
+    Fraction,
+    Model,
+    Name,
+    NonNegative,
+    Positive,
+    Vector2,
+)
 
 
 class Arena(Model):
@@ -82,38 +82,6 @@ class StartPose(Model):
     def psi(self) -> float:
         """Heading in (-pi, pi] [rad]."""
         return math.remainder(math.radians(self.heading_deg), math.tau)
-
-
-class Provenance(Model):
-    """Where a calibration comes from, and how good it is: written by ``tools/calibrate.py``."""
-
-    date: str  # UTC, ISO 8601
-    tool: str  # with its version
-    inputs: dict[str, str]  # name of what was measured -> hash of its bytes
-    figures: dict[str, float | None]  # name with unit -> value
-    parameters: Annotated[tuple[str, ...], Field(strict=False)] = ()  # order of the covariance's rows, with units
-    covariance: Annotated[tuple[Annotated[tuple[Finite, ...], Field(strict=False)], ...], Field(strict=False)] = ()
-
-
-class TagOffset(Model):
-    """The tag's pose on its robot: from the centre of the axle, in the body's frame."""
-
-    forward_m: Finite = 0.0
-    left_m: Finite = 0.0
-    heading_deg: Finite = 0.0  # of the print's right over the robot's forward; CCW +
-
-
-class RobotCalibration(Model):
-    """What was measured of one robot (a file of ``configs/robots``); it goes before its vehicle's values."""
-
-    robot: Name
-    tag_offset: TagOffset = TagOffset()
-    wheel_radius_m: Positive | None = None
-    wheel_base_m: Positive | None = None
-    delay_s: NonNegative | None = None  # from a tick to the moment when its command acts
-    motor_lag_s: NonNegative | None = None
-    offsets: Provenance | None = None
-    latency: Provenance | None = None
 
 
 class Robot(Model):
@@ -188,17 +156,6 @@ class TruthSettings(Model):
     dropout: Fraction = 0.0
 
 
-class FloorTag(Model):
-    """A tag that was surveyed: it stays where it is, and shows whether the camera does."""
-
-    tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
-    side_m: Positive
-    x_m: Finite  # [world]
-    y_m: Finite
-    heading_deg: Finite = 0.0  # of the print's right; CCW +
-    height_m: NonNegative = 0.0
-
-
 class TrackerSettings(Model):
     """Where poses come from."""
 
@@ -207,147 +164,6 @@ class TrackerSettings(Model):
     tag_height_m: NonNegative
     floor_tags: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()
     truth: TruthSettings = TruthSettings()
-
-
-class PoseSettings(Model):
-    """A rigid transform: camera to world."""
-
-    position_m: Vector3
-    rotation_rad: Vector3  # axis times angle (Rodrigues)
-
-
-class CameraModel(Model):
-    """A calibrated camera (a file of ``configs/cameras``).
-
-    ``distortion``: OpenCV's coefficients in OpenCV's order; of a pinhole 0, 4, 5, 8, 12 or 14 (k1 k2 p1 p2 k3 k4 k5 k6
-    s1 s2 s3 s4 tx ty), of a fisheye 4 (k1 k2 k3 k4).
-    """
-
-    camera: str = ""  # which camera this was measured on, as its source names it; empty: any
-    lens: Literal["pinhole", "fisheye"] = "pinhole"
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    focal_px: Annotated[tuple[Positive, Positive], Field(strict=False)]
-    centre_px: Vector2  # integer coordinates are pixel centres
-    distortion: Annotated[tuple[Finite, ...], Field(strict=False)]
-    line_time_s: NonNegative = 0.0  # of a rolling shutter, from one row's exposure to the next one's; 0: global shutter
-    T_world_camera: PoseSettings | None = None  # from `calibrate.py arena`
-    intrinsics: Provenance | None = None
-    arena: Provenance | None = None
-
-
-class Cable(Model):
-    """Something thin over the arena, near the camera: it hides what is below."""
-
-    points_px: Annotated[tuple[Vector2, ...], Field(min_length=2, strict=False)]
-    width_px: Annotated[int, Field(ge=1, le=100)] = 2
-    gray: Gray = 40
-    at_s: NonNegative = 0.0  # from then on; time counts from the first image
-
-
-class Glare(Model):
-    """A lamp's reflection: light added around a pixel, falling off as a Gaussian."""
-
-    at_px: Vector2
-    radius_px: Positive
-    gray: Positive = 400.0  # at its middle: beyond 255 it saturates
-
-
-class Outage(Model):
-    """The camera sends the same picture again and again, or none. Time counts from its first image."""
-
-    kind: Literal["frozen", "stalled"]
-    at_s: NonNegative
-    duration_s: Positive
-
-
-class Knock(Model):
-    """The camera is turned about its own axes and shifted, at once or slowly. Time counts from its first image."""
-
-    at_s: NonNegative
-    over_s: NonNegative = 0.0
-    rotation_deg: Vector3 = (0.0, 0.0, 0.0)  # about x right, y down, z forward [camera]
-    shift_m: Vector3 = (0.0, 0.0, 0.0)  # [world]
-
-
-class Cover(Model):
-    """A robot's tag is covered. Time counts from the first image."""
-
-    robot: Name
-    at_s: NonNegative = 0.0
-    duration_s: Positive
-
-
-class Swap(Model):
-    """Two robots' tags are exchanged. Time counts from the first image."""
-
-    robots: Annotated[tuple[Name, Name], Field(strict=False)]
-    at_s: NonNegative
-
-
-class TrueTagOffset(TagOffset):
-    """Where a simulated robot's tag really is on it."""
-
-    robot: Name
-
-
-class SimulatedCameraSettings(Model):
-    """What the simulated camera has to survive; nothing by default."""
-
-    light: Annotated[float, Field(gt=0, le=1)] = 1.0  # of full light
-    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
-    projector_gray: Gray = 0  # strength of a projector's moving pattern, added to what it falls on
-    cables: Annotated[tuple[Cable, ...], Field(strict=False)] = ()
-    glare: Annotated[tuple[Glare, ...], Field(strict=False)] = ()
-    posters: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()  # prints that nobody surveyed, of any id
-    covers: Annotated[tuple[Cover, ...], Field(strict=False)] = ()
-    swaps: Annotated[tuple[Swap, ...], Field(strict=False)] = ()
-    outages: Annotated[tuple[Outage, ...], Field(strict=False)] = ()
-    knocks: Annotated[tuple[Knock, ...], Field(strict=False)] = ()
-    tag_offsets: Annotated[tuple[TrueTagOffset, ...], Field(strict=False)] = ()  # default: as calibrated
-
-
-class V4L2Settings(Model):
-    """A camera of the kernel's (``camera.source: v4l2``)."""
-
-    device: Annotated[str, Field(min_length=1)] = "/dev/video0"  # a link in /dev/v4l/by-id stays when it is replugged
-    format: Literal["MJPG", "GREY"] = "MJPG"
-    gain: int | None = 0  # in the driver's units; null: this camera has no gain to set
-    stamp: Literal["start", "end"] = "start"  # what its driver stamps: the exposure's start, or the end of the transfer
-
-
-class FilesSettings(Model):
-    """A video, or a folder of images (``camera.source: files``). Paths count from where robofleet is started."""
-
-    path: Annotated[str, Field(min_length=1)]
-    stamps: str | None = None  # CSV of mid-exposures, see tracking/files.py; null: each image's name is its own, in ns
-
-
-class BaslerSettings(Model):
-    """A Basler camera through pylon (``camera.source: basler``)."""
-
-    serial: str | None = None  # null: the only one that is plugged in
-    gain: NonNegative = 0.0  # [dB]; of an older camera in the units of its GainRaw
-    trigger_source: Literal["Software", "Line1", "Line2", "Line3"] = "Software"  # with ``camera.trigger: tick``
-
-
-class CameraSettings(Model):
-    """The overhead camera. ``trigger: tick`` exposes a fixed time before every tick; ``free`` does not."""
-
-    source: Annotated[str, Field(min_length=1)] = "simulated"
-    model: CameraModel
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    rate_hz: Positive
-    trigger: Literal["free", "tick"] = "tick"
-    trigger_lead_s: Positive = 0.018  # from mid-exposure to the tick
-    exposure_s: Positive = 0.004
-    readout_s: NonNegative = 0.004  # from the end of the (first row's) exposure until the image is here
-    noise_gray: NonNegative = 3.0  # of a pixel; 0: of no pixel, so that two images may be equal
-    simulated: SimulatedCameraSettings = SimulatedCameraSettings()
-    v4l2: V4L2Settings = V4L2Settings()
-    files: FilesSettings | None = None
-    basler: BaslerSettings = BaslerSettings()
 
 
 class LockstepSettings(Model):

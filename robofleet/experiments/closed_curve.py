@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.tree import Model, Positive
+from robofleet.config.model import Model, Positive
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.driving import (

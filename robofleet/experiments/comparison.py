@@ -10,7 +10,7 @@ from pydantic import Field
 
 from robofleet.clock import stopwatch_ns
 from robofleet.config.faults import Complaint
-from robofleet.config.tree import Model, Positive
+from robofleet.config.model import Model, Positive
 from robofleet.experiments.baselines.choice import Key, Laws, MissingLibraryError, build
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
 from robofleet.experiments.closed_curve import Track

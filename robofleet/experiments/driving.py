@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.tree import Model, NonNegative, Positive
+from robofleet.config.model import Model, NonNegative, Positive
 from robofleet.control.flow import FlowSettings
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.parameters import Parameters

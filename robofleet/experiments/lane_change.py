@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.tree import Model, Positive
+from robofleet.config.model import Model, Positive
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.experiments import driving
 from robofleet.experiments.curves import Reference, lane_change

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 
 from robofleet.config.faults import Complaint, did_you_mean, plain_words
 from robofleet.config.load import ConfigError
-from robofleet.config.tree import Model
+from robofleet.config.model import Model
 from robofleet.config.yamlfile import Fault, Node, Place, Source, read_yaml
 
 Loc = tuple[str | int, ...]

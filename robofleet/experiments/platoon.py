@@ -11,7 +11,8 @@ from pydantic import Field
 
 from robofleet.config import slices
 from robofleet.config.load import load_config
-from robofleet.config.tree import Config, NonNegative, Positive
+from robofleet.config.model import NonNegative, Positive
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.experiments.parameters import SHIPPED, Parameters
 from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains

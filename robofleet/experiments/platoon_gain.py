@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config import slices
-from robofleet.config.tree import Config, Model, Positive
+from robofleet.config.model import Model, Positive
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
 from robofleet.vehicles.differential_drive import DifferentialDrive

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config.tree import Cable, Glare, SimulatedCameraSettings
+from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
 
 Image = NDArray[np.uint8]
 Effect = Callable[[Image, float], None]  # image (H, W), time since the first one [s]

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config.tree import Config, FloorTag, Knock, TagOffset
+from robofleet.config.calibrated import FloorTag, TagOffset
+from robofleet.config.camera import Knock
+from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target, robot_targets

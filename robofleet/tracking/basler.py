@@ -12,8 +12,9 @@ from typing import Any
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.ticks import TickFollower
+from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
-from robofleet.config.tree import CameraSettings, Config
+from robofleet.config.tree import Config
 from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns
 
 _NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"

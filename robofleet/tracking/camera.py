@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 
 Array = NDArray[np.float64]
 Lens = Literal["pinhole", "fisheye"]

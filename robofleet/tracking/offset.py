@@ -2,7 +2,7 @@
 
 import math
 
-from robofleet.config.tree import TagOffset
+from robofleet.config.calibrated import TagOffset
 
 
 def centre_from_tag(x: float, y: float, psi: float, offset: TagOffset) -> tuple[float, float, float]:

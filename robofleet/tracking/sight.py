@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config.tree import Config, TagOffset
+from robofleet.config.calibrated import TagOffset
+from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import Happening

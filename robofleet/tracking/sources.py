@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from robofleet.clock import Clock, S
 from robofleet.comms.bus import Bus, Wake
 from robofleet.comms.ticks import TickFollower
-from robofleet.config.tree import CameraSettings, Config
+from robofleet.config.camera import CameraSettings
+from robofleet.config.tree import Config
 from robofleet.tracking.events import TrackerEvent
 
 _FIRST_PAUSE_S = 0.2  # before a camera that failed is opened again; doubled from one failure to the next

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S, from_monotonic
+from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
-from robofleet.config.tree import CameraSettings, Config
+from robofleet.config.tree import Config
 from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from robofleet.calibration.report import Report
 from robofleet.calibration.store import CalibrationError, load, provenance, save
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 
 
 def camera(focal_px: float) -> CameraModel:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config.tree import Cable, Glare, SimulatedCameraSettings
+from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.simulation.effects import effects
 from robofleet.tracking.camera import CameraGeometry

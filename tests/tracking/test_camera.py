@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 
 ROOT = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import NO_TAG, Happening, TrackerEvent

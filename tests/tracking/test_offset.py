@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.config.tree import TagOffset
+from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_from_tag, tag_from_centre
 
 METRES, ANGLES = st.floats(-2.0, 2.0), st.floats(-math.pi, math.pi)

@@ -17,7 +17,8 @@ from robofleet.calibration.intrinsics import Asked, Measured, measure
 from robofleet.calibration.intrinsics_page import page
 from robofleet.calibration.live import Screen, capture, live_config
 from robofleet.calibration.store import CalibrationError, load, save
-from robofleet.config.tree import NAME_PATTERN, CameraModel
+from robofleet.config.calibrated import CameraModel
+from robofleet.config.model import NAME_PATTERN
 
 
 def intrinsics(

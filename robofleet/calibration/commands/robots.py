@@ -18,8 +18,9 @@ from robofleet.calibration.drive import RobotDrive
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.clock import S
 from robofleet.config import slices
+from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
-from robofleet.config.tree import Config, RobotCalibration
+from robofleet.config.tree import Config
 
 DriveConfig = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Drive simulated robots on a simulated clock.")]

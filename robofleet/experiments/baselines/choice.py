@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from robofleet.config.tree import Model, NonNegative, Positive
+from robofleet.config.model import Model, NonNegative, Positive
 from robofleet.experiments.baselines.flow import Flow
 from robofleet.experiments.baselines.geometric import CurvatureLqr, PurePursuit, Stanley
 from robofleet.experiments.baselines.problem import Controller, Problem, RollForward

@@ -20,8 +20,8 @@ from robofleet.calibration.intrinsics import Asked, measure
 from robofleet.calibration.live import picture
 from robofleet.calibration.store import load, save
 from robofleet.calibration.views import Offer
+from robofleet.config.calibrated import CameraModel, PoseSettings
 from robofleet.config.load import load_config
-from robofleet.config.tree import CameraModel, PoseSettings
 
 ROOT = Path(__file__).parents[3]
 

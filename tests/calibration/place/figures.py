@@ -16,7 +16,7 @@ import yaml
 from robofleet.calibration.consensus import agree
 from robofleet.calibration.fiducials import Marks
 from robofleet.calibration.placing import Lens, moved
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 
 ROOT = Path(__file__).parents[3]

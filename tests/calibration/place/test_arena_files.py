@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robofleet.calibration.fiducials import look
 from robofleet.calibration.placing import moved
 from robofleet.calibration.survey import Survey
-from robofleet.config.tree import CameraModel
+from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 
 ROOT = Path(__file__).parents[3]

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.simulated import SimulatedRobot
 from robofleet.calibration.drive import RobotDrive
-from robofleet.config.tree import TagOffset
+from robofleet.config.calibrated import TagOffset
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.platoon import WHEELS
 from robofleet.tracking.offset import tag_from_centre

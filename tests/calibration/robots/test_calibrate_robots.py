@@ -12,8 +12,8 @@ from robofleet.calibration import drive
 from robofleet.calibration.drive import RobotDrive
 from robofleet.calibration.store import load
 from robofleet.config import slices
+from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
-from robofleet.config.tree import RobotCalibration
 
 from .conftest import OFFSET
 

@@ -12,8 +12,9 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS
 from robofleet.config import slices
+from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.load import load_config
-from robofleet.config.tree import Config, RobotCalibration, TagOffset
+from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import Recording, summary
 from robofleet.tracking.offset import tag_from_centre

@@ -9,7 +9,7 @@ import pytest
 from robofleet.calibration import offsets
 from robofleet.calibration.drive import RobotDrive
 from robofleet.calibration.store import CalibrationError
-from robofleet.config.tree import TagOffset
+from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_from_tag
 
 from .conftest import DRIVE, OFFSET, WORN, Make

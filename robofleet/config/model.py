@@ -1,0 +1,23 @@
+"""What every part of the configuration is made of: a frozen model, and numbers that cannot be impossible."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
+LAST_TAG = 586  # AprilTag 36h11 has 587 ids
+ENDPOINT_PATTERN = r"^tcp/[^\s/]+:\d{1,5}$"
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Gray = Annotated[int, Field(ge=0, le=255)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Vector2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
+Vector3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
+
+
+class Model(BaseModel):
+    """A frozen part of the tree; unknown keys are refused, and a number must be a number."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
