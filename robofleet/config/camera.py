@@ -46,16 +46,20 @@ class Outage(Model):
 
 
 class Knock(Model):
-    """The camera is turned about its own axes and shifted, at once or slowly. Time counts from its first image."""
+    """The camera is turned about its own axes, shifted and zoomed, at once or slowly, as one that warms up.
+
+    Time counts from its first image.
+    """
 
     at_s: NonNegative
     over_s: NonNegative = 0.0
     rotation_deg: Vector3 = (0.0, 0.0, 0.0)  # about x right, y down, z forward [camera]
     shift_m: Vector3 = (0.0, 0.0, 0.0)  # [world]
+    focal_ratio: Annotated[float, Field(ge=0.5, le=2)] = 1.0  # of the focal lengths, after over before
 
 
 class Cover(Model):
-    """A robot's tag is covered. Time counts from the first image."""
+    """A sheet of plain paper on a robot's tag. Time counts from the first image."""
 
     robot: Name
     at_s: NonNegative = 0.0

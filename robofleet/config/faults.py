@@ -2,6 +2,7 @@
 
 import difflib
 import ipaddress
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import get_args
 
@@ -126,8 +127,19 @@ def _camera_model(config: Config) -> Iterator[Complaint]:
     fault = lens_fault(model)
     if fault:
         yield "camera.model.distortion", fault
-    if model.T_world_camera is None and config.tracker.source == "camera":
-        yield "camera.model", "where the camera hangs is not known: run tools/calibrate.py arena"
+    if model.T_world_camera is None:
+        if config.tracker.source == "camera":
+            yield "camera.model", "where the camera hangs is not known: run tools/calibrate.py arena"
+        return
+    heights = [config.tracker.tag_height_m, *(robot.tag_height_m or 0.0 for robot in config.robots)]
+    up = model.T_world_camera.position_m[2]
+    if up <= max(heights):
+        yield "camera.model", f"hangs {up:g} m up, which is not above the highest tag: mend T_world_camera"
+    x, y, z = model.T_world_camera.rotation_rad
+    angle = math.hypot(x, y, z)
+    share = (x * x + y * y) / (angle * angle) if angle else 0.0
+    if 1.0 - share * (1.0 - math.cos(angle)) >= 0.0:  # the height of its z axis's tip
+        yield "camera.model", "looks up from the floor: mend T_world_camera.rotation_rad"
 
 
 def _calibrations(config: Config) -> Iterator[Complaint]:
@@ -143,9 +155,15 @@ def _calibrations(config: Config) -> Iterator[Complaint]:
 
 
 def _members(config: Config) -> Iterator[Complaint]:
-    """Groups and faults that name no robot, and groups that name one twice."""
+    """What names no robot, and groups that name one twice."""
     known = [robot.id for robot in config.robots]
     named = [(f"faults.{i}.robot", fault.robot) for i, fault in enumerate(config.faults)]
+    simulated, path = config.camera.simulated, "camera.simulated"
+    named += [(f"{path}.covers.{i}.robot", cover.robot) for i, cover in enumerate(simulated.covers)]
+    named += [(f"{path}.tag_offsets.{i}.robot", offset.robot) for i, offset in enumerate(simulated.tag_offsets)]
+    named += [
+        (f"{path}.swaps.{i}.robots.{k}", r) for i, swap in enumerate(simulated.swaps) for k, r in enumerate(swap.robots)
+    ]
     for i, group in enumerate(config.groups):
         for k, robot in enumerate(group.robots):
             named.append((f"groups.{i}.robots.{k}", robot))

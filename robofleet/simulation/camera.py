@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.simulation.draw import BLUR_PX, draw
-from robofleet.simulation.floor import Floor, textures
+from robofleet.simulation.floor import WHITE, WIDEST, Floor, textures
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 
@@ -26,6 +26,7 @@ Looks = tuple[Array32, NDArray[np.int64]]  # textures (tags, levels, S, S), and 
 _BODY_RADIUS = 0.8  # [tag sides]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
 _LEVELS = 6  # textures a tag, between the finest and the coarsest scale in the image
+_HORIZON = 0.1  # rays flatter than this slope meet the ground as if they had it
 
 
 class Print(NamedTuple):
@@ -74,33 +75,39 @@ class SceneRenderer:
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
         self._pixels = np.column_stack([u.ravel(), v.ravel()])
+        self._lens: tuple[object, ...] = ()
         self._gain = np.float32(light) * _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
-        self._floor = Floor(geometry.to_plane(self._border(), 0.0), self._side, BLUR_PX, rng)
-        # Noise is stored with an offset that the background lacks: one saturating addition does both signs.
+        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._side, BLUR_PX, rng)
+        # Noise is stored with an offset that the background lacks: one saturating addition does both signs. Where the
+        # background is darker than that, a saturating subtraction makes up for it.
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
         self._bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
         self._image = np.empty((height, width), np.uint8)
         self.moved(geometry)
-        self.looks = np.arange(len(robots))  # (N,) which robot's tag each robot carries
+        self.looks = np.arange(len(robots))  # (N,) which robot's tag each robot carries; N: plain paper
         self.render(np.full((len(robots), 3), np.nan))  # compiles the kernels, or loads them
 
     def moved(self, geometry: CameraGeometry) -> None:
         """Look from another place from now on."""
         self._geometry = geometry
-        width, height = self._size
-        plane = geometry.to_plane(self._pixels, self._height).reshape(height, width, 2)
+        plane = self._plane_at(geometry, self._height)
         plane_x, plane_y = (np.ascontiguousarray(plane[..., axis], dtype=np.float32) for axis in (0, 1))
         self._plane = plane_x, plane_y
-        self._sigmas = BLUR_PX * _scales(plane)
-        self._textures = np.stack([textures(robot.tag, self._side, self._sigmas) for robot in self._robots])
+        near = np.maximum(*np.moveaxis(np.abs(plane - geometry.position[:2]), 2, 0)) < WIDEST * geometry.position[2]
+        self._sigmas = BLUR_PX * _scales(plane, near)
+        looks = [textures(robot.tag, self._side, self._sigmas) for robot in self._robots]
+        self._textures = np.stack([*looks, np.full_like(looks[0], WHITE)])
         floor = self._floor.grays(plane + (plane - geometry.position[:2]) * self._further(0.0))
-        background = np.rint(np.maximum(floor * self._gain - self._offset, 0.0)).astype(np.uint8)
+        background = np.rint(floor * self._gain).astype(np.uint8)
         for (tag, side, tag_height, _), x, y, psi in self._prints:
             lying = np.array([[x, y, psi]])
             look, still = (textures(tag, side, self._sigmas)[None], np.zeros(1, np.int64)), np.zeros((1, 3))
-            self._draw(background, np.zeros_like(background), look, side, [tag_height], lying, still, still)
-        self._background = background
+            quiet = np.full_like(background, self._offset)
+            self._draw(background, quiet, look, side, [tag_height], lying, still, still)
+        self._background = cv2.subtract(background, self._offset)  # type: ignore[call-overload]
+        below = cv2.subtract(np.full_like(background, self._offset), background)
+        self._below = below if below.any() else None  # what is darker than the offset
 
     def render(self, poses: Array, velocities: Array | None = None) -> Image:
         """Return the image (H, W) of robots at poses (N, 3): x, y [m], psi [rad] at mid-exposure of their tags' rows.
@@ -111,6 +118,8 @@ class SceneRenderer:
         start = int(self._rng.integers(self._image.size))
         noise = self._bank[start : start + self._image.size].reshape(self._image.shape)
         cv2.add(self._background, noise, dst=self._image)
+        if self._below is not None:
+            cv2.subtract(self._image, self._below, dst=self._image)
         moving = np.zeros_like(poses) if velocities is None else velocities
         heights = [robot.height for robot in self._robots]
         looks = self._textures, self.looks
@@ -143,15 +152,23 @@ class SceneRenderer:
         """Return how far, of its way along the ground, a ray goes on from the map's height to another one."""
         return float((self._height - height) / (self._geometry.position[2] - self._height))
 
-    def _border(self) -> Array:
-        width, height = self._size
-        return self._pixels.reshape(height, width, 2)[[0, -1]].reshape(-1, 2)
+    def _plane_at(self, geometry: CameraGeometry, height: float) -> Array:
+        """Return where the pixels' rays meet z = height, (H, W, 2) [m; world]; rays near the horizon: far away."""
+        lens = geometry.lens, geometry.K.tobytes(), geometry.distortion.tobytes()
+        if lens != self._lens:  # in the camera's own frame, the plane z = 1 holds each ray's slopes
+            self._lens = lens
+            self._slopes = np.ascontiguousarray(geometry.moved(np.eye(4)).to_plane(self._pixels, 1.0).T)
+        turn, eye = geometry.T_world_camera[:3, :3], geometry.position
+        x, y, z = turn[:, :2] @ self._slopes + turn[:, 2:]
+        far = (eye[2] - height) / np.maximum(-z, _HORIZON * np.maximum(np.abs(x), np.abs(y)))
+        return np.stack([eye[0] + x * far, eye[1] + y * far], axis=-1).reshape(self._size[1], self._size[0], 2)
 
 
-def _scales(plane: Array) -> Array:
-    """Return metres a pixel, (_LEVELS,), from the finest to the coarsest of the map ``plane`` (H, W, 2)."""
+def _scales(plane: Array, near: NDArray[np.bool_]) -> Array:
+    """Return metres a pixel, (_LEVELS,), from the finest to the coarsest of the map (H, W, 2) where it is ``near``."""
     d_u, d_v = plane[1:, 1:] - plane[1:, :-1], plane[1:, 1:] - plane[:-1, 1:]
     scale = np.sqrt(np.abs(d_u[..., 0] * d_v[..., 1] - d_u[..., 1] * d_v[..., 0]))
+    scale = scale[near[1:, 1:]]
     return np.geomspace(scale.min(), scale.max(), _LEVELS)
 
 

@@ -34,17 +34,17 @@ def draw(  # type: ignore[no-untyped-def]
     paper = side / 2 + side / CELLS
     for n in seen:
         u, v = centres[n]
-        scale = _scale(plane_x, plane_y, u, v)
+        scale, finest = _scale(plane_x, plane_y, u, v, 1.0 + further[n, 0])
         level = np.argmin(np.abs(sigmas - BLUR_PX * scale))
         look, sigma, texel = textures[looks[n], level], sigmas[level], TEXEL * sigmas[0]
         moved = math.hypot(velocities[n, 0], velocities[n, 1]) + abs(velocities[n, 2]) * side
-        count = min(max(1, math.ceil(moved * exposure / (scale * _MOTION_PX))), _MOST_INSTANTS)
+        count = min(max(1, math.ceil(moved * exposure / (finest * _MOTION_PX))), _MOST_INSTANTS)
         aside = math.sqrt(2.0) * paper
         if body_radius > 0.0:  # the body is seen beside the tag, as it lies lower
             foot = math.hypot(poses[n, 0] - eye[0], poses[n, 1] - eye[1])
             off = math.hypot(offsets[n, 0], offsets[n, 1])
             aside = max(aside, body_radius + off + foot * (further[n, 1] - further[n, 0]))
-        reach = _MARGIN * (aside + 0.5 * _RAMP * sigma + moved * exposure) / scale + 1.0
+        reach = _MARGIN * (aside + 0.5 * _RAMP * sigma + moved * exposure) / finest + 1.0
         _place(poses[n], velocities[n], offsets[n], 0.0, exposure, instants[:count])
         for i in range(max(0, int(v - reach)), min(image.shape[0], int(v + reach) + 2)):
             half = math.sqrt(max(reach * reach - (i - v) ** 2, 0.0))
@@ -69,7 +69,9 @@ def _place(pose, velocity, offset, late, exposure, instants):  # type: ignore[no
     """Fill ``instants`` (K, 6): x, y of the tag, its cosine and sine, x, y of the body, over an exposure."""
     for k in range(len(instants)):
         t = late + ((k + 0.5) / len(instants) - 0.5) * exposure
-        x, y, psi = pose[0] + t * velocity[0], pose[1] + t * velocity[1], pose[2] + t * velocity[2]
+        bent = 0.5 * t * velocity[2]  # the velocity turns with the robot
+        x, y = pose[0] + t * (velocity[0] - bent * velocity[1]), pose[1] + t * (velocity[1] + bent * velocity[0])
+        psi = pose[2] + t * velocity[2]
         c, s = math.cos(psi), math.sin(psi)
         instants[k, 0], instants[k, 1] = x + c * offset[0] - s * offset[1], y + s * offset[0] + c * offset[1]
         instants[k, 2], instants[k, 3] = math.cos(psi + offset[2]), math.sin(psi + offset[2])
@@ -77,12 +79,17 @@ def _place(pose, velocity, offset, late, exposure, instants):  # type: ignore[no
 
 
 @image_kernel
-def _scale(plane_x, plane_y, u, v):  # type: ignore[no-untyped-def]
-    """Return metres a pixel of the plane at a pixel, or at the image's nearest one."""
+def _scale(plane_x, plane_y, u, v, further):  # type: ignore[no-untyped-def]
+    """Return metres a pixel at a pixel, or at the image's nearest one: the mean's, and where it is finest.
+
+    further: a length at the height of interest, over the same one at the map's.
+    """
     i, j = min(max(int(v), 1), plane_x.shape[0] - 1), min(max(int(u), 1), plane_x.shape[1] - 1)
-    d_u = plane_x[i, j] - plane_x[i, j - 1], plane_y[i, j] - plane_y[i, j - 1]
-    d_v = plane_x[i, j] - plane_x[i - 1, j], plane_y[i, j] - plane_y[i - 1, j]
-    return math.sqrt(abs(d_u[0] * d_v[1] - d_u[1] * d_v[0]))
+    u_x, u_y = plane_x[i, j] - plane_x[i, j - 1], plane_y[i, j] - plane_y[i, j - 1]
+    v_x, v_y = plane_x[i, j] - plane_x[i - 1, j], plane_y[i, j] - plane_y[i - 1, j]
+    area, squares = abs(u_x * v_y - u_y * v_x), u_x * u_x + u_y * u_y + v_x * v_x + v_y * v_y
+    finest = math.sqrt(0.5 * (squares - math.sqrt(max(squares * squares - 4.0 * area * area, 0.0))))
+    return math.sqrt(area) * further, finest * further
 
 
 @image_kernel

@@ -15,16 +15,18 @@ Array32 = NDArray[np.float32]
 BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory
 TEXEL = 0.4  # of a print's texture [standard deviations of the finest blur]
 _PIXEL_M = 0.002  # side of a pixel of the drawn floor
+WIDEST = 2.0  # that the floor is drawn out to [camera's heights]; its rim goes on for ever
 _AROUND_M = 0.3  # drawn beyond what is in view: a camera may be knocked
 
 
 class Floor:
     """Wood, scraps, tape, cables and prints that look like tags, over what a camera sees."""
 
-    def __init__(self, seen: Array, side: float, blur_px: float, rng: np.random.Generator) -> None:
-        """Take points (..., 2) [m] that enclose what is seen, and the side of the prints [m]."""
-        self._low = seen.reshape(-1, 2).min(0) - _AROUND_M
-        w, h = np.ceil((seen.reshape(-1, 2).max(0) + _AROUND_M - self._low) / _PIXEL_M).astype(int) + 1
+    def __init__(self, seen: Array, eye: Array, side: float, blur_px: float, rng: np.random.Generator) -> None:
+        """Take the points (..., 2) [m] that are seen, from ``eye`` (3,), and the side of the prints [m]."""
+        seen = np.clip(seen.reshape(-1, 2), eye[:2] - WIDEST * eye[2], eye[:2] + WIDEST * eye[2])
+        self._low = seen.min(0) - _AROUND_M
+        w, h = np.ceil((seen.max(0) + _AROUND_M - self._low) / _PIXEL_M).astype(int) + 1
         size = np.array([w, h])
         wood = rng.integers(120, 150, (12, 20), dtype=np.uint8)
         floor = np.asarray(cv2.resize(wood, (w, h), interpolation=cv2.INTER_CUBIC), np.uint8)
@@ -42,14 +44,13 @@ class Floor:
             cells = np.zeros((CELLS, CELLS), np.uint8)
             cells[1:-1, 1:-1] = rng.integers(0, 2, (CELLS - 2, CELLS - 2))
             _paste(floor, 30 + 180 * np.pad(cells, 1, constant_values=1), side, rng)
-        self._grays = np.asarray(
-            cv2.GaussianBlur(floor, (0, 0), blur_px * 1.5), np.uint8
-        )  # a pixel is about 1.5 of these
+        self._grays = np.asarray(cv2.GaussianBlur(floor, (0, 0), blur_px * 1.5), np.uint8)  # a pixel is about 1.5
 
     def grays(self, points: Array) -> Array:
         """Return the greys (H, W) at points (H, W, 2) of the floor [m]."""
         at = ((points - self._low) / _PIXEL_M).astype(np.float32)
-        return np.asarray(cv2.remap(self._grays, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
+        grays = cv2.remap(self._grays, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(grays, np.float64)
 
 
 def textures(tag: int, side: float, sigmas: Array) -> Array32:

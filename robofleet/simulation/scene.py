@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.calibrated import FloorTag, TagOffset
-from robofleet.config.camera import Knock
+from robofleet.config.camera import Cover, Knock, Outage
 from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target, robot_targets
 
-_SLOW_STEPS = 12  # in which a slow knock is done
+_SLOW_STEPS = 20  # in which a slow knock is done
 
 
 def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
@@ -46,27 +46,25 @@ class ScenePlay:
         self._progress = [0.0] * len(self._settings.knocks)
 
     def looks(self, t: float) -> NDArray[np.int64]:
-        """Return (N,) whose tag each robot carries."""
+        """Return (N,) whose tag each robot carries; N for plain paper."""
         looks = np.arange(len(self._rows))
         for swap in self._settings.swaps:
             if t >= swap.at_s:
                 one, other = (self._rows[robot] for robot in swap.robots)
                 looks[[one, other]] = looks[[other, one]]
+        for cover in self._settings.covers:
+            if _remaining(cover, t) > 0.0:
+                looks[self._rows[cover.robot]] = len(looks)
         return looks
-
-    def covered(self, t: float) -> list[int]:
-        """Return the rows of the robots whose tags are covered."""
-        covers = self._settings.covers
-        return [self._rows[cover.robot] for cover in covers if cover.at_s <= t < cover.at_s + cover.duration_s]
 
     def frozen(self, t: float) -> bool:
         """Return whether the same picture is sent again."""
-        return any(o.kind == "frozen" and o.at_s < t <= o.at_s + o.duration_s for o in self._settings.outages)
+        return any(outage.kind == "frozen" and _remaining(outage, t) > 0.0 for outage in self._settings.outages)
 
     def stalled_for(self, t: float) -> float:
         """Return for how long no image will come [s]."""
-        stalls = (o for o in self._settings.outages if o.kind == "stalled" and o.at_s <= t < o.at_s + o.duration_s)
-        return max((o.at_s + o.duration_s - t for o in stalls), default=0.0)
+        stalls = (_remaining(outage, t) for outage in self._settings.outages if outage.kind == "stalled")
+        return max(stalls, default=0.0)
 
     def camera(self, t: float) -> CameraGeometry | None:
         """Return where the camera hangs now, None if it has not moved since the last call."""
@@ -74,11 +72,18 @@ class ScenePlay:
         if progress == self._progress:
             return None
         self._progress = progress
-        T = self._calibrated.T_world_camera.copy()
+        old = self._calibrated
+        K, T = old.K.copy(), old.T_world_camera.copy()
         for knock, share in zip(self._settings.knocks, progress, strict=True):
+            K[:2, :2] *= 1.0 + share * (knock.focal_ratio - 1.0)
             T[:3, :3] = T[:3, :3] @ cv2.Rodrigues(share * np.radians(np.array(knock.rotation_deg)))[0]
             T[:3, 3] += share * np.array(knock.shift_m)
-        return self._calibrated.moved(T)
+        return CameraGeometry(K, old.distortion, T, old.lens)
+
+
+def _remaining(event: Outage | Cover, t: float) -> float:
+    """Return for how long an event will go on [s]; 0 if it is not under way."""
+    return max(0.0, event.at_s + event.duration_s - t) if t >= event.at_s else 0.0
 
 
 def _progress(knock: Knock, t: float) -> float:

@@ -57,9 +57,11 @@ class SimulatedCamera:
         self._clock, self._ticks = context.clock, context.ticks
         self._world = World(config, context.bus)
         self._trigger = Trigger(config, context.ticks, context.clock)
-        self._after_ns = round((camera.exposure_s / 2 + camera.readout_s) * S) + context.extra_delay_ns
-        self._half_ns = max(MS, round(camera.exposure_s * S / 2))
         self._line_ns, self._middle = camera.model.line_time_s * S, (camera.height - 1) / 2
+        half_ns = self._line_ns * self._middle  # from the first row to the middle one, and on to the last
+        readout_ns = max(camera.readout_s * S - half_ns, half_ns)  # no image before its last row was exposed
+        self._after_ns = round(camera.exposure_s / 2 * S + readout_ns) + context.extra_delay_ns
+        self._half_ns = max(MS, round(camera.exposure_s * S / 2))
         self._play = ScenePlay(config)
         self._renderer = scene_renderer(config, context.rng)
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
@@ -67,9 +69,15 @@ class SimulatedCamera:
         self._image: NDArray[np.uint8] | None = None
 
     def ready_ns(self) -> int | None:
-        """Return when the next image will be read out; None while its trigger has not come."""
+        """Return when the next image will be read out; None while its trigger has not come.
+
+        Images of a camera that has stalled are skipped.
+        """
         exposure_ns = self._trigger.next_ns()
-        return None if exposure_ns is None else exposure_ns + self._after_ns + self._stalled_ns(exposure_ns)
+        while exposure_ns is not None and (stalled_s := self._play.stalled_for(self._since_first(exposure_ns))):
+            self._trigger.fire(exposure_ns + round(stalled_s * S))
+            exposure_ns = self._trigger.next_ns()
+        return None if exposure_ns is None else exposure_ns + self._after_ns
 
     def read(self) -> Frame:
         """Wait for the next image, and render it."""
@@ -80,9 +88,7 @@ class SimulatedCamera:
         exposure_ns = ready_ns - self._after_ns
         self._trigger.fire(self._clock.now_ns())
         self._world.update()
-        if self._first_ns is None:
-            self._first_ns = exposure_ns
-        t = (exposure_ns - self._first_ns) / S
+        t = self._since_first(exposure_ns)
         if self._image is None or not self._play.frozen(t):
             self._image = self._picture(exposure_ns, t)
         return Frame(self._image, exposure_ns)
@@ -90,9 +96,11 @@ class SimulatedCamera:
     def close(self) -> None:
         """Nothing to let go of."""
 
-    def _stalled_ns(self, exposure_ns: int) -> int:
-        t = 0.0 if self._first_ns is None else (exposure_ns - self._first_ns) / S
-        return round(self._play.stalled_for(t) * S)
+    def _since_first(self, exposure_ns: int) -> float:
+        """Return seconds since the first exposure."""
+        if self._first_ns is None:
+            self._first_ns = exposure_ns
+        return (exposure_ns - self._first_ns) / S
 
     def _picture(self, exposure_ns: int, t: float) -> NDArray[np.uint8]:
         geometry = self._play.camera(t)
@@ -105,7 +113,6 @@ class SimulatedCamera:
             rows = np.nan_to_num(self._renderer.rows(poses), nan=self._middle)
             after_ns = np.rint((rows - self._middle) * self._line_ns).astype(np.int64)
         poses, velocities = self._moving(exposure_ns, after_ns)
-        poses[self._play.covered(t)] = np.nan
         image = self._renderer.render(poses, velocities)
         for effect in self._effects:
             effect(image, t)
@@ -119,7 +126,10 @@ class SimulatedCamera:
         )
         moved = late - early
         moved[:, 2] = np.remainder(moved[:, 2] + math.pi, 2.0 * math.pi) - math.pi
-        return early + moved / 2.0, moved * (0.5 * S / self._half_ns)
+        middle, velocities = early + moved / 2.0, moved * (0.5 * S / self._half_ns)
+        # The middle of an arc lies beside that of its chord.
+        middle[:, :2] += moved[:, 2:] * moved[:, 1::-1] * (0.125, -0.125)
+        return middle, velocities
 
 
 class TruePoses(NamedTuple):
