@@ -60,12 +60,14 @@ class FleetSight:
         robots = [pose for pose in poses if pose.tag in self._offsets]
         measured = [pose for pose in poses if pose.coasted_ns == 0 and pose.tag not in self._offsets]
         if self._drift is not None:
+            trusted = self._drift.trusted
             geometry, drifted = self._drift.update(measured)
             happenings += drifted
             if geometry is not None:
                 self._tracker.moved(geometry)
             self._blind = 0 if measured else self._blind + 1
-            if not self._drift.trusted or self._blind > _BLIND_IMAGES:
+            # The image that ends the doubt was placed by the camera as it was before.
+            if not (trusted and self._drift.trusted) or self._blind > _BLIND_IMAGES:
                 robots = [pose for pose in robots if pose.coasted_ns]
         return Sight(tuple(map(self._robot, robots)), refused, happenings)
 

@@ -1,0 +1,40 @@
+"""What is published of the robots while a camera is knocked: rendered images, true poses known."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robofleet.config.load import load_config
+from robofleet.simulation.scene import ScenePlay, scene_renderer
+from robofleet.tracking.events import TrackerEvent
+from robofleet.tracking.sight import FleetSight
+
+ROOT = Path(__file__).parents[2]
+PERIOD_S = 0.033
+KNOCKED = 15  # the first image after it
+CORNERS = [(-1.45, -0.85), (1.45, -0.85), (1.45, 0.85), (-1.45, 0.85)]
+STANDING = np.array([(-0.6, 0.3, 0.4), (0.5, -0.3, 2.0), (0.7, 0.4, -1.0), (-0.4, -0.4, 0.1)])
+
+
+@pytest.mark.parametrize("tilt_deg", [0.2, 0.8])
+def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt_deg: float) -> None:
+    floor_tags = [{"tag": 100 + i, "side_m": 0.1, "x_m": x, "y_m": y} for i, (x, y) in enumerate(CORNERS)]
+    knocks = [{"at_s": (KNOCKED - 0.5) * PERIOD_S, "rotation_deg": [tilt_deg, 0.0, 0.0]}]
+    changes = [f"tracker.floor_tags={floor_tags}", f"camera.simulated.knocks={knocks}"]
+    config = load_config(ROOT / "configs/platoon.yaml", changes)
+    renderer, play = scene_renderer(config, np.random.default_rng(3)), ScenePlay(config)
+    sight, truth = FleetSight(config), {robot.tag: row for robot, row in zip(config.robots, STANDING, strict=True)}
+    said, measured = set(), 0
+    for k in range(2 * KNOCKED):
+        geometry = play.camera(k * PERIOD_S)
+        if geometry is not None:
+            renderer.moved(geometry)
+        seen = sight.see(renderer.render(STANDING), round(k * PERIOD_S * 1e9))
+        said |= {event for event, _, _ in seen.happenings}
+        for robot in (robot for robot in seen.robots if robot.coasted_ns == 0):
+            assert math.dist((robot.x, robot.y), truth[robot.tag][:2]) < 1e-3, k
+            measured += k > KNOCKED
+    assert TrackerEvent.CAMERA_CORRECTED in said
+    assert measured > 0.7 * KNOCKED * len(STANDING)
