@@ -226,6 +226,7 @@ class TagTracker:
             rivals = [o for o in others if o.target == tag.target and not self._suspects.same(o, tag.centre)]
             if rivals:
                 self._refuse(TrackerEvent.TAG_TWICE, tag, rivals[0].centre, exposure_ns)
+                self._suspects.cleared(tag.target)  # patience begins anew: its other tiles show one of them alone
             elif tag.target in measured:
                 self._refuse(TrackerEvent.TAG_TWICE, tag, self._centre[tag.target], exposure_ns)
                 self._suspects.second(tag, exposure_ns)

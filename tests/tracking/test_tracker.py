@@ -251,3 +251,11 @@ def test_two_newcomers_with_one_id_are_not_believed() -> None:
     for sightings in watched.at(twins, STANDING, 8 * SWEEP):
         assert measured(sightings).keys() == {2}
     assert (TrackerEvent.TAG_TWICE, 1) in watched.news
+
+
+def test_a_print_in_two_tiles_is_not_believed_while_a_second_one_shows_in_one_of_them() -> None:
+    twins, watched = scene((1, 1, 2)), Watched()
+    (u, v) = (SIZE[0] / 4, SIZE[1] / 2)  # where two tiles meet
+    x, y = GEOMETRY.to_plane(np.array([[u, v]]), HEIGHT_M)[0]
+    for sightings in watched.at(twins, [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]], 8 * SWEEP):
+        assert measured(sightings).keys() == {2}
