@@ -40,7 +40,7 @@ class Suspects:
         """Return how far a tag can be from where it was a while ago [m]."""
         if target in self._displaced:
             return float(self._near[target])
-        return float(self._speeds[target] * min(elapsed_ns, _DRIVES_ON_NS) * 1e-9 + self._near[target])
+        return float(self._speeds[target] * min(max(elapsed_ns, 0), _DRIVES_ON_NS) * 1e-9 + self._near[target])
 
     def same(self, tag: Found, centre: complex) -> bool:
         """Return whether a tag found is the print at ``centre``."""

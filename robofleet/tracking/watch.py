@@ -3,8 +3,6 @@
 A trouble is said once, when it begins, and once more, as CAMERA_BACK, when a good image ends it.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,14 +13,8 @@ _STALLED_PERIODS = 5
 _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
 _FIRST_NS = 3 * S  # within which a camera that was just opened gives its first image
 _FROZEN_REPEATS = 3  # one may be a driver that hands a buffer out twice
+_AHEAD_NS = 100 * MS  # of now, that a driver's stamp may be
 _SAMPLED_ROWS = 64  # one of so many is compared: a few microseconds
-
-
-class _Look(NamedTuple):
-    """What is kept of an image, to know it again."""
-
-    pixels: bytes
-    exposure_ns: int
 
 
 class CameraWatch:
@@ -33,7 +25,8 @@ class CameraWatch:
         self._shape = size[::-1]
         self._patience_ns = max(_STALLED_PERIODS * period_ns, _STALLED_NS)
         self._noisy = noisy
-        self._last: _Look | None = None
+        self._last: bytes | None = None  # of the newest image's pixels
+        self._exposed_ns: int | None = None  # the newest image that was believed
         self._repeats = 0
         self._images = 0
         self._good_ns = now_ns  # when the newest good image came
@@ -56,12 +49,15 @@ class CameraWatch:
         if np.shape(image) != self._shape or image.dtype != np.uint8:
             self._say(TrackerEvent.CAMERA_RESIZED, float(np.shape(image)[1]) if np.ndim(image) > 1 else 0.0)
             return False
-        if self._seen_before(image, exposure_ns):
+        again = self._seen_before(image)
+        early = self._exposed_ns is not None and exposure_ns <= self._exposed_ns
+        if again or early or exposure_ns > now_ns + _AHEAD_NS:
             self._repeats += 1
             if self._repeats >= _FROZEN_REPEATS:
                 self._say(TrackerEvent.CAMERA_FROZEN, self._repeats)
             return False
         self._repeats = 0
+        self._exposed_ns = exposure_ns
         if self._said:
             self._news.append(Happening(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
             self._said.clear()
@@ -91,14 +87,11 @@ class CameraWatch:
         self._news.clear()
         return news
 
-    def _seen_before(self, image: NDArray[np.uint8], exposure_ns: int) -> bool:
-        """Return whether this is the last image again: its pixels, or no later exposure."""
-        rows = image[len(image) % _SAMPLED_ROWS // 2 :: _SAMPLED_ROWS]
-        look = _Look(rows.tobytes(), exposure_ns)
-        last, self._last = self._last, look
-        if last is None:
-            return False
-        return exposure_ns <= last.exposure_ns or (self._noisy and look.pixels == last.pixels)
+    def _seen_before(self, image: NDArray[np.uint8]) -> bool:
+        """Return whether these are the last image's pixels again."""
+        rows = image[len(image) % _SAMPLED_ROWS // 2 :: _SAMPLED_ROWS].tobytes()
+        last, self._last = self._last, rows
+        return self._noisy and rows == last
 
     def _say(self, event: TrackerEvent, value: float) -> None:
         if event not in self._said:

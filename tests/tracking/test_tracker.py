@@ -259,3 +259,13 @@ def test_a_print_in_two_tiles_is_not_believed_while_a_second_one_shows_in_one_of
     x, y = GEOMETRY.to_plane(np.array([[u, v]]), HEIGHT_M)[0]
     for sightings in watched.at(twins, [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]], 8 * SWEEP):
         assert measured(sightings).keys() == {2}
+
+
+def test_a_stamp_from_the_future_is_survived(renderer: SceneRenderer) -> None:
+    watched = Watched()
+    watched.at(renderer, STANDING, 3)
+    now_ns, watched.now_ns = watched.now_ns, watched.now_ns + 10**10
+    watched.at(renderer, STANDING)
+    watched.now_ns = now_ns
+    watched.at(renderer, [GONE, *STANDING[1:]], 3)
+    assert measured(watched.at(renderer, STANDING, 2 * SWEEP)[-1]).keys() == set(IDS)

@@ -81,6 +81,24 @@ def test_an_image_that_is_not_later_than_the_last_is_the_same_again() -> None:
     assert sight.look(exposure_ns=S + 1)
 
 
+def test_one_stamp_from_the_future_does_not_make_the_next_images_old() -> None:
+    sight = Sight()
+    assert sight.look()
+    assert not sight.look(exposure_ns=sight.now_ns + 10 * S)
+    assert all(sight.look() for _ in range(10))
+    assert sight.events() == []
+    assert not any(sight.look(exposure_ns=sight.now_ns + 10 * S) for _ in range(5))
+    assert sight.events() == [E.CAMERA_FROZEN]
+
+
+def test_after_a_stamp_that_went_back_images_are_still_later_than_all_that_were_believed() -> None:
+    sight = Sight()
+    assert sight.look(exposure_ns=S)
+    assert not sight.look(exposure_ns=S - 3)
+    assert not sight.look(exposure_ns=S - 1)
+    assert sight.look(exposure_ns=S + 1)
+
+
 def test_a_camera_without_noise_may_give_equal_pictures() -> None:
     sight = Sight(noisy=False)
     assert all(sight.look(np.zeros((HEIGHT, WIDTH), np.uint8)) for _ in range(20))
