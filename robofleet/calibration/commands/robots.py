@@ -87,7 +87,10 @@ def _drive(
     tree, count = drives.configure(config, names, lockstep=lockstep)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CalibrationError(f"--out: {folder} is there already and not empty: name another folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CalibrationError(f"--out: {folder}: {error.strerror}") from error
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s", file=sys.stderr)
     run = drives.run(tree, folder, lambda text: print(text, file=sys.stderr), lockstep=lockstep)
     driven = drives.extract(run, count)

@@ -125,6 +125,7 @@ def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
     assert "is no recording" in refusal("--recording", other)
     assert "No such file" in refusal("--recording", lab.parent / "nothing.npz")
     assert "no robot 'r7'" in refusal("--robots", "r7", "--lockstep")
+    assert "Not a directory" in refusal("--lockstep", "--out", lab / "out")
     assert "'r2' did not drive" in refusal("--recording", recorded, "--robots", "r2")
     stranger = RobotDrive(**{**vars(worn), "robot": "r9"})
     drive.save(other, [worn, stranger])
