@@ -66,6 +66,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_members(config),
         *_endpoint(config),
         *_camera_model(config),
+        *_tag_sizes(config),
         *_calibrations(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
@@ -140,6 +141,26 @@ def _camera_model(config: Config) -> Iterator[Complaint]:
     share = (x * x + y * y) / (angle * angle) if angle else 0.0
     if 1.0 - share * (1.0 - math.cos(angle)) >= 0.0:  # the height of its z axis's tip
         yield "camera.model", "looks up from the floor: mend T_world_camera.rotation_rad"
+
+
+def _tag_sizes(config: Config) -> Iterator[Complaint]:
+    """Tags that are above the camera, or fill its image: the patterns to compare with would fill the memory."""
+    camera, tracker, model = config.camera, config.tracker, config.camera.model
+    if model.T_world_camera is None:
+        return
+    eye_m, least_px = model.T_world_camera.position_m[2], min(model.width, model.height)
+    tags = [("tracker.tag_height_m", tracker.tag_side_m, tracker.tag_height_m)]
+    for i, robot in enumerate(config.robots):
+        if robot.tag_height_m is not None:
+            tags.append((f"robots.{i}.tag_height_m", tracker.tag_side_m, robot.tag_height_m))
+    for kind, prints in (
+        ("tracker.floor_tags", tracker.floor_tags),
+        ("camera.simulated.posters", camera.simulated.posters),
+    ):
+        tags += [(f"{kind}.{i}", tag.side_m, tag.height_m) for i, tag in enumerate(prints)]
+    for path, side_m, height_m in tags:
+        if max(model.focal_px) * side_m >= least_px * (eye_m - height_m):
+            yield path, f"a tag of {side_m:g} m at {height_m:g} m fills the image of a camera that hangs at {eye_m:g} m"
 
 
 def _calibrations(config: Config) -> Iterator[Complaint]:

@@ -287,6 +287,13 @@ def test_overrides_are_read_as_yaml_and_the_last_one_counts(platoon: Path) -> No
         ("controller.alpha=[", "controller.alpha: is not YAML"),
         ("controller.alpha=-1", "controller.alpha: must be greater than 0, not -1"),
         ("robots.1.tag=1", "robots.1.tag: 1 is robots.0's already"),
+        ("tracker.tag_height_m=2.5", "tracker.tag_height_m: a tag of 0.07 m at 2.5 m fills the image"),
+        ("tracker.tag_height_m=3", "tracker.tag_height_m: a tag of 0.07 m at 3 m fills the image"),
+        ("robots.1.tag_height_m=2.49", "robots.1.tag_height_m: a tag of 0.07 m at 2.49 m fills the image"),
+        (
+            "tracker.floor_tags=[{tag: 100, side_m: 9, x_m: 0, y_m: 0}]",
+            "tracker.floor_tags.0: a tag of 9 m at 0 m fills",
+        ),
         ("robots.0.vehicle=gternl", "robots.0.vehicle: there is no file"),
         ("controller.alpha", "write KEY=VALUE"),
         ("=3", "write KEY=VALUE"),
