@@ -16,8 +16,10 @@ from robofleet.config.model import (
     NonNegative,
     Positive,
     Vector2,
-    Vector3,
 )
+
+Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
+Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class Cable(Model):
@@ -53,8 +55,8 @@ class Knock(Model):
 
     at_s: NonNegative
     over_s: NonNegative = 0.0
-    rotation_deg: Vector3 = (0.0, 0.0, 0.0)  # about x right, y down, z forward [camera]
-    shift_m: Vector3 = (0.0, 0.0, 0.0)  # [world]
+    rotation_deg: Annotated[tuple[Turn, Turn, Turn], Field(strict=False)] = (0.0, 0.0, 0.0)  # [camera]
+    shift_m: Annotated[tuple[Shift, Shift, Shift], Field(strict=False)] = (0.0, 0.0, 0.0)  # [world]
     focal_ratio: Annotated[float, Field(ge=0.5, le=2)] = 1.0  # of the focal lengths, after over before
 
 

@@ -128,14 +128,16 @@ def _camera_model(config: Config) -> Iterator[Complaint]:
     fault = lens_fault(model)
     if fault:
         yield "camera.model.distortion", fault
+    rolling, period = model.line_time_s * (model.height - 1), 1.0 / config.camera.rate_hz
+    if rolling > period:
+        yield (
+            "camera.model.line_time_s",
+            f"all rows take {rolling:.3g} s, more than an image's {period:.3g} s: mend one",
+        )
     if model.T_world_camera is None:
         if config.tracker.source == "camera":
             yield "camera.model", "where the camera hangs is not known: run tools/calibrate.py arena"
         return
-    heights = [config.tracker.tag_height_m, *(robot.tag_height_m or 0.0 for robot in config.robots)]
-    up = model.T_world_camera.position_m[2]
-    if up <= max(heights):
-        yield "camera.model", f"hangs {up:g} m up, which is not above the highest tag: mend T_world_camera"
     x, y, z = model.T_world_camera.rotation_rad
     angle = math.hypot(x, y, z)
     share = (x * x + y * y) / (angle * angle) if angle else 0.0

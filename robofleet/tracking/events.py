@@ -45,7 +45,7 @@ _SENTENCES = {
     TrackerEvent.TAG_MISTAKEN: "tag {value:.0f} stands where tag {tag} should be: refused",
     TrackerEvent.TAG_CARRIED: "tag {tag} was carried {value:.2f} m",
     TrackerEvent.CAMERA_STALLED: "camera stalled: no image for {value:.2f} s",
-    TrackerEvent.CAMERA_FROZEN: "camera frozen: the same picture {value:.0f} times",
+    TrackerEvent.CAMERA_FROZEN: "camera frozen: the same picture, or an old or impossible stamp, {value:.0f} times",
     TrackerEvent.CAMERA_UNPLUGGED: "camera unplugged",
     TrackerEvent.CAMERA_RESIZED: "camera sends images of another size: {value:.0f} px wide",
     TrackerEvent.CAMERA_STRANGE: "not the camera that was calibrated: no poses",

@@ -10,7 +10,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.drift import DriftMonitor, Landmark
-from robofleet.tracking.events import Happening
+from robofleet.tracking.events import Happening, News
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.tracking.targets import floor_targets, robot_targets
 from robofleet.tracking.tracker import TagSighting, TagTracker
@@ -52,6 +52,7 @@ class FleetSight:
             for floor in config.tracker.floor_tags
         ]
         self._drift = DriftMonitor(geometry, landmarks) if landmarks else None
+        self._news = News()
         self._blind = 0
 
     def see(self, image: NDArray[np.uint8], exposure_ns: int) -> Sight:
@@ -62,7 +63,9 @@ class FleetSight:
         if self._drift is not None:
             trusted = self._drift.trusted
             geometry, drifted = self._drift.update(measured)
-            happenings += drifted
+            for happening in drifted:
+                self._news.say(*happening, exposure_ns)
+            happenings += self._news.take()
             if geometry is not None:
                 self._tracker.moved(geometry)
             self._blind = 0 if measured else self._blind + 1

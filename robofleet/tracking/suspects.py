@@ -12,6 +12,7 @@ from robofleet.tracking.targets import Target
 SAME = 0.5  # two places closer than this are of one print [sides]
 _PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed,
 _PATIENCE_NS = 3 * S  # and of a tag that was known, after so long: the run has ended by then
+_DOUBT_NS = 10 * S  # without a second print, until one of a tag that had one is believed
 _DRIVES_ON_NS = 3 * S // 4  # a robot that is not seen is stopped
 _KICKED = 2.5  # a tag that lies still is believed so far from where it lay: who watches the camera judges it [sides]
 _SLIP = 1.5  # a robot may be faster than its limit: pushed, downhill, a worn wheel
@@ -35,12 +36,13 @@ class Suspects:
         self._speeds = _SLIP * np.array([target.max_speed for target in targets])
         self._suspects: dict[int, _Suspect] = {}
         self._displaced: set[int] = set()
+        self._doubted_ns: dict[int, int] = {}  # when a tag was seen twice last, and nothing told which one it is
 
     def reach(self, target: int, elapsed_ns: int) -> float:
-        """Return how far a tag can be from where it was a while ago [m]."""
-        if target in self._displaced:
-            return float(self._near[target])
-        return float(self._speeds[target] * min(max(elapsed_ns, 0), _DRIVES_ON_NS) * 1e-9 + self._near[target])
+        """Return how far a tag can be from where it was a while ago [m]; below 0 if nothing is known of it any more."""
+        if target in self._doubted_ns:
+            return -1.0
+        return self._near[target] if target in self._displaced else self._range(target, elapsed_ns)
 
     def same(self, tag: Found, centre: complex) -> bool:
         """Return whether a tag found is the print at ``centre``."""
@@ -49,9 +51,15 @@ class Suspects:
     def cleared(self, target: int) -> None:
         """Forget a print that was only waiting: the tag itself was found."""
         self._displaced.discard(target)
+        self._doubted_ns.pop(target, None)
         suspect = self._suspects.get(target)
         if suspect is not None and not suspect.second:
             del self._suspects[target]
+
+    def doubt(self, target: int, now_ns: int) -> None:
+        """Note that there are two prints of a tag, and either may be it."""
+        self._doubted_ns[target] = now_ns
+        self._suspects.pop(target, None)
 
     def displaced(self, target: int) -> None:
         """Note that a tag stands where another one was expected: they were exchanged, and it did not drive there."""
@@ -86,7 +94,14 @@ class Suspects:
         if sweep - suspect.sweep > 0.5:  # tiles overlap: one print is seen in two of a sweep
             suspect.sweep = sweep
             suspect.sightings += 1
+        doubted_ns = self._doubted_ns.get(tag.target)
+        if doubted_ns is not None and now_ns - doubted_ns < _DOUBT_NS:
+            return False
         return suspect.sightings > _PATIENCE and (hidden_ns is None or hidden_ns > _PATIENCE_NS)
 
     def _follows(self, suspect: _Suspect, tag: Found, now_ns: int) -> bool:
-        return abs(tag.centre - suspect.centre) <= self.reach(tag.target, now_ns - suspect.seen_ns)
+        return abs(tag.centre - suspect.centre) <= self._range(tag.target, now_ns - suspect.seen_ns)
+
+    def _range(self, target: int, elapsed_ns: int) -> float:
+        """Return how far a print can have been driven in a while [m]."""
+        return float(self._speeds[target] * min(max(elapsed_ns, 0), _DRIVES_ON_NS) * 1e-9 + self._near[target])

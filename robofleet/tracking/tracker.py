@@ -32,6 +32,8 @@ _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
 _BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
 _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
+_GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
+_SETTLED_NS = 10 * S  # which shows when both are seen within so long
 _MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
@@ -78,6 +80,7 @@ class TagTracker:
         self._omega = np.zeros(n)  # [rad/s]
         self._row = np.zeros(n)  # of the image, where it was [px]
         self._measured_ns = np.zeros(n, np.int64)
+        self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         self._tiles = tiles(image_size, _TILES, 1.5 * max(side_px(geometry, target) for target in targets))
@@ -186,6 +189,8 @@ class TagTracker:
 
     def _take(self, tag: Found, exposure_ns: int) -> None:
         """Believe what was found."""
+        if 0 < self._measured_ns[tag.target] < exposure_ns - _GAP_NS:
+            self._regained_ns[tag.target] = exposure_ns
         index, centre = np.array([tag.target]), np.array([tag.centre])
         rows = self._fit.pixels(index, centre)[:, 1]
         self._measure(index, Fit(centre, np.array([tag.psi]), np.ones(1), rows), exposure_ns)
@@ -226,10 +231,14 @@ class TagTracker:
             rivals = [o for o in others if o.target == tag.target and not self._suspects.same(o, tag.centre)]
             if rivals:
                 self._refuse(TrackerEvent.TAG_TWICE, tag, rivals[0].centre, exposure_ns)
-                self._suspects.cleared(tag.target)  # patience begins anew: its other tiles show one of them alone
+                self._doubt(tag.target, exposure_ns)
             elif tag.target in measured:
                 self._refuse(TrackerEvent.TAG_TWICE, tag, self._centre[tag.target], exposure_ns)
-                self._suspects.second(tag, exposure_ns)
+                if exposure_ns - self._regained_ns[tag.target] > _SETTLED_NS:
+                    self._suspects.second(tag, exposure_ns)
+                else:  # the wrong one of the two may have been taken after the gap
+                    self._doubt(tag.target, exposure_ns)
+                    measured.discard(tag.target)
             elif tag.target not in believed and self._believable(tag, exposure_ns, whole=whole):
                 self._take(tag, exposure_ns)
                 believed.add(tag.target)
@@ -241,7 +250,7 @@ class TagTracker:
         known = self._measured_ns[i] > 0
         before = complex(self._centre[i]) if known else tag.centre
         distance = abs(tag.centre - before)
-        if (known and distance <= self._reach(i, exposure_ns)) or (whole and not known):
+        if distance <= self._reach(i, exposure_ns) and (known or whole):
             if not self._followed[i]:
                 hidden_s = (exposure_ns - int(self._measured_ns[i])) * 1e-9 if known else 0.0
                 self._say(TrackerEvent.TAG_FOUND, i, hidden_s, exposure_ns)
@@ -251,12 +260,18 @@ class TagTracker:
         patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._tiles), hidden_ns)
         if rival is not None:
             self._refuse(TrackerEvent.TAG_TWICE, tag, rival, exposure_ns)
+            self._doubt(i, exposure_ns)
         elif patient and not self._followed[i]:
             self._say(TrackerEvent.TAG_CARRIED if known else TrackerEvent.TAG_FOUND, i, distance, exposure_ns)
             return True
         elif known:
             self._refuse(TrackerEvent.TAG_JUMPED, tag, before, exposure_ns)
         return False
+
+    def _doubt(self, i: int, exposure_ns: int) -> None:
+        """Give up a tag that has two prints of which either may be it."""
+        self._suspects.doubt(i, exposure_ns)
+        self._followed[i] = False
 
     # What is said
 

@@ -248,7 +248,7 @@ def test_covered_tags_are_not_seen_and_exchanged_ones_are_elsewhere() -> None:
         ("camera.simulated.posters=[{tag: 600, side_m: 0.1, x_m: 0, y_m: 0}]", "posters.0.tag"),
         ("camera.simulated.posters=[{tag: 6, side_m: 0.1, x_m: 0, y_m: 0, heigth_m: 1}]", "posters.0.heigth_m"),
         ("camera.simulated.fog=1", "simulated.fog"),
-        ("robots.2.tag_height_m=2.5", "hangs 2.5 m up"),
+        ("robots.2.tag_height_m=2.5", "hangs at 2.5 m"),
         ("camera.model.T_world_camera.rotation_rad=[0, 0, 0]", "looks up from the floor"),
     ],
 )

@@ -269,3 +269,22 @@ def test_a_stamp_from_the_future_is_survived(renderer: SceneRenderer) -> None:
     watched.now_ns = now_ns
     watched.at(renderer, [GONE, *STANDING[1:]], 3)
     assert measured(watched.at(renderer, STANDING, 2 * SWEEP)[-1]).keys() == set(IDS)
+
+
+def test_a_print_that_is_taken_for_a_hidden_robot_is_given_up_when_the_robot_is_back() -> None:
+    twins, watched = scene((1, 1, 2)), Watched()
+    robot, poster = STANDING[0], (-0.5, 0.2, 0.0)  # so near that the robot could have driven there
+    watched.at(twins, [robot, GONE, STANDING[2]], 40)
+    watched.at(twins, [GONE, poster, STANDING[2]], SWEEP)
+    both = watched.at(twins, [robot, poster, STANDING[2]], 12 * SWEEP)
+    assert all(1 not in measured(sightings) for sightings in both[SWEEP:])
+    assert (TrackerEvent.TAG_TWICE, 1) in watched.news
+    alone = watched.at(twins, [robot, GONE, STANDING[2]], 32 * SWEEP)
+    assert error(measured(alone[-1])[1], robot) < 3e-4
+
+
+def test_one_of_two_prints_is_not_believed_because_the_other_is_covered() -> None:
+    twins, watched = scene((1, 1, 2)), Watched()
+    watched.at(twins, STANDING, 2 * SWEEP)
+    for sightings in watched.at(twins, [GONE, STANDING[1], STANDING[2]], 20 * SWEEP):
+        assert measured(sightings).keys() == {2}
