@@ -142,6 +142,7 @@ def test_offset_free_leaves_the_law_of_a_right_model_alone() -> None:
         x = moved(x, u[0], 0.01)
 
 
+@pytest.mark.slow
 def test_prediction_steps_grow_as_the_bicycle_slows_down() -> None:
     flow = NewtonRaphsonFlow(bicycle_plant(FALCONE_2007), FlowSettings(30.0, 0.5, 0.01), np.zeros(2))
     steps = []

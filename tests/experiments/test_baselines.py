@@ -26,6 +26,9 @@ def installed(*modules):
     return pytest.mark.skipif(bool(missing), reason=f"pip install -e '.[bench]': {missing}")
 
 
+pytestmark = pytest.mark.slow  # the peers' controllers, not ours
+
+
 @pytest.fixture(scope="module")
 def parameters():
     return load_parameters(comparison.ComparisonParameters, SHIPPED_FILE)

@@ -6,7 +6,9 @@ from tests.tracking.accuracy import SCENES, evaluate
 from tests.tracking.peers import OURS, UNTIMED
 
 
-@pytest.mark.parametrize(("title", "frames"), [("noise 3.5", (8, 8)), ("fisheye", (8,))])
+@pytest.mark.parametrize(
+    ("title", "frames"), [("noise 3.5", (8, 8)), pytest.param("fisheye", (8,), marks=pytest.mark.slow)]
+)
 def test_placed_to_hundredths_of_a_millimetre(title: str, frames: tuple[int, ...]) -> None:
     row = evaluate(SCENES[title], [OURS], frames)[OURS]
     assert row["wrong"] == 0
@@ -21,6 +23,7 @@ def test_followed_under_a_cable() -> None:
     assert row["measured"] >= 0.95
 
 
+@pytest.mark.slow
 def test_followed_when_the_light_goes_out() -> None:
     row = evaluate(SCENES["15 % light"], [OURS], [8])[OURS]
     assert row["wrong"] == 0
