@@ -7,6 +7,7 @@ static map; at any other height it is that point, moved away from the camera's f
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from robofleet.simulation.draw import BLUR_PX, draw
 from robofleet.simulation.floor import WHITE, WIDEST, Floor, textures
-from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -74,8 +75,6 @@ class SceneRenderer:
         self._height = max(target.height for target in robots)
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
-        self._pixels = np.column_stack([u.ravel(), v.ravel()])
-        self._lens: tuple[object, ...] = ()
         self._gain = np.float32(light) * _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
         self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._side, BLUR_PX, rng)
         # Noise is stored with an offset that the background lacks: one saturating addition does both signs. Where the
@@ -154,14 +153,20 @@ class SceneRenderer:
 
     def _plane_at(self, geometry: CameraGeometry, height: float) -> Array:
         """Return where the pixels' rays meet z = height, (H, W, 2) [m; world]; rays near the horizon: far away."""
-        lens = geometry.lens, geometry.K.tobytes(), geometry.distortion.tobytes()
-        if lens != self._lens:  # in the camera's own frame, the plane z = 1 holds each ray's slopes
-            self._lens = lens
-            self._slopes = np.ascontiguousarray(geometry.moved(np.eye(4)).to_plane(self._pixels, 1.0).T)
+        slopes = _slopes(geometry.lens, geometry.K.tobytes(), geometry.distortion.tobytes(), self._size)
         turn, eye = geometry.T_world_camera[:3, :3], geometry.position
-        x, y, z = turn[:, :2] @ self._slopes + turn[:, 2:]
+        x, y, z = turn[:, :2] @ slopes + turn[:, 2:]
         far = (eye[2] - height) / np.maximum(-z, _HORIZON * np.maximum(np.abs(x), np.abs(y)))
         return np.stack([eye[0] + x * far, eye[1] + y * far], axis=-1).reshape(self._size[1], self._size[0], 2)
+
+
+@lru_cache(maxsize=2)  # a camera that moves keeps its lens
+def _slopes(lens: Lens, K: bytes, distortion: bytes, size: tuple[int, int]) -> Array:
+    """Return the slopes (2, H W) of all pixels' rays; matrices as bytes of doubles."""
+    own = CameraGeometry(np.frombuffer(K).reshape(3, 3), np.frombuffer(distortion), np.eye(4), lens)
+    v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)
+    # In the camera's own frame the plane z = 1 holds each ray's slopes.
+    return np.ascontiguousarray(own.to_plane(np.column_stack([u.ravel(), v.ravel()]), 1.0).T)
 
 
 def _scales(plane: Array, near: NDArray[np.bool_]) -> Array:
