@@ -46,6 +46,7 @@ def moved(x: Array, u: float, dt: float, push: float = 0.0) -> Array:
     st.floats(1, 100), st.floats(0.1, 2), st.floats(1e-3, 0.019), st.sampled_from(("exact", "euler")),
     st.tuples(*[st.floats(-2, 2)] * 6),
 )  # fmt: skip
+@pytest.mark.slow
 def test_eq_31_is_the_flow_of_a_point(
     alpha: float, T: float, step: float, integrator: Integrator, numbers: tuple[float, ...]
 ) -> None:
@@ -60,6 +61,7 @@ def test_eq_31_is_the_flow_of_a_point(
 
 @EXACT
 @given(st.floats(1, 60), st.floats(0.1, 2), st.floats(1e-3, 0.1), st.floats(-1, 1), st.floats(-1, 1))
+@pytest.mark.slow
 def test_exact_solves_the_linear_flow(alpha: float, T: float, step: float, velocity: float, r: float) -> None:
     x, u, n = np.array([0.2, velocity]), 0.3, 400
     after = NewtonRaphsonFlow(DOUBLE, FlowSettings(alpha, T, step), [u]).update(x, np.array([r]))
