@@ -156,10 +156,10 @@ def _fit(image, pixels, nodes, to_coefficients, at, templates, index, result):  
     """
     patch = np.empty(len(at) * len(at), np.float32)
     for m in range(len(index)):
-        guessed = to_coefficients @ pixels[m]
+        guessed = _product(to_coefficients, pixels[m])
         x = y = turn = alike = 0.0
         for _ in range(_STEPS):
-            local = to_coefficients @ _map(guessed, nodes, x, y, turn)
+            local = _product(to_coefficients, _map(guessed, nodes, x, y, turn))
             if not _sample(image, local, at, patch):
                 alike = 0.0
                 break
@@ -175,6 +175,17 @@ def _fit(image, pixels, nodes, to_coefficients, at, templates, index, result):  
         if math.hypot(x, y) > _FURTHEST or abs(turn) > _FURTHEST:
             alike = 0.0
         result[m, 0], result[m, 1], result[m, 2], result[m, 3] = x, y, turn, alike
+
+
+@image_kernel
+def _product(matrix, pixels):  # type: ignore[no-untyped-def]
+    """Return a (9, 9) matrix times (9, 2) pixels: numba's own product needs scipy."""
+    result = np.zeros((9, 2))
+    for i in range(9):
+        for k in range(9):
+            for axis in range(2):
+                result[i, axis] += matrix[i, k] * pixels[k, axis]
+    return result
 
 
 @image_kernel
