@@ -65,6 +65,8 @@ def from_camera(config: Config, count: int) -> list[Named]:
         return [(f"live image {i + 1}", camera.read().image.copy()) for i in range(count)]
     except EOFError:
         raise CalibrationError(f"{config.camera.source}: the camera ended before {count} images") from None
+    except (CameraError, OSError) as error:
+        raise CalibrationError(f"{config.camera.source}: {error}") from error
     finally:
         camera.close()
 

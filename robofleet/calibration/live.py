@@ -11,10 +11,11 @@ from rich.text import Text
 
 from robofleet.calibration.gathering import FIRST, Gathering
 from robofleet.calibration.intrinsics import ARENA_MM, FOCAL, Asked, Measured, measure
+from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.views import COLUMNS, ROWS, Coverage, Lean, Offer
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.tracking.sources import Camera
+from robofleet.tracking.sources import Camera, CameraError
 
 _ARROWS = {Lean.LEFT: "<", Lean.RIGHT: ">", Lean.UPPER: "^", Lean.LOWER: "v", Lean.FLAT: "o"}
 
@@ -31,6 +32,8 @@ def capture(camera: Camera, gathering: Gathering, ask: Callable[[tuple[int, int]
             screen.show(gathering, measured, offer)
     except (EOFError, KeyboardInterrupt):
         return
+    except (CameraError, OSError) as error:
+        raise CalibrationError(f"the camera failed: {error}") from error
 
 
 class Screen:

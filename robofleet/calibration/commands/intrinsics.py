@@ -82,9 +82,14 @@ def _keep(gathering: Gathering, folder: Path) -> None:
     """Write the views of a capture, so that it can be measured again."""
     if not gathering.views:
         return
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CalibrationError(f"{folder}: {error.strerror}: the views could not be kept") from error
     for view in gathering.views:
-        cv2.imwrite(str(folder / f"{view.name.replace(' ', '-')}.png"), view.image)
+        file = folder / f"{view.name.replace(' ', '-')}.png"
+        if not cv2.imwrite(str(file), view.image):
+            raise CalibrationError(f"{file}: cannot be written: the views could not be kept")
     print(f"views: {folder}")
 
 
