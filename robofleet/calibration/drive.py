@@ -249,8 +249,8 @@ class _Watch:
         text = phase
         ticks = recording.messages.get(key(self._config.arena.name, TICK))
         head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None
-        if head is not None and head[2] >= 0:
-            row = int(np.searchsorted(self._ends, head[2] * self._config.controller.tick_s, side="right"))
+        if head is not None and head[3] >= 0:
+            row = int(np.searchsorted(self._ends, head[3] * self._config.controller.tick_s, side="right"))
             if row < self._count:
                 text = f"{self._config.groups[0].robots[row]} drives"
         if text != self._said:

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from robofleet.clock import Clock
-from robofleet.comms.keys import REQUEST, Topic, key
-from robofleet.comms.messages import Layout, ListLayout
+from robofleet.comms.keys import Topic, key
+from robofleet.comms.layouts import Layout, ListLayout
 
 M = TypeVar("M")
+
+_REQUESTS = 16  # that wait to be served
 
 Publish = Callable[[bytes], None]
 Wake = Callable[[int], None]  # called with the instant [ns] when a message arrives
@@ -35,12 +37,19 @@ class Stream(Protocol):
 
 
 class Request(Protocol):
-    """Something an operator asks of a process."""
+    """Something that is asked of a process."""
 
-    text: str
+    payload: bytes
 
-    def reply(self, text: str) -> None:
+    def reply(self, payload: bytes) -> None:
         """Answer it."""
+
+
+class Answer(Protocol):
+    """An answer that is awaited."""
+
+    def take(self) -> bytes | None:
+        """Return the answer, once; None while there is none."""
 
 
 class Bus(Protocol):
@@ -55,11 +64,11 @@ class Bus(Protocol):
     def stream(self, expression: str, capacity: int) -> Stream:
         """Subscribe to everything that matches a key expression."""
 
-    def serve(self, process: str) -> Callable[[], Request | None]:
-        """Return the function that takes the next request to this process, or None."""
+    def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
+        """Return the function that takes the next request on a topic, or None."""
 
-    def ask(self, process: str, text: str) -> str:
-        """Send a request to a process and return its answer; TimeoutError if nobody answers."""
+    def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
+        """Send a request, once; whoever serves it may not be there (yet): then no answer comes."""
 
     def close(self) -> None:
         """Leave the bus. Idempotent."""
@@ -90,6 +99,7 @@ class MemoryBus:
     def __init__(self, arena: str, clock: Clock, delay_ns: int) -> None:
         self._arena, self._clock, self._delay_ns = arena, clock, delay_ns
         self._subscribers: dict[str, list[_MemoryQueue]] = {}
+        self._servers: dict[str, _MemoryServer] = {}
         self._taps: list[Callable[[tuple[str, bytes]], None]] = []
 
     def tap(self, observe: Callable[[tuple[str, bytes]], None]) -> None:
@@ -119,20 +129,21 @@ class MemoryBus:
         """Subscribe to one key (wildcards are the tap's)."""
         return self._queue(expression, capacity, None)
 
-    def serve(self, process: str) -> Callable[[], Request | None]:
-        """Return the function that takes the next request."""
-        queue = self._queue(key(self._arena, REQUEST, process), 64, None)
+    def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
+        """Return the function that takes the next request; who serves later takes over."""
+        server = self._servers[key(self._arena, topic, name)] = _MemoryServer(self._clock, wake)
+        return server.take
 
-        def take() -> Request | None:
-            payload = queue.take()
-            return None if payload is None else _MemoryRequest(payload.decode())
-
-        return take
-
-    def ask(self, process: str, text: str) -> str:
-        """Send a request; in lockstep nobody waits for the answer."""
-        self.publisher(REQUEST, process)(text.encode())
-        return ""
+    def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
+        """Send a request."""
+        full = key(self._arena, topic, name)
+        answer = _MemoryAnswer(self._clock, self._delay_ns)
+        server = self._servers.get(full)
+        if server is not None:
+            server.put(self._clock.now_ns() + self._delay_ns, _MemoryRequest(payload, answer))
+        for observe in self._taps:
+            observe((full, payload))
+        return answer
 
     def close(self) -> None:
         """Nothing to leave."""
@@ -175,9 +186,42 @@ class _MemoryQueue:
         return arrived
 
 
-class _MemoryRequest:
-    def __init__(self, text: str) -> None:
-        self.text = text
+class _MemoryServer:
+    """Requests under way to one process."""
 
-    def reply(self, text: str) -> None:
-        """Lockstep's asker does not wait."""
+    def __init__(self, clock: Clock, wake: Wake | None) -> None:
+        self._clock, self._wake = clock, wake
+        self._requests: deque[tuple[int, _MemoryRequest]] = deque(maxlen=_REQUESTS)
+
+    def put(self, arrival_ns: int, request: "_MemoryRequest") -> None:
+        self._requests.append((arrival_ns, request))
+        if self._wake is not None:
+            self._wake(arrival_ns)
+
+    def take(self) -> "_MemoryRequest | None":
+        if not self._requests or self._requests[0][0] > self._clock.now_ns():
+            return None
+        return self._requests.popleft()[1]
+
+
+class _MemoryRequest:
+    def __init__(self, payload: bytes, answer: "_MemoryAnswer") -> None:
+        self.payload, self._answer = payload, answer
+
+    def reply(self, payload: bytes) -> None:
+        self._answer.put(payload)
+
+
+class _MemoryAnswer:
+    def __init__(self, clock: Clock, delay_ns: int) -> None:
+        self._clock, self._delay_ns = clock, delay_ns
+        self._arrives: tuple[int, bytes] | None = None
+
+    def put(self, payload: bytes) -> None:
+        self._arrives = self._clock.now_ns() + self._delay_ns, payload
+
+    def take(self) -> bytes | None:
+        if self._arrives is None or self._arrives[0] > self._clock.now_ns():
+            return None
+        (_, payload), self._arrives = self._arrives, None
+        return payload

@@ -15,6 +15,7 @@ class Topic(NamedTuple):
 COMMAND = Topic("robot/{}/cmd", 0.033, "REAL_TIME")
 STATUS = Topic("robot/{}/status", 0.020, "DATA_HIGH")
 ENABLE = Topic("robot/{}/enable", 0.040, "REAL_TIME")
+LEASE = Topic("robot/{}/lease", 0.0, "REAL_TIME", reliable=True)
 POSES = Topic("poses/{}", 0.033, "REAL_TIME")
 NEWS = Topic("poses/{}/news", 0.0, "DATA_HIGH", reliable=True)
 TICK = Topic("tick", 0.033, "DATA")
@@ -25,7 +26,7 @@ ALIVE = Topic("alive/{}", 0.0, "DATA", reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
 
-TOPICS = (COMMAND, STATUS, ENABLE, POSES, NEWS, TICK, STATE, TRUTH, REQUEST, ALIVE)
+TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, TICK, STATE, TRUTH, REQUEST, ALIVE)
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:

@@ -1,55 +1,16 @@
-"""What crosses processes: fixed little-endian layouts, version byte first. Units are in the field names.
+"""What crosses processes. Units are in the field names; ``layouts.py`` decodes."""
 
-``decode`` checks length, version and finiteness and returns None for a message that fails; the caller counts it and
-does nothing else with it.
-"""
+from typing import NamedTuple
 
-import math
-from struct import Struct
-from typing import Any, Generic, NamedTuple, TypeVar
-
-import numpy as np
-
-VERSION = 1
-_NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
-
-M = TypeVar("M", bound=NamedTuple)
-
-
-def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
-    """Pair a named tuple's fields with the types of a layout's letters."""
-    return [(name, _NUMPY[letter]) for name, letter in zip(make._fields, fields, strict=False)]
-
-
-class Layout(Generic[M]):
-    """A fixed layout: version byte, then the fields of a named tuple; ``doubles`` of its last fields are floats."""
-
-    def __init__(self, make: type[M], fields: str, doubles: int) -> None:
-        self._make = make
-        self._struct = Struct(f"<B{fields}{doubles}d")
-        self._doubles = doubles
-        self.size = self._struct.size
-        self.dtype = np.dtype([("version", "u1"), *_columns(make, fields + "d" * doubles)])
-
-    def encode(self, message: M) -> bytes:
-        """Return the payload."""
-        return self._struct.pack(VERSION, *message)
-
-    def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length, version or finiteness is wrong."""
-        if len(payload) != self.size or payload[0] != VERSION:
-            return None
-        values = self._struct.unpack(payload)
-        if self._doubles and not math.isfinite(sum(values[-self._doubles :])):
-            return None
-        return self._make._make(values[1:])
+from robofleet.comms.layouts import Layout, ListLayout
 
 
 class WheelCommand(NamedTuple):
     """Controller to driver."""
 
-    epoch: int
-    seq: int
+    epoch: int  # of the lease
+    seq: int  # above that of every command before, in this epoch
+    session: int  # of the controller that holds the lease
     boot_id: int  # of the driver, echoed
     nonce: int  # of the driver, newest seen, echoed
     exposure_ns: int  # mid-exposure of the newest image behind this command [tracker's host's clock]; 0: none
@@ -60,8 +21,10 @@ class WheelCommand(NamedTuple):
 class RobotStatus(NamedTuple):
     """Driver to all."""
 
-    epoch: int
+    epoch: int  # of the lease
     seq: int
+    build: int  # config.slices.build: equal in every process of a run
+    session: int  # of the controller that holds the lease; 0: nobody
     boot_id: int  # drawn when the driver started
     nonce: int  # opaque to everybody else
     stamp_ns: int  # [driver's clock]
@@ -69,32 +32,54 @@ class RobotStatus(NamedTuple):
     applied_ns: int  # when it did [driver's clock]
     rejected: int  # messages refused so far
     gate: int  # safety.gate.GateStatus
-    faults: int  # the robot's own bits
+    latch: int  # safety.gate.Latch: what holds the gate closed until it is cleared
+    latch_id: int  # counts the latches of this robot; who clears one names it
+    faults: int  # the robot's own bits; vehicles.interface.WIRED_STOP is the same for all
+    target_after_ns: int  # last stop: from the issue of the newest nonce echoed to a target of zero; -1: none yet
+    output_after_ns: int  # and to an output of zero
     left_angle_rad: float
     right_angle_rad: float
-    left_rad_s: float
+    left_rad_s: float  # as measured
     right_rad_s: float
+    left_output_rad_s: float  # what the gate lets through
+    right_output_rad_s: float
     battery: float  # charge [0..1]; -1 where unknown
 
 
 class Enable(NamedTuple):
     """Supervisor to driver: permission to move."""
 
-    epoch: int
+    epoch: int  # of the driver's lease, echoed
     seq: int
     boot_id: int  # of the driver, echoed
     nonce: int  # of the driver, newest seen, echoed
-    phase: int  # safety.supervisor.Phase; wheels move in RUNNING alone
+    phase: int  # safety.supervisor.Phase
+    latch: int  # safety.gate.Latch that the gate must close by, until it is cleared; 0: none
+    clear: int  # latch_id that may be cleared, if the robot is at rest; 0: none
+    limit_rad_s: float  # the fastest wheel that is permitted; 0: the wheels must stand
+
+
+class RobotState(NamedTuple):
+    """One robot's part of a run's state."""
+
+    permitted: int  # 1: its wheels may move
+    acknowledged: int  # 1: it has answered the e-stop by closing its gate
+    cause: int  # safety.supervisor.Event for which it alone stands still; 0: none
 
 
 class RunState(NamedTuple):
     """Supervisor to all."""
 
-    epoch: int
+    epoch: int  # drawn when the supervisor started
     seq: int
     phase: int  # safety.supervisor.Phase
     cause: int  # safety.supervisor.Event that led there
     robot: int  # index of the robot concerned in the group's order; safety.supervisor.NOBODY where it is not about one
+    detail: float  # the cause's own figure, as its description says
+    stage: int  # safety.arming.Stage, while ARMED
+    probed: int  # index of the robot whose wheels are tried; NOBODY: none
+    stroke: int  # index in safety.arming.STROKES of what the probed robot must do; 0: stand
+    robots: tuple[RobotState, ...]  # in the group's order
 
 
 class Truth(NamedTuple):
@@ -128,8 +113,9 @@ class TagPose(NamedTuple):
 class FleetPoses(NamedTuple):
     """Tracker to controller: everything seen in one image."""
 
-    epoch: int
+    epoch: int  # drawn when the tracker started
     seq: int
+    build: int  # config.slices.build
     exposure_ns: int  # mid-exposure [tracker's clock]
     sent_ns: int  # [tracker's clock]
     echo_tick: int  # newest tick of the controller's that the tracker knows; 0: none yet
@@ -153,9 +139,10 @@ class TrackerNews(NamedTuple):
 class TickRecord(NamedTuple):
     """Controller to all: what one tick consumed, decided and measured."""
 
-    epoch: int
+    epoch: int  # drawn when the controller started
+    build: int  # config.slices.build
     tick: int  # of the grid, from 1
-    run_tick: int  # since the run started; -1 before
+    run_tick: int  # of those that the fleet was running; -1 while it is not
     stamp_ns: int  # the tick's instant on the grid [controller's clock]
     poses_seq: int  # newest FleetPoses consumed
     exposure_ns: int  # its mid-exposure [tracker's clock]
@@ -185,62 +172,32 @@ class RobotTick(NamedTuple):
     saturated: float  # 1: the wheels could not do all of it
     measured: float  # 1: an image was used for this robot in this tick
     lost: float  # 1: no image for too long; it stands still
+    filtered: float  # 1: the barrier changed its command; 2: it found no answer, and the robot stands
+    blocked: float  # 1: the barrier has held it for so long that it will not get on by itself
 
 
-WHEEL_COMMAND = Layout(WheelCommand, "IIQQq", 2)
-ROBOT_STATUS = Layout(RobotStatus, "IIQQqqqIBI", 5)
-ENABLE = Layout(Enable, "IIQQB", 0)
-RUN_STATE = Layout(RunState, "IIBHH", 0)
+class LeaseRequest(NamedTuple):
+    """Controller to driver, a query: let me drive this robot."""
+
+    session: int
+    action: int  # safety.gate.LeaseAction
+
+
+class LeaseAnswer(NamedTuple):
+    """Driver to controller."""
+
+    granted: int  # 1, or 0
+    epoch: int  # of the lease that stands now
+    session: int  # who holds it; 0: nobody
+
+
+WHEEL_COMMAND = Layout(WheelCommand, "IIQQQq", 2)
+ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIIqq", 7)
+ENABLE = Layout(Enable, "IIQQBBI", 1)
 TRUTH = Layout(Truth, "IIq", 5)
 TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)
-
-
-class ListLayout(Generic[M]):
-    """A layout with a list at its end: version byte, the head's fields, the items' count, then equal items."""
-
-    def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
-        self._make, self._make_item = make, make_item
-        self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
-        self.head_dtype = np.dtype([("version", "u1"), *_columns(make, head), ("count", "<u2")])
-        self.item_dtype = np.dtype(_columns(make_item, item))
-
-    def dtype(self, count: int) -> np.dtype[Any]:
-        """Return the layout of a message of ``count`` items, for reading many at once."""
-        return np.dtype(
-            [
-                *((n, self.head_dtype[n]) for n in self.head_dtype.names or ()),
-                ("items", self.item_dtype, (count,)),
-            ]
-        )
-
-    def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
-        """Return the head's fields alone, or None where length or version is wrong."""
-        if len(payload) < self._head.size or payload[0] != VERSION:
-            return None
-        _, *head, count = self._head.unpack_from(payload)
-        return tuple(head) if len(payload) == self._head.size + count * self._item.size else None
-
-    def encode(self, message: M) -> bytes:
-        """Return the payload."""
-        *head, items = message
-        return self.encode_parts(tuple(head), len(items), b"".join(self._item.pack(*item) for item in items))
-
-    def encode_parts(self, head: tuple[Any, ...], count: int, items: bytes) -> bytes:
-        """Return the payload from items that are packed already."""
-        return self._head.pack(VERSION, *head, count) + items
-
-    def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length, version or finiteness is wrong."""
-        if len(payload) < self._head.size or payload[0] != VERSION:
-            return None
-        _, *head, count = self._head.unpack_from(payload)
-        if len(payload) != self._head.size + count * self._item.size:
-            return None
-        rows = list(self._item.iter_unpack(payload[self._head.size :]))
-        if not math.isfinite(sum(map(sum, rows))):
-            return None
-        return self._make._make([*head, tuple(map(self._make_item._make, rows))])
-
-
-FLEET_POSES = ListLayout(FleetPoses, "IIqqIqqI", TagPose, "Hiiddd")
-TICK_RECORD = ListLayout(TickRecord, "IIiqIqBIqq", RobotTick, "d" * 16)
+LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
+LEASE_ANSWER = Layout(LeaseAnswer, "BIQ", 0)
+FLEET_POSES = ListLayout(FleetPoses, "IIIqqIqqI", TagPose, "Hiiddd")
+TICK_RECORD = ListLayout(TickRecord, "IIIiqIqBIqq", RobotTick, "d" * 18)
+RUN_STATE = ListLayout(RunState, "IIBHHdBHB", RobotState, "BBH")

@@ -29,7 +29,7 @@ class TickFollower:
         head = None if payload is None else TICK_RECORD.decode_head(payload)
         if head is None:
             return
-        _, tick, _, stamp_ns, *_ = head
+        _, _, tick, _, stamp_ns, *_ = head
         if tick < self.newest:
             self._origins.clear()  # another controller
         self.newest, self.newest_stamp_ns = tick, stamp_ns

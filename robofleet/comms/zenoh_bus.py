@@ -7,12 +7,12 @@ from typing import Any
 
 import zenoh
 
-from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import ALIVE, REQUEST, Topic, key
+from robofleet.clock import Clock, S
+from robofleet.comms.bus import Answer, Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.keys import ALIVE, Topic, key
 
 _ANSWER_WITHIN_NS = S
-_ASK_AGAIN_NS = 50 * MS
+_REQUESTS = 16  # that wait to be served
 _TRANSPORT = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -32,6 +32,7 @@ class ZenohBus:
     def __init__(self, arena: str, endpoint: str, process: str, clock: Clock) -> None:
         self._arena, self._clock = arena, clock
         self._closed = False
+        self._queryables: list[Any] = []
         self._session = _open(
             {
                 "mode": "client",
@@ -74,28 +75,35 @@ class ZenohBus:
         """Subscribe to everything that matches a key expression."""
         return _Ring(self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(capacity)))
 
-    def serve(self, process: str) -> Callable[[], Request | None]:
-        """Return the function that takes the next request to this process."""
-        full = key(self._arena, REQUEST, process)
-        queryable = self._session.declare_queryable(full, zenoh.handlers.RingChannel(16))
+    def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
+        """Return the function that takes the next request on a topic."""
+        waiting: deque[zenoh.Query] = deque(maxlen=_REQUESTS)
+
+        def put(query: zenoh.Query) -> None:
+            waiting.append(query)
+            if wake is not None:
+                wake(self._clock.now_ns())
+
+        full = key(self._arena, topic, name)
+        self._queryables.append(self._session.declare_queryable(full, zenoh.handlers.Callback(put, indirect=False)))
 
         def take() -> Request | None:
-            query = queryable.try_recv()
-            return None if query is None else _ZenohRequest(query)
+            return _ZenohRequest(waiting.popleft()) if waiting else None
 
         return take
 
-    def ask(self, process: str, text: str) -> str:
-        """Send a request to a process and return its answer."""
-        full = key(self._arena, REQUEST, process)
-        deadline_ns = self._clock.now_ns() + _ANSWER_WITHIN_NS
-        while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
-            for reply in self._session.get(full, payload=text.encode(), timeout=left_ns / S):
-                if reply.ok is not None:
-                    return bytes(reply.ok.payload).decode()
-            # at once and without an answer: the router has not heard of that process yet
-            self._clock.sleep_until(self._clock.now_ns() + _ASK_AGAIN_NS)
-        raise TimeoutError(f"{process} does not answer on {full}")
+    def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
+        """Send a request, once."""
+        return _ZenohAnswer(
+            self._session.get(
+                key(self._arena, topic, name),
+                zenoh.handlers.RingChannel(_REQUESTS),
+                payload=payload,
+                timeout=_ANSWER_WITHIN_NS / S,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=getattr(zenoh.Priority, topic.priority),
+            )
+        )
 
     def close(self) -> None:
         """Leave the bus. Idempotent."""
@@ -145,15 +153,26 @@ class _Slot:
         return payload
 
 
+class _ZenohAnswer:
+    def __init__(self, replies: Any) -> None:
+        self._replies = replies
+
+    def take(self) -> bytes | None:
+        try:
+            reply = self._replies.try_recv()
+        except zenoh.ZError:  # all that will come has come
+            return None
+        return None if reply is None or reply.ok is None else bytes(reply.ok.payload)
+
+
 class _ZenohRequest:
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
-        payload = query.payload
-        self.text = "" if payload is None else bytes(payload).decode(errors="replace")
+        self.payload = b"" if query.payload is None else bytes(query.payload)
 
-    def reply(self, text: str) -> None:
+    def reply(self, payload: bytes) -> None:
         """Answer it."""
-        self._query.reply(self._query.key_expr, text.encode())
+        self._query.reply(self._query.key_expr, payload)
         self._query.drop()  # type: ignore[no-untyped-call] # the answer is delivered when the query ends
 
 

@@ -1,7 +1,9 @@
 """From the configuration's tree to what the rooms take: parameters without units in their names."""
 
 import secrets
+import zlib
 from dataclasses import replace
+from importlib.metadata import version
 
 import numpy as np
 
@@ -38,6 +40,7 @@ def vehicle_drive(vehicle: Vehicle) -> DifferentialDrive:
         vehicle.max_wheel_speed_rad_s,
         vehicle.max_speed_m_s,
         vehicle.motor_lag_s,
+        vehicle.max_wheel_acceleration_rad_s2,
     )
 
 
@@ -59,6 +62,11 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
         wheel_gain_error=p.wheel_gain_error,
         actuation_delay=p.actuation_delay_s,
     )
+
+
+def build(config: Config) -> int:
+    """Return a number that is the same in every process of a run: of one version and one configuration."""
+    return zlib.crc32(f"{version('robofleet')}\n{config.model_dump_json()}".encode())
 
 
 def start_pose(robot: Robot) -> tuple[float, float, float]:
@@ -85,6 +93,11 @@ def generator(seed: int, *key: str) -> np.random.Generator:
 def entropy(seed: int, *key: str) -> np.random.Generator:
     """Return randomness that no other start of the same process draws again: boot ids must differ."""
     return np.random.default_rng([seed, *("/".join(key)).encode(), *secrets.token_bytes(16)])
+
+
+def drawn_id(rng: np.random.Generator, bits: int) -> int:
+    """Return a number above 0 that names one start of a process."""
+    return int(rng.integers(1, 2 ** (bits - 1)))
 
 
 def _first(measured: float | None, believed: float) -> float:

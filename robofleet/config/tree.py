@@ -67,6 +67,7 @@ class Vehicle(Model):
     body_radius_m: Positive
     max_wheel_speed_rad_s: Positive
     max_speed_m_s: Positive
+    max_wheel_acceleration_rad_s2: Positive
     motor_lag_s: NonNegative
     simulated: PlantErrors
 

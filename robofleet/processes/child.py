@@ -38,7 +38,8 @@ def controller(config: Config, lifeline: Lifeline) -> None:
 
     compile_kernels(config)
     _run(
-        "controller", config, lifeline, lambda c, bus, clock, _: Controller(c, bus, clock), _CONTROLLER_PRIORITY,
+        "controller", config, lifeline,
+        lambda c, bus, clock, _: Controller(c, bus, clock, entropy(c.run.seed, "controller")), _CONTROLLER_PRIORITY,
         precise=True,
     )  # fmt: skip
 
@@ -63,10 +64,13 @@ def tracker(config: Config, lifeline: Lifeline) -> None:
 def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
     """The drivers of some robots."""
     from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
+    from robofleet.processes.keeping import FileKeeping  # noqa: PLC0415
 
     _run(
         "driver-" + "-".join(robots), config, lifeline,
-        lambda c, bus, clock, waker: DriverProcess(c, robots, bus, clock, waker, entropy(c.run.seed, *robots)),
+        lambda c, bus, clock, waker: DriverProcess(
+            c, robots, bus, clock, waker, entropy(c.run.seed, *robots), FileKeeping(c.arena.name)
+        ),
         _DRIVER_PRIORITY,
     )  # fmt: skip
 
@@ -75,7 +79,10 @@ def supervisor(config: Config, lifeline: Lifeline) -> None:
     """The supervisor."""
     from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
 
-    _run("supervisor", config, lifeline, lambda c, bus, clock, _: Supervisor(c, bus, clock), _SUPERVISOR_PRIORITY)
+    _run(
+        "supervisor", config, lifeline,
+        lambda c, bus, clock, _: Supervisor(c, bus, clock, entropy(c.run.seed, "supervisor")), _SUPERVISOR_PRIORITY,
+    )  # fmt: skip
 
 
 def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:

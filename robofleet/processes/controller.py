@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from robofleet.clock import Clock, S, TickGrid
-from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
+from robofleet.comms.bus import Answer, Bus, Inbox
+from robofleet.comms.keys import CAMERA, COMMAND, LEASE, POSES, STATE, STATUS, TICK
 from robofleet.comms.messages import (
     FLEET_POSES,
+    LEASE_REQUEST,
     ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     WHEEL_COMMAND,
     FleetPoses,
+    LeaseRequest,
     RobotStatus,
     WheelCommand,
 )
@@ -24,13 +26,15 @@ from robofleet.config.tree import Config
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
-from robofleet.safety.supervisor import Phase
+from robofleet.safety.arming import PROBE_RAD_S, STROKES
+from robofleet.safety.gate import LeaseAction
+from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-_EPOCH = 1
 _UNSEEN = [math.nan] * 3
 _PHASES = tuple(Phase)
+_ASK_AGAIN_TICKS = 10
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
@@ -46,9 +50,11 @@ class _Timing:
 class Controller:
     """All robots of the group, in platoon order."""
 
-    def __init__(self, config: Config, bus: Bus, clock: Clock) -> None:
+    def __init__(self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator) -> None:
         robots, c = config.platoon, config.controller
         self._clock = clock
+        self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
+        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64))
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._first_delay_s = slices.delay_ns(config, robots[0]) / S
@@ -65,10 +71,12 @@ class Controller:
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
         self._phase = Phase.IDLE
-        self._start_index = 0
+        self._run_tick = -1
+        self._permitted = np.zeros(len(robots), dtype=np.bool_)
+        self._probe: tuple[int, int] = (NOBODY, 0)  # a robot, and the stroke that it does
         self._consumed = (0, 0)  # seq and mid-exposure of the newest image
         self._timing = _Timing()
-        self._record = np.zeros((len(robots), 16))
+        self._record = np.zeros((len(robots), 18))
 
     def step(self, now_ns: int) -> int:
         """Do the newest tick that is due; ticks that were missed are counted and never made up."""
@@ -88,25 +96,37 @@ class Controller:
         self._read_state()
         measured = self._read_poses()
         lost = tick_ns - self._filter.measured_ns > self._lost_after_ns
-        driving = ~lost if self._phase is Phase.RUNNING else np.zeros_like(lost)
+        running = self._phase is Phase.RUNNING
+        self._run_tick += running
+        driving = ~lost & self._permitted & running
         here, there = self._filter.predict(tick_ns)
-        run_tick = self._index - self._start_index if self._phase is Phase.RUNNING else 0
-        t = run_tick * self._tick_s + self._first_delay_s
+        t = max(0, self._run_tick) * self._tick_s + self._first_delay_s
         w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else None
         decisions = self._behaviour.tick(t, there, driving, w)
+        self._try_wheels(decisions)
         self._filter.command(tick_ns, decisions[:, WHEELS])
         self._publish_commands(decisions[:, WHEELS].tolist())
         self._publish_record(tick_ns, here, measured, lost, decisions)
 
     def _read_state(self) -> None:
         state = self._state.take()
-        if state is not None and state.phase != self._phase and state.phase in _PHASES:
-            self._phase = Phase(state.phase)
-            if self._phase is Phase.RUNNING:
-                self._start_index = self._index
-                self._behaviour.restart()
+        if state is not None and state.phase in _PHASES and len(state.robots) == len(self._permitted):
+            self._permitted[:] = [robot.permitted for robot in state.robots]
+            self._probe = (state.probed, state.stroke) if state.phase == Phase.ARMED else (NOBODY, 0)
+            if state.phase != self._phase:
+                resumed, self._phase = self._phase is Phase.HOLD, Phase(state.phase)
+                if self._phase is Phase.RUNNING and not resumed:
+                    self._run_tick = -1
+                    self._behaviour.restart()
         for row, inbox in enumerate(self._statuses):
             self._newest[row] = inbox.take() or self._newest[row]
+        self._leases.update(self._newest)
+
+    def _try_wheels(self, decisions: np.ndarray) -> None:
+        """Let the robot that is being tried do its stroke."""
+        row, stroke = self._probe
+        if row < len(decisions) and stroke < len(STROKES):
+            decisions[row, WHEELS] = PROBE_RAD_S * np.array(STROKES[stroke])
 
     def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""
@@ -136,8 +156,10 @@ class Controller:
     def _publish_commands(self, wheels: list[list[float]]) -> None:
         exposure_ns = self._consumed[1]
         for publish, status, (left, right) in zip(self._commands, self._newest, wheels, strict=True):
-            if status is not None:
-                command = WheelCommand(_EPOCH, self._index, status.boot_id, status.nonce, exposure_ns, left, right)
+            if status is not None and status.session == self._leases.session:
+                command = WheelCommand(
+                    status.epoch, self._index, status.session, status.boot_id, status.nonce, exposure_ns, left, right
+                )
                 publish(WHEEL_COMMAND.encode(command))
 
     def _publish_record(
@@ -150,10 +172,30 @@ class Controller:
         r[:, 15] = lost
         running = self._phase is Phase.RUNNING
         head = (
-            _EPOCH, self._index, self._index - self._start_index if running else -1, tick_ns, *self._consumed,
+            self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns, *self._consumed,
             self._phase, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
         self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes()))
+
+
+class Leases:
+    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one."""
+
+    def __init__(self, bus: Bus, robots: list[str], session: int) -> None:
+        self._bus, self._robots, self.session = bus, robots, session
+        self._request = LEASE_REQUEST.encode(LeaseRequest(session, LeaseAction.ACQUIRE))
+        self._asked: list[Answer | None] = [None] * len(robots)
+        self._again = [0] * len(robots)
+
+    def update(self, newest: list[RobotStatus | None]) -> None:
+        """Ask every driver that is there and is not ours, every few ticks."""
+        for row, status in enumerate(newest):
+            if status is None or status.session == self.session:
+                continue
+            self._again[row] -= 1
+            if self._again[row] < 0:
+                self._again[row] = _ASK_AGAIN_TICKS
+                self._asked[row] = self._bus.ask(LEASE, self._robots[row], self._request)
 
 
 def compile_kernels(config: Config) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 from robofleet.clock import Clock, S, WallClock
 from robofleet.comms.keys import STATE, STATUS, TICK, everything, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD
+from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
@@ -192,7 +193,7 @@ class Launcher:
             self._stream = bus.stream(everything(self._config.arena.name), _STREAM)
             self._phase = "arming"
             try:
-                bus.ask("supervisor", "start")
+                asked(bus, self._clock, "supervisor", b"start")
             except TimeoutError as error:
                 raise RunError(str(error)) from error
             self._arm(fleet, interrupts)
@@ -225,7 +226,7 @@ class Launcher:
                 return "stopped", "the operator interrupted"
             state = self._newest(self._state_key, RUN_STATE)
             if state.phase != Phase.RUNNING:
-                status = RunStatus(Phase(state.phase), Event(state.cause), state.robot)
+                status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
                 outcome = "fault" if status.phase is Phase.FAULT else "stopped"
                 return outcome, status.describe(self._config.groups[0].robots)
             tick = self._newest(self._tick_key, TICK_RECORD)
@@ -235,7 +236,7 @@ class Launcher:
     def _stop(self, bus: ZenohBus, fleet: Fleet) -> None:
         """Ask for the stop and wait until every wheel is at rest."""
         try:
-            bus.ask("supervisor", "stop")
+            asked(bus, self._clock, "supervisor", b"stop")
         except TimeoutError:
             return
         deadline_ns = self._clock.now_ns() + round(_REST_WITHIN_S * S)

@@ -12,12 +12,13 @@ from functools import partial
 
 from robofleet.clock import S, SimulatedClock, stopwatch_ns
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATE, TICK, key
+from robofleet.comms.keys import REQUEST, STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
 from robofleet.processes.driver import DriverProcess
+from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.node import Node
 from robofleet.processes.readiness import missing
 from robofleet.processes.supervisor import Supervisor
@@ -70,6 +71,7 @@ class Lockstep:
         self.clock = SimulatedClock()
         self.clock.advance_to(S)  # 0 means "never" in many fields
         self.bus = MemoryBus(config.arena.name, self.clock, round(config.lockstep.bus_delay_s * S))
+        self.keeping = MemoryKeeping()
         self.recording = Recording(config)
         self._hash = hashlib.blake2b(digest_size=16)
         self._said: list[tuple[str, bytes]] = []  # by the step that is under way
@@ -79,12 +81,12 @@ class Lockstep:
         seed, clock, bus = config.run.seed, self.clock, self.bus
         for robot in config.robots:
             rng = generator(seed, "driver", robot.id)
-            self._add(partial(DriverProcess, config, (robot.id,), bus, clock, rng=rng))
+            self._add(partial(DriverProcess, config, (robot.id,), bus, clock, rng=rng, keeping=self.keeping))
         charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
         self._tracker = self._add(partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
-        self._add(lambda _: Supervisor(config, bus, clock))
+        self._add(lambda _: Supervisor(config, bus, clock, generator(seed, "supervisor")))
         self._tracker.timed = True
-        self._controller = self._add(lambda _: Controller(config, bus, clock))
+        self._controller = self._add(lambda _: Controller(config, bus, clock, generator(seed, "controller")))
         self._controller.timed = True
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
@@ -96,10 +98,10 @@ class Lockstep:
         gc.freeze()
         gc.disable()
         try:
-            self.bus.ask("supervisor", "start")
+            self.bus.ask(REQUEST, "supervisor", b"start")
             self._run_until(lambda: self._status.phase is Phase.RUNNING, _READY_WITHIN_NS)
             outcome = self._lap(watch)
-            self.bus.ask("supervisor", "stop")
+            self.bus.ask(REQUEST, "supervisor", b"stop")
             self._run_until(lambda: False, _REST_NS)
         except KeyboardInterrupt:
             outcome = "stopped", "the operator interrupted"
@@ -155,7 +157,7 @@ class Lockstep:
             update(full.encode() + payload)
             messages[full].append(payload)
             if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
-                self._run_tick = head[2]
+                self._run_tick = head[3]
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
-                self._status = RunStatus(Phase(state.phase), Event(state.cause), state.robot)
+                self._status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
         self._said.clear()

@@ -1,41 +1,54 @@
 """The supervisor: it owns the run's state and says every 40 ms to every driver whether its wheels may move."""
 
+import numpy as np
+
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import ENABLE, STATE, STATUS, TICK
+from robofleet.comms.keys import ENABLE, REQUEST, STATE, STATUS, TICK
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
 from robofleet.comms.messages import (
     ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     Enable,
+    RobotState,
     RobotStatus,
     RunState,
     TickRecord,
 )
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.safety import supervisor
-from robofleet.safety.supervisor import NOBODY, Event, RunStatus
+from robofleet.safety.arming import Stage
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase, RunStatus
 
 _PERIOD_NS = 40 * MS
 _SILENT_NS = S // 2
 _LOST_NS = 2 * S
-_EPOCH = 1
 
-_REQUESTS = {"start": Event.START_REQUESTED, "stop": Event.STOP_REQUESTED}
+_REQUESTS = {
+    b"start": Event.START_REQUESTED,
+    b"stop": Event.STOP_REQUESTED,
+    b"hold": Event.HOLD_REQUESTED,
+    b"resume": Event.RESUME_REQUESTED,
+    b"estop": Event.ESTOP_REQUESTED,
+}
 
 
 class Supervisor:
     """Requests of the operator and the fleet's health drive one transition table."""
 
-    def __init__(self, config: Config, bus: Bus, clock: Clock) -> None:
+    def __init__(self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator) -> None:
         robots = config.platoon
+        self._epoch = slices.drawn_id(rng, 32)
+        self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
         now_ns = clock.now_ns()
         self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
         self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
         self._publish_state = bus.publisher(STATE)
-        self._request = bus.serve("supervisor")
+        self._request = bus.serve(REQUEST, "supervisor")
         self._status = RunStatus()
         self._newest: list[RobotStatus | None] = [None] * len(robots)
         self._heard_ns = [0] * len(robots)
@@ -50,7 +63,7 @@ class Supervisor:
         before = self._status
         self._listen(now_ns)
         for event, robot in self._events(now_ns):
-            self._status = supervisor.step(self._status, event, robot)
+            self._status = supervisor.step(self._status, Happening(event, robot))
         if now_ns >= self._next_ns or self._status != before:
             self._publish()
         if now_ns >= self._next_ns:
@@ -74,8 +87,8 @@ class Supervisor:
     def _events(self, now_ns: int) -> list[tuple[Event, int]]:
         events = []
         while (request := self._request()) is not None:
-            event = _REQUESTS.get(request.text)
-            request.reply("ok" if event is not None else f"unknown request {request.text!r}")
+            event = _REQUESTS.get(request.payload)
+            request.reply(b"ok" if event is not None else b"unknown request " + request.payload)
             if event is not None:
                 events.append((event, NOBODY))
         silent = [row for row, heard in enumerate(self._heard_ns) if now_ns - heard > _SILENT_NS]
@@ -84,15 +97,22 @@ class Supervisor:
         if not controlled:
             events.append((Event.CONTROLLER_SILENT, NOBODY))
         events += [(Event.DRIVER_SILENT, row) for row in silent]
-        events += [(Event.ROBOT_LOST, row) for row in lost]
+        events += [(Event.TAG_LOST, row) for row in lost]
         if self._tick is not None and controlled and not silent and not any(r.lost for r in self._tick.robots):
-            events.append((Event.FLEET_READY, NOBODY))
+            events.append((Event.PROVED, NOBODY))
         return events
 
     def _publish(self) -> None:
         self._seq += 1
-        phase, cause, robot = self._status
-        self._publish_state(RUN_STATE.encode(RunState(_EPOCH, self._seq, phase, cause, robot)))
-        for publish, status in zip(self._enables, self._newest, strict=True):
+        phase, cause, robot, detail = self._status
+        running = phase is Phase.RUNNING
+        robots = tuple(RobotState(int(running), 0, Event.NOTHING) for _ in self._newest)
+        state = RunState(self._epoch, self._seq, phase, cause, robot, detail, Stage.CHECKS, NOBODY, 0, robots)
+        self._publish_state(RUN_STATE.encode(state))
+        latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else Latch.NONE
+        for publish, status, limit in zip(self._enables, self._newest, self._limits, strict=True):
             if status is not None:
-                publish(ENABLE_LAYOUT.encode(Enable(_EPOCH, self._seq, status.boot_id, status.nonce, phase)))
+                enable = Enable(
+                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, 0, limit if running else 0.0
+                )
+                publish(ENABLE_LAYOUT.encode(enable))

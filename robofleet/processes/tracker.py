@@ -11,6 +11,7 @@ from robofleet.comms.bus import Bus, MemoryBus, Wake
 from robofleet.comms.keys import CAMERA, NEWS, POSES
 from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
 from robofleet.comms.ticks import TickFollower
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.simulation.sources import TruthSource
@@ -26,7 +27,6 @@ from robofleet.tracking.sources import (
 )
 from robofleet.tracking.watch import CameraWatch
 
-_EPOCH = 1
 _IDLE_NS = 100 * MS
 
 
@@ -78,6 +78,7 @@ class Tracker:
             self._source = _CameraPoses(context, wake)
         self._publish = bus.publisher(POSES, CAMERA)
         self._publish_news = bus.publisher(NEWS, CAMERA)
+        self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
         self._seq = 0
         self._news_seq = 0
         self._refused = 0
@@ -107,8 +108,9 @@ class Tracker:
         elif tick:
             since_ns = observation.exposure_ns - self._ticks.instant(tick)
         message = FleetPoses(
-            _EPOCH,
+            self._epoch,
             self._seq,
+            self._build,
             observation.exposure_ns,
             self._clock.now_ns(),
             tick,
@@ -122,7 +124,7 @@ class Tracker:
     def _tell(self, happenings: tuple[Happening, ...]) -> None:
         for event, tag, value in happenings:
             self._news_seq += 1
-            news = TrackerNews(_EPOCH, self._news_seq, self._clock.now_ns(), event, tag, value)
+            news = TrackerNews(self._epoch, self._news_seq, self._clock.now_ns(), event, tag, value)
             self._publish_news(TRACKER_NEWS.encode(news))
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS, Layout
+from robofleet.comms.layouts import Layout
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config

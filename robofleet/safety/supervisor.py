@@ -1,4 +1,8 @@
-"""The run's state machine: one transition table, no I/O."""
+"""The run's state machine: one transition table, no I/O.
+
+Wheels may move in RUNNING, and in ARMED those of the one robot that is being tried. HOLD keeps the run and waits for
+the operator; FAULT and ESTOP end it and wait for a reset, which moves nothing.
+"""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -7,45 +11,190 @@ NOBODY = 0xFFFF
 
 
 class Phase(IntEnum):
-    """State of a run. Wheels may move in RUNNING alone."""
+    """State of a run."""
 
     IDLE = 0
-    ARMED = 1
+    ARMED = 1  # the checks before a start, robot by robot
     RUNNING = 2
     FAULT = 3
+    HOLD = 4
+    ESTOP = 5
 
 
 class Event(IntEnum):
-    """What can happen to a run; also the recorded cause of a state."""
+    """What can happen to a run; also the recorded cause of a state. A comment says what the ``detail`` is."""
 
     NOTHING = 0
+    # the operator
     START_REQUESTED = 1
-    FLEET_READY = 2
+    PROVED = 2  # every check before the start was passed
     STOP_REQUESTED = 3
-    DRIVER_SILENT = 4
-    CONTROLLER_SILENT = 5
-    ROBOT_LOST = 6
+    HOLD_REQUESTED = 4
+    RESUME_REQUESTED = 5
+    ESTOP_REQUESTED = 6
+    RESET = 7  # requested, and every robot at rest, every e-stop acknowledged, no input that still asks for one
+    OPERATOR_LOST = 8  # the dead man's terminal is gone
+    # other processes
+    DRIVER_SILENT = 10
+    DRIVER_RESTARTED = 11
+    CONTROLLER_SILENT = 12
+    CONTROLLER_RESTARTED = 13
+    TICKS_OVERRUN = 14  # ticks in a row
+    TRACKER_SILENT = 15
+    TRACKER_RESTARTED = 16
+    OTHER_BUILD = 17  # another version or another configuration
+    LEASE_LOST = 18  # a robot answers to another controller, or to none
+    DISK_FULL = 19
+    # the camera
+    CAMERA_STALLED = 20
+    CAMERA_FROZEN = 21
+    CAMERA_LOST = 22
+    CAMERA_MOVED = 23
+    # a robot
+    WIRED_STOP = 30
+    GATE_LATCHED = 31  # safety.gate.Latch
+    ROBOT_FAULT = 32  # the robot's own bits
+    BATTERY_LOW = 33  # charge
+    TAG_LATE = 34  # not seen for 100 ms: this robot stands still
+    TAG_LOST = 35  # not seen for 2 s
+    TAG_TWICE = 36
+    POSE_JUMPED = 37  # distance [m]
+    OUTSIDE_ARENA = 38
+    TOO_CLOSE = 39  # to another robot: its index
+    FILTER_INFEASIBLE = 40
+    DEADLOCKED = 41
+    # the checks before a start
+    NOT_AT_REST = 50
+    ESTOP_UNANSWERED = 51
+    DID_NOT_MOVE = 52
+    WRONG_TAG_MOVED = 53  # index of the robot whose tag moved
+    WHEELS_SWAPPED = 54
+    LEFT_REVERSED = 55
+    RIGHT_REVERSED = 56
+    BOTH_REVERSED = 57
+    WRONG_GAIN = 58  # travelled over expected
+    # patience
+    ARMED_TOO_LONG = 60
+    HELD_TOO_LONG = 61
 
 
 CAUSES = {
     Event.NOTHING: "nothing",
     Event.START_REQUESTED: "start requested",
-    Event.FLEET_READY: "every robot seen and answering",
+    Event.PROVED: "every check passed",
     Event.STOP_REQUESTED: "stop requested",
+    Event.HOLD_REQUESTED: "hold requested",
+    Event.RESUME_REQUESTED: "resume requested",
+    Event.ESTOP_REQUESTED: "emergency stop requested",
+    Event.RESET: "reset",
+    Event.OPERATOR_LOST: "the operator's terminal is gone",
     Event.DRIVER_SILENT: "the driver went silent",
+    Event.DRIVER_RESTARTED: "the driver was restarted",
     Event.CONTROLLER_SILENT: "the controller went silent",
-    Event.ROBOT_LOST: "the tracker lost the robot",
+    Event.CONTROLLER_RESTARTED: "the controller was restarted",
+    Event.TICKS_OVERRUN: "the controller overran {detail:.0f} ticks in a row",
+    Event.TRACKER_SILENT: "the tracker went silent",
+    Event.TRACKER_RESTARTED: "the tracker was restarted",
+    Event.OTHER_BUILD: "another version of robofleet or of the configuration runs here",
+    Event.LEASE_LOST: "the driver does not answer to this run's controller",
+    Event.DISK_FULL: "the disk is full",
+    Event.CAMERA_STALLED: "the camera stalled",
+    Event.CAMERA_FROZEN: "the camera froze",
+    Event.CAMERA_LOST: "the camera is gone, or is another one",
+    Event.CAMERA_MOVED: "the camera moved: calibrate its place again",
+    Event.WIRED_STOP: "the robot's own e-stop",
+    Event.GATE_LATCHED: "its gate is latched: look at the robot, then reset",
+    Event.ROBOT_FAULT: "the robot reports a fault ({detail:.0f})",
+    Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
+    Event.TAG_LATE: "its tag is not seen",
+    Event.TAG_LOST: "the tracker lost the robot",
+    Event.TAG_TWICE: "its tag is there twice",
+    Event.POSE_JUMPED: "it was moved by hand",
+    Event.OUTSIDE_ARENA: "it left the arena",
+    Event.TOO_CLOSE: "it is too close to {other}",
+    Event.FILTER_INFEASIBLE: "no motion is safe for it",
+    Event.DEADLOCKED: "it is in the others' way, and they in its",
+    Event.NOT_AT_REST: "it is not at rest",
+    Event.ESTOP_UNANSWERED: "its driver did not answer the e-stop drill",
+    Event.DID_NOT_MOVE: "its tag did not move when its wheels were turned",
+    Event.WRONG_TAG_MOVED: "its driver moves the tag of {other}",
+    Event.WHEELS_SWAPPED: "its wheels are swapped",
+    Event.LEFT_REVERSED: "its left wheel turns backwards",
+    Event.RIGHT_REVERSED: "its right wheel turns backwards",
+    Event.BOTH_REVERSED: "both its wheels turn backwards",
+    Event.WRONG_GAIN: "it travels {detail:.2f} of what its wheels should give: check wheel_radius_m",
+    Event.ARMED_TOO_LONG: "it was not ready in time",
+    Event.HELD_TOO_LONG: "nobody resumed",
 }
 
+_SAME = None
+_I, _A, _R, _H, _F, _E = Phase.IDLE, Phase.ARMED, Phase.RUNNING, Phase.HOLD, Phase.FAULT, Phase.ESTOP
+
+# Where each event leads from each phase; the column's own letter or a dash means that nothing changes.
+_COLUMNS = (_I, _A, _R, _H, _F, _E)
+_TABLE: dict[Event, tuple[Phase | None, ...]] = {
+    #                            IDLE   ARMED  RUNNING HOLD  FAULT  ESTOP
+    Event.START_REQUESTED:      (_A,    _SAME, _SAME, _SAME, _SAME, _SAME),
+    Event.PROVED:               (_SAME, _R,    _SAME, _SAME, _SAME, _SAME),
+    Event.STOP_REQUESTED:       (_SAME, _I,    _I,    _I,    _SAME, _SAME),
+    Event.HOLD_REQUESTED:       (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.RESUME_REQUESTED:     (_SAME, _SAME, _SAME, _R,    _SAME, _SAME),
+    Event.ESTOP_REQUESTED:      (_E,    _E,    _E,    _E,    _E,    _SAME),
+    Event.RESET:                (_SAME, _SAME, _SAME, _SAME, _I,    _I),
+    Event.OPERATOR_LOST:        (_SAME, _E,    _E,    _E,    _SAME, _SAME),
+    Event.DRIVER_SILENT:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.DRIVER_RESTARTED:     (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CONTROLLER_SILENT:    (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CONTROLLER_RESTARTED: (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.TICKS_OVERRUN:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.TRACKER_SILENT:       (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.TRACKER_RESTARTED:    (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.OTHER_BUILD:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.LEASE_LOST:           (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.DISK_FULL:            (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CAMERA_STALLED:       (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.CAMERA_FROZEN:        (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.CAMERA_LOST:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CAMERA_MOVED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.WIRED_STOP:           (_E,    _E,    _E,    _E,    _E,    _SAME),
+    Event.GATE_LATCHED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.ROBOT_FAULT:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.BATTERY_LOW:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.TAG_LATE:             (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
+    Event.TAG_LOST:             (_SAME, _F,    _F,    _SAME, _SAME, _SAME),
+    Event.TAG_TWICE:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.POSE_JUMPED:          (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.OUTSIDE_ARENA:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.TOO_CLOSE:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.FILTER_INFEASIBLE:    (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.DEADLOCKED:           (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.NOT_AT_REST:          (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.ESTOP_UNANSWERED:     (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.DID_NOT_MOVE:         (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.WRONG_TAG_MOVED:      (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.WHEELS_SWAPPED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.LEFT_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.RIGHT_REVERSED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.BOTH_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.WRONG_GAIN:           (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.ARMED_TOO_LONG:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.HELD_TOO_LONG:        (_SAME, _SAME, _SAME, _F,    _SAME, _SAME),
+}  # fmt: skip
+
 TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
-    (Phase.IDLE, Event.START_REQUESTED): Phase.ARMED,
-    (Phase.ARMED, Event.FLEET_READY): Phase.RUNNING,
-    (Phase.ARMED, Event.STOP_REQUESTED): Phase.IDLE,
-    (Phase.RUNNING, Event.STOP_REQUESTED): Phase.IDLE,
-    (Phase.RUNNING, Event.DRIVER_SILENT): Phase.FAULT,
-    (Phase.RUNNING, Event.CONTROLLER_SILENT): Phase.FAULT,
-    (Phase.RUNNING, Event.ROBOT_LOST): Phase.FAULT,
+    (phase, event): to
+    for event, row in _TABLE.items()
+    for phase, to in zip(_COLUMNS, row, strict=True)
+    if to is not None
 }
+
+
+class Happening(NamedTuple):
+    """An event, the robot that it is about (index in the group's order), and its own figure."""
+
+    event: Event
+    robot: int = NOBODY
+    detail: float = 0.0
 
 
 class RunStatus(NamedTuple):
@@ -53,15 +202,23 @@ class RunStatus(NamedTuple):
 
     phase: Phase = Phase.IDLE
     cause: Event = Event.NOTHING
-    robot: int = NOBODY  # index in the group's order
+    robot: int = NOBODY
+    detail: float = 0.0
 
     def describe(self, robots: tuple[str, ...]) -> str:
         """Return the cause in words; ``robots`` are the ids in the group's order."""
-        cause = CAUSES[self.cause]
-        return cause if self.robot == NOBODY else f"{cause}: {robots[self.robot]}"
+        return describe(Happening(self.cause, self.robot, self.detail), robots)
 
 
-def step(status: RunStatus, event: Event, robot: int = NOBODY) -> RunStatus:
+def describe(happening: Happening, robots: tuple[str, ...]) -> str:
+    """Return an event in words; ``robots`` are the ids in the group's order."""
+    event, robot, detail = happening
+    other = robots[int(detail)] if 0 <= detail < len(robots) else "nobody"
+    cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other)
+    return f"{robots[robot]}: {cause}" if robot < len(robots) else cause
+
+
+def step(status: RunStatus, happening: Happening) -> RunStatus:
     """Return the status after an event; an event that means nothing in this phase changes nothing."""
-    phase = TRANSITIONS.get((status.phase, event))
-    return status if phase is None else RunStatus(phase, event, robot)
+    phase = TRANSITIONS.get((status.phase, happening.event))
+    return status if phase is None else RunStatus(phase, *happening)

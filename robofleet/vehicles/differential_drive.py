@@ -19,6 +19,7 @@ class DifferentialDrive:
     max_wheel_speed: float  # [rad/s]
     max_speed: float  # of the body [m/s]
     motor_lag: float  # time constant of the wheel-speed loop [s]
+    max_wheel_acceleration: float  # that the gate asks of a wheel [rad/s^2]
 
 
 def body_from_wheels(left: float, right: float, radius: float, base: float) -> tuple[float, float]:

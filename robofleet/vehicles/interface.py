@@ -20,6 +20,7 @@ class WheelSpeeds(NamedTuple):
 
 
 STOP = WheelSpeeds(0.0, 0.0)
+WIRED_STOP = 1  # bit of DriverReading.faults: the robot's own e-stop input is pressed
 
 
 class DriverReading(NamedTuple):
@@ -30,7 +31,7 @@ class DriverReading(NamedTuple):
     left_speed: float  # [rad/s; as measured]
     right_speed: float  # [rad/s]
     battery: float  # charge [0..1]; NaN where the robot cannot tell
-    faults: int  # bit set, 0 when healthy; the bits are the driver's own
+    faults: int  # bit set, 0 when healthy; WIRED_STOP is the same for all, the others are the driver's own
 
 
 class TruePose(NamedTuple):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robofleet.clock import SimulatedClock
 from robofleet.comms import messages
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.messages import Layout, ListLayout
+from robofleet.comms.layouts import Layout, ListLayout
 
 LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
     "WheelCommand": (messages.WHEEL_COMMAND, messages.WheelCommand),

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.comms.messages import VERSION, Layout, ListLayout
+from robofleet.comms.layouts import VERSION, Layout, ListLayout
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=40)
 AnyLayout = Layout[Any] | ListLayout[Any]

@@ -10,7 +10,14 @@ from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.platoon import WHEELS, Column
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
 
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.2,
+    motor_lag=0.08,
+    max_wheel_acceleration=150.0,
+)
 RADIUS, TICK, ARENA = 0.055, 0.033, (3.2, 2.0)
 # as configs/platoon.yaml has them: the nearest two are 0.19 m apart
 PLATOON = [(-1.212, 0.5, 0.93), (-1.382, 0.254, 0.7), (-1.478, 0.091, 1.4), (-1.408, -0.23, 1.82)]

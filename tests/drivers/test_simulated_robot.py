@@ -20,7 +20,14 @@ from robofleet.vehicles.interface import (
 
 MS, S = 1_000_000, 1_000_000_000
 START = (0.4, -0.3, 1.0)
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.2,
+    motor_lag=0.08,
+    max_wheel_acceleration=150.0,
+)
 WORN = Imperfections(
     motor_lag=0.08,
     speed_quantum=0.2244,

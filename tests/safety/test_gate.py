@@ -16,7 +16,14 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
 BOOT, NOW = 7, 1_000_000_000_000
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.16, motor_lag=0.08)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.16,
+    motor_lag=0.08,
+    max_wheel_acceleration=150.0,
+)
 WHEELS = WheelSpeeds(3.0, -4.0)
 
 

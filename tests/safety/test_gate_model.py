@@ -11,7 +11,14 @@ from robofleet.vehicles.interface import STOP, WheelSpeeds
 
 BOOT, START = 3, 10_000_000_000
 MS = 1_000_000
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.2,
+    motor_lag=0.08,
+    max_wheel_acceleration=150.0,
+)
 
 boots = st.sampled_from([BOOT, BOOT, BOOT, 4])
 ages = st.sampled_from([-1, 0, 1, 40 * MS, VALID_NS - 1, VALID_NS, VALID_NS + 1]) | st.integers(-5, VALID_NS + 5)

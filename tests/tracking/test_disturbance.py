@@ -9,7 +9,7 @@ import pytest
 from robofleet.tracking.estimator import FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
 
-DRIVE = DifferentialDrive(0.016, 0.105, 12.5, 0.2, 0.0)
+DRIVE = DifferentialDrive(0.016, 0.105, 12.5, 0.2, 0.0, 150.0)
 TICK = 33_000_000
 L = 0.08
 NOISE = FilterNoise(0.0004, 0.006, 0.0015, 0.06, 5.0, efficiency=0.15, efficiency_time=20.0)

@@ -13,7 +13,14 @@ from robofleet.vehicles.interface import Imperfections, WheelSpeeds
 from robofleet.vehicles.plant import Plant
 
 TICK, LATE, DELAY = 33 * MS, 18 * MS, 2 * MS
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.2,
+    motor_lag=0.08,
+    max_wheel_acceleration=150.0,
+)
 NOISE = FilterNoise(position=0.0004, heading=0.006, position_drift=0.0015, heading_drift=0.06, gate_sigma=5.0)
 LAG_ONLY = Imperfections(
     motor_lag=0.08,

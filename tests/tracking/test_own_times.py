@@ -14,7 +14,14 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
 
 TICK = 33 * MS
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.06)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.2,
+    motor_lag=0.06,
+    max_wheel_acceleration=150.0,
+)
 WORN = Imperfections(
     motor_lag=0.06,
     speed_quantum=0.2244,

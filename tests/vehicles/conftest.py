@@ -40,7 +40,14 @@ WORN = Imperfections(
 
 @pytest.fixture(scope="session")
 def drive() -> DifferentialDrive:
-    return DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+    return DifferentialDrive(
+        wheel_radius=0.016,
+        wheel_base=0.105,
+        max_wheel_speed=12.5,
+        max_speed=0.2,
+        motor_lag=0.08,
+        max_wheel_acceleration=150.0,
+    )
 
 
 @pytest.fixture(scope="session")

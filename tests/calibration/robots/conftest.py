@@ -18,7 +18,14 @@ from robofleet.vehicles.interface import DriverContext, Imperfections, Simulatio
 
 MS, S = 1_000_000, 1_000_000_000
 TICK, LEAD, ENCODER = 33 * MS, 18 * MS, 20 * MS
-DRIVE = DifferentialDrive(wheel_radius=0.016, wheel_base=0.105, max_wheel_speed=12.5, max_speed=0.2, motor_lag=0.08)
+DRIVE = DifferentialDrive(
+    wheel_radius=0.016,
+    wheel_base=0.105,
+    max_wheel_speed=12.5,
+    max_speed=0.2,
+    motor_lag=0.08,
+    max_wheel_acceleration=150.0,
+)
 WORN = Imperfections(
     motor_lag=0.06,
     speed_quantum=0.2244,

@@ -1,0 +1,92 @@
+"""Fixed little-endian layouts, version byte first, and what decoding refuses.
+
+``decode`` checks length, version and finiteness and returns None for a message that fails; the caller counts it and
+does nothing else with it.
+"""
+
+import math
+from struct import Struct
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+VERSION = 2
+_NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
+
+M = TypeVar("M", bound=NamedTuple)
+
+
+def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
+    """Pair a named tuple's fields with the types of a layout's letters."""
+    return [(name, _NUMPY[letter]) for name, letter in zip(make._fields, fields, strict=False)]
+
+
+class Layout(Generic[M]):
+    """A fixed layout: version byte, then the fields of a named tuple; ``doubles`` of its last fields are floats."""
+
+    def __init__(self, make: type[M], fields: str, doubles: int) -> None:
+        self._make = make
+        self._struct = Struct(f"<B{fields}{doubles}d")
+        self._doubles = doubles
+        self.size = self._struct.size
+        self.dtype = np.dtype([("version", "u1"), *_columns(make, fields + "d" * doubles)])
+
+    def encode(self, message: M) -> bytes:
+        """Return the payload."""
+        return self._struct.pack(VERSION, *message)
+
+    def decode(self, payload: bytes) -> M | None:
+        """Return the message, or None where length, version or finiteness is wrong."""
+        if len(payload) != self.size or payload[0] != VERSION:
+            return None
+        values = self._struct.unpack(payload)
+        if self._doubles and not math.isfinite(sum(values[-self._doubles :])):
+            return None
+        return self._make._make(values[1:])
+
+
+class ListLayout(Generic[M]):
+    """A layout with a list at its end: version byte, the head's fields, the items' count, then equal items."""
+
+    def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
+        self._make, self._make_item = make, make_item
+        self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
+        self.head_dtype = np.dtype([("version", "u1"), *_columns(make, head), ("count", "<u2")])
+        self.item_dtype = np.dtype(_columns(make_item, item))
+
+    def dtype(self, count: int) -> np.dtype[Any]:
+        """Return the layout of a message of ``count`` items, for reading many at once."""
+        return np.dtype(
+            [
+                *((n, self.head_dtype[n]) for n in self.head_dtype.names or ()),
+                ("items", self.item_dtype, (count,)),
+            ]
+        )
+
+    def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
+        """Return the head's fields alone, or None where length or version is wrong."""
+        if len(payload) < self._head.size or payload[0] != VERSION:
+            return None
+        _, *head, count = self._head.unpack_from(payload)
+        return tuple(head) if len(payload) == self._head.size + count * self._item.size else None
+
+    def encode(self, message: M) -> bytes:
+        """Return the payload."""
+        *head, items = message
+        return self.encode_parts(tuple(head), len(items), b"".join(self._item.pack(*item) for item in items))
+
+    def encode_parts(self, head: tuple[Any, ...], count: int, items: bytes) -> bytes:
+        """Return the payload from items that are packed already."""
+        return self._head.pack(VERSION, *head, count) + items
+
+    def decode(self, payload: bytes) -> M | None:
+        """Return the message, or None where length, version or finiteness is wrong."""
+        if len(payload) < self._head.size or payload[0] != VERSION:
+            return None
+        _, *head, count = self._head.unpack_from(payload)
+        if len(payload) != self._head.size + count * self._item.size:
+            return None
+        rows = list(self._item.iter_unpack(payload[self._head.size :]))
+        if not math.isfinite(sum(head) + sum(map(sum, rows))):
+            return None
+        return self._make._make([*head, tuple(map(self._make_item._make, rows))])

@@ -1,0 +1,25 @@
+"""What an operator asks of a process, and waits for."""
+
+from robofleet.clock import MS, Clock, S
+from robofleet.comms.bus import Bus
+from robofleet.comms.keys import REQUEST
+
+_WITHIN_NS = 2 * S
+_AGAIN_NS = 200 * MS
+_POLL_NS = 2 * MS
+
+
+def asked(bus: Bus, clock: Clock, process: str, payload: bytes) -> bytes:
+    """Ask a process, again while no answer comes, and return its answer; TimeoutError after two seconds.
+
+    At first the router may not have heard of that process yet: then a request ends at once and without an answer.
+    """
+    deadline_ns = clock.now_ns() + _WITHIN_NS
+    while clock.now_ns() < deadline_ns:
+        answer = bus.ask(REQUEST, process, payload)
+        again_ns = clock.now_ns() + _AGAIN_NS
+        while clock.now_ns() < again_ns:
+            if (reply := answer.take()) is not None:
+                return reply
+            clock.sleep_until(clock.now_ns() + _POLL_NS)
+    raise TimeoutError(f"the {process} does not answer")
