@@ -94,16 +94,16 @@ class ZenohBus:
 
     def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
         """Send a request, once."""
-        return _ZenohAnswer(
-            self._session.get(
-                key(self._arena, topic, name),
-                zenoh.handlers.RingChannel(_REQUESTS),
-                payload=payload,
-                timeout=_ANSWER_WITHIN_NS / S,
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=getattr(zenoh.Priority, topic.priority),
-            )
+        answer = _ZenohAnswer()
+        self._session.get(
+            key(self._arena, topic, name),
+            zenoh.handlers.Callback(answer.put, indirect=False),  # a RingChannel's answer is gone with its query
+            payload=payload,
+            timeout=_ANSWER_WITHIN_NS / S,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=getattr(zenoh.Priority, topic.priority),
         )
+        return answer
 
     def close(self) -> None:
         """Leave the bus. Idempotent."""
@@ -154,15 +154,16 @@ class _Slot:
 
 
 class _ZenohAnswer:
-    def __init__(self, replies: Any) -> None:
-        self._replies = replies
+    def __init__(self) -> None:
+        self._answers: deque[bytes] = deque(maxlen=1)
+
+    def put(self, reply: zenoh.Reply) -> None:
+        """Keep it; called by Zenoh's own thread."""
+        if reply.ok is not None:
+            self._answers.append(bytes(reply.ok.payload))
 
     def take(self) -> bytes | None:
-        try:
-            reply = self._replies.try_recv()
-        except zenoh.ZError:  # all that will come has come
-            return None
-        return None if reply is None or reply.ok is None else bytes(reply.ok.payload)
+        return self._answers.pop() if self._answers else None
 
 
 class _ZenohRequest:

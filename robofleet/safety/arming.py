@@ -3,6 +3,10 @@
 from enum import IntEnum
 from typing import NamedTuple
 
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.view import FleetView
+
 
 class Stage(IntEnum):
     """What is done while ARMED, one after the other."""
@@ -22,3 +26,36 @@ class Stroke(NamedTuple):
 
 PROBE_RAD_S = 4.0
 STROKES = (Stroke(0.0, 0.0), Stroke(1.0, 0.0), Stroke(0.0, 1.0), Stroke(-1.0, -1.0))  # 0: stand
+
+
+class ArmingState(NamedTuple):
+    """Where the checks are, and what they ask for now."""
+
+    stage: Stage = Stage.CHECKS
+    since_ns: int = 0  # when this stage began
+    latch: Latch = Latch.NONE  # that every gate is to close by
+    clear: bool = False  # every gate's latch may be cleared
+    probed: int = NOBODY
+    stroke: int = 0
+
+
+class ArmingSettings(NamedTuple):
+    """What the checks need to know of the fleet, in the group's order."""
+
+    build: int
+    wheel_radius: tuple[float, ...]  # [m]
+    wheel_base: tuple[float, ...]  # [m]
+    body_radius: tuple[float, ...]  # [m]
+    arena: tuple[float, float]  # [m]
+
+
+def begin(now_ns: int) -> ArmingState:
+    """Return the first state."""
+    return ArmingState(since_ns=now_ns)
+
+
+def step(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
+    """Go on; a happening is Event.PROVED at the end, or why the fleet must not start."""
+    robots = view.robots
+    ready = view.controller_ns and view.tracker_ns and all(r.heard_ns and r.seen_ns and r.session for r in robots)
+    return (state._replace(stage=Stage.DONE), Happening(Event.PROVED)) if ready else (state, None)

@@ -1,0 +1,56 @@
+"""What the supervisor sees of the fleet: the newest of every message, in the words of the pure rooms."""
+
+from typing import NamedTuple
+
+NEVER = 0
+
+
+class RobotView(NamedTuple):
+    """One robot. Instants on the supervisor's clock [ns], NEVER before the first; wheels [rad, rad/s]."""
+
+    heard_ns: int = NEVER  # newest status
+    build: int = 0
+    session: int = 0  # of the controller that holds its lease
+    boot_id: int = 0
+    latch: int = 0  # safety.gate.Latch
+    latch_id: int = 0
+    faults: int = 0  # the robot's own bits
+    battery: float = -1.0  # charge [0..1]; -1 where unknown
+    left_angle: float = 0.0
+    right_angle: float = 0.0
+    left_speed: float = 0.0  # as measured
+    right_speed: float = 0.0
+    left_output: float = 0.0  # what the gate lets through
+    right_output: float = 0.0
+    seen_ns: int = NEVER  # newest image in which its tag was measured
+    unseen_ns: int = 0  # from that image to the newest one, by the images' own stamps
+    image: int = 0  # number of that image
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in that image: x, y [m], psi [rad]; world
+    estimate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the controller's, at its newest tick
+    filtered: int = 0  # the barrier at that tick: 0 left alone, 1 changed, 2 no answer
+    blocked: bool = False  # held by the barrier for long
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no wheel turns, as asked and as measured."""
+        wheels = (self.left_speed, self.right_speed, self.left_output, self.right_output)
+        return max(map(abs, wheels)) < 0.05
+
+
+class FleetView(NamedTuple):
+    """Everything that is known now."""
+
+    now_ns: int
+    robots: tuple[RobotView, ...]  # in the group's order
+    controller_ns: int = NEVER  # newest tick's arrival
+    controller_epoch: int = 0
+    controller_build: int = 0
+    tick: int = 0  # its number
+    overruns: int = 0  # so far
+    tracker_ns: int = NEVER  # newest image's arrival
+    tracker_epoch: int = 0
+    tracker_build: int = 0
+    image: int = 0  # its number
+    image_tick: int = 0  # the newest tick that the tracker knew at its exposure
+    news: tuple[tuple[int, int, float], ...] = ()  # since the last view: tracker's event, robot (NOBODY), value
+    free_bytes: int = 1 << 40  # where the run is recorded
