@@ -182,7 +182,9 @@ def _take_lease(state: GateState, lease: tuple[int, LeaseAction], at_rest: bool,
     lapsed = now_ns - state.heard_ns >= LAPSE_NS
     if not (at_rest and (state.session == 0 or lapsed or action is LeaseAction.TAKE_OVER)):
         return state, False
-    own = state._replace(epoch=state.epoch + 1, session=session, heard_ns=now_ns, seq=0, command_nonce=_NEVER, limit=0.0)
+    own = state._replace(
+        epoch=state.epoch + 1, session=session, heard_ns=now_ns, seq=0, command_nonce=_NEVER, limit=0.0
+    )
     return own, True
 
 
