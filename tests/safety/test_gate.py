@@ -162,10 +162,13 @@ def test_outside_is_refused_not_clamped(step: Step, wheels: tuple[float, float])
     ("limit", "passes"),
     [(4.0, True), (4.0 / 1.0099, True), (4.0 / 1.0101, False), (0.0, False), (-1.0, False), (math.nan, False)],
 )
-def test_what_is_permitted_may_be_less_than_what_the_robot_can_do(step: Step, limit: float, passes: bool) -> None:
-    gate = opened(step)
+@pytest.mark.parametrize("wheels", [WheelSpeeds(3.0, -4.0), WheelSpeeds(-4.0, 3.0)])
+def test_what_is_permitted_may_be_less_than_what_the_robot_can_do(
+    step: Step, limit: float, passes: bool, wheels: WheelSpeeds
+) -> None:
+    gate = opened(step, wheels)
     gate.wait(10 * MS)
-    assert gate.enable(limit=limit).target == (WHEELS if passes else STOP)
+    assert gate.enable(limit=limit).target == (wheels if passes else STOP)
     assert gate.out.status is (GateStatus.OPEN if passes else GateStatus.NO_ENABLE)
     assert gate.state.refused == 0
 
@@ -193,6 +196,7 @@ def test_validity_ends_with_the_older_of_the_two(step: Step, renewed: str) -> No
     gate.now = closes
     assert gate.give().target == STOP
     assert gate.out.status is (GateStatus.NO_ENABLE if renewed == "command" else GateStatus.NO_COMMAND)
+    assert gate.state.target_after_ns == VALID_NS
 
 
 def test_on_the_way_up_too_it_wakes_when_validity_ends(step: Step) -> None:
@@ -320,6 +324,13 @@ def test_a_stop_is_timed_from_one_nonce_and_known_when_it_is_over(step: Step) ->
         gate.command()
     assert gate.state.target_after_ns == 30 * MS
     assert 30 * MS + 80 * MS <= gate.state.output_after_ns <= 30 * MS + 90 * MS
+    gate.enable(clear=1)
+    gate.enable()
+    gate.command()
+    assert gate.state.output_after_ns >= 110 * MS  # until another one begins
+    gate.wait(40 * MS)
+    gate.give(latch=Latch.WIRED_STOP)
+    assert (gate.state.target_after_ns, gate.state.output_after_ns) == (40 * MS, UNKNOWN)
 
 
 def test_a_stop_before_the_wheels_turned_is_over_at_once(step: Step) -> None:
@@ -547,6 +558,13 @@ def test_a_clock_that_is_set_back_ends_a_lease_no_later(step: Step) -> None:
     gate.give()
     gate.wait(LAPSE_NS)
     assert gate.lease(OTHER) is True
+
+
+def test_after_a_clock_was_set_back_an_old_command_is_not_valid_again(step: Step) -> None:
+    gate = opened(step)
+    gate.now -= 50 * MS
+    gate.give()
+    assert gate.enable().status is GateStatus.NO_COMMAND
 
 
 def test_an_instant_twice_is_no_clock_that_was_set_back(step: Step) -> None:
