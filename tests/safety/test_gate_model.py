@@ -75,14 +75,16 @@ class GateMachine(RuleBasedStateMachine):
         self.now = end
         self.after()
 
-    @rule()
-    def drive(self) -> None:
-        """A healthy controller and a healthy supervisor."""
-        told = self.told
+    @rule(wheels=st.sampled_from([(9.0, -4.0), (-12.5, 7.0), (12.62, 0.0), (10.0, 10.0), (-10.0, -10.05), (1.0, 12.6)]))
+    def drive(self, wheels: tuple[float, float]) -> None:
+        """A healthy robot, controller and supervisor; what was latched is reset."""
+        told, self.pressed, self.turning = self.told, Latch.NONE, False
+        if told.latch:
+            self.enable(0, 0, 0, 0, Latch.NONE, 0, 0.0)
         if not told.holder:
             self.lease(SESSION, LeaseAction.ACQUIRE)
         self.enable(0, 0, 0, 0, Latch.NONE, None, 12.5)
-        self.command(0, 0, 0, told.holder, 0, (9.0, -4.0))
+        self.command(0, 0, 0, told.holder, 0, wheels)
 
     @rule(
         boot=MOSTLY_RIGHT, age=AGES, epoch=MOSTLY_RIGHT, session=SESSIONS, seq=MOSTLY_RIGHT,
