@@ -85,8 +85,8 @@ class Lockstep:
         charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
         self._tracker = self._add(partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
         rng = generator(seed, "supervisor")
-        alone = {"free_bytes": lambda: 1 << 40, "attended": False, "say": lambda _: None}  # nobody looks on
-        self._add(partial(Supervisor, config, bus, clock, rng=rng, **alone))
+        make = partial(Supervisor, config, bus, clock, rng=rng, free_bytes=lambda: 1 << 40)
+        self._add(partial(make, attended=False, say=lambda _: None))
         self._tracker.timed = True
         self._controller = self._add(lambda _: Controller(config, bus, clock, generator(seed, "controller")))
         self._controller.timed = True

@@ -75,6 +75,7 @@ class Supervisor:
         self._standing: tuple[Happening, ...] = ()  # of the newest view
         self._checks: ArmingState | None = None  # while ARMED
         self._robots = tuple(RobotState(0, 0, Event.NOTHING) for _ in robots)  # as published last
+        self._permitted = [0.0] * len(robots)  # fastest wheel [rad/s]
         self._operator_ns = NEVER
         self._naming_ns: int | None = None  # when who has not answered the emergency stop will be named
         self._clear = [0] * len(robots)  # latches that a reset clears, by their ids; 0: none
@@ -176,21 +177,20 @@ class Supervisor:
         return [robot for robot, state in zip(self._ids, self._robots, strict=True) if not state.acknowledged]
 
     def _judge_robots(self) -> None:
-        """Find out who may move, and say who must not any more and who keeps its gate open."""
+        """Find out who may move; say who must stand, and who keeps its gate open in an emergency stop."""
         causes: dict[int, Happening] = {}
         for happening in self._standing:
             causes.setdefault(happening.robot, happening)
         emergency = self._status.phase is Phase.ESTOP
-        before, self._robots = (
-            self._robots,
-            tuple(
-                RobotState(
-                    int(self._limit(row, row in causes) > 0.0),
-                    int(emergency and acknowledged(seen)),
-                    causes[row].event if row in causes else Event.NOTHING,
-                )
-                for row, seen in enumerate(self._view.robots)
-            ),
+        self._permitted = [0.0 if row in causes else self._limit(row) for row in range(len(self._ids))]
+        before = self._robots
+        self._robots = tuple(
+            RobotState(
+                int(self._permitted[row] > 0.0),
+                int(emergency and acknowledged(seen)),
+                causes[row].event if row in causes else Event.NOTHING,
+            )
+            for row, seen in enumerate(self._view.robots)
         )
         for row, (old, new) in enumerate(zip(before, self._robots, strict=True)):
             if new.cause not in (old.cause, Event.NOTHING) and self._status.phase is not Phase.IDLE:
@@ -200,11 +200,11 @@ class Supervisor:
             if unanswered := self._unanswered():
                 self._say(f"the emergency stop is not acknowledged by {', '.join(unanswered)}")
 
-    def _limit(self, row: int, held: bool) -> float:
-        """Return the fastest wheel that a robot is permitted [rad/s]."""
-        if self._status.phase is Phase.RUNNING and not held:
+    def _limit(self, row: int) -> float:
+        """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""
+        if self._status.phase is Phase.RUNNING:
             return self._limits[row]
-        if self._checks is not None and self._checks.probed == row and not held:
+        if self._checks is not None and self._checks.probed == row:
             return min(PROBE_RAD_S, self._limits[row])
         return 0.0
 
@@ -228,10 +228,10 @@ class Supervisor:
         latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else checks.latch
         for row, (publish, status) in enumerate(zip(self._enables, self._listener.statuses, strict=True)):
             if status is not None:
-                limit = self._limit(row, held=not self._robots[row].permitted)
                 enable = Enable(
-                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, self._cleared(row), limit
-                )
+                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
+                    self._permitted[row],
+                )  # fmt: skip
                 publish(ENABLE_LAYOUT.encode(enable))
 
     def _cleared(self, row: int) -> int:
