@@ -1,5 +1,6 @@
 """A supervisor on a bench: drivers with gates, a controller and a tracker that talk unless they are silenced."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ class Robot:
         self.latch = Latch.NONE
         self.latch_id = 0
         self.deaf = False
+        self.clock_ns = 0  # when its clock began
         self.says: dict[str, Any] = {}  # fields of its status
 
     def hear(self, enable: Enable) -> None:
@@ -55,9 +57,9 @@ class Robot:
             self.latch = Latch.NONE
 
     def status(self, now_ns: int, build: int) -> RobotStatus:
-        self.nonce = now_ns
+        self.nonce = now_ns - self.clock_ns
         healthy = RobotStatus(
-            1, 1, build, 5, self.boot_id, now_ns, now_ns, 0, 0, 0, 0, self.latch, self.latch_id, 0, -1, -1,
+            1, 1, build, 5, self.boot_id, self.nonce, self.nonce, 0, 0, 0, 0, self.latch, self.latch_id, 0, -1, -1,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0,
         )  # fmt: skip
         return healthy._replace(**self.says)
@@ -66,9 +68,7 @@ class Robot:
 class Stand:
     """``run`` lets everybody talk; what a test changes in between is seen by the supervisor as it would be."""
 
-    def __init__(
-        self, bench: Any, *, attended: bool = False, make: type[Supervisor] = Supervisor, prove: Any = proved
-    ) -> None:
+    def __init__(self, bench: Any, *, attended: bool = False, prove: Any = proved) -> None:
         self.bench = bench
         self.build = slices.build(bench.config)
         self.robots = {robot: Robot(100 + row) for row, robot in enumerate(ROBOTS)}
@@ -79,16 +79,24 @@ class Stand:
         self.stopped: dict[str, float] = {}  # fields of every robot's tick
         self.free_bytes = 1 << 40
         self.said: list[str] = []
+        self.others: list[tuple[int, Callable[[], None]]] = []  # what else happens, and how often [ns]
         self.woken: list[int] = []
-        self._tick = self._image = self._news = 0
+        self.tick = self._image = self._news = 0
+        self.epoch = 3  # of the controller
         arming.step = prove
-        self.node = make(
+        self.node = Supervisor(
             bench.config, bench.bus, bench.clock, self.woken.append, np.random.default_rng(1),
             free_bytes=lambda: self.free_bytes, attended=attended, say=self.said.append,
         )  # fmt: skip
 
     def run(self, ns: int) -> None:
-        others = [(20 * MS, self._talk), (33 * MS, self._control), (33 * MS, self._see), (200 * MS, self._attend)]
+        others = [
+            *self.others,
+            (20 * MS, self._talk),
+            (33 * MS, self._control),
+            (33 * MS, self._see),
+            (200 * MS, self._attend),
+        ]
         self.bench.run(self.node, ns, *others)
 
     def ask(self, text: str, within_ns: int = 0) -> str:
@@ -137,9 +145,9 @@ class Stand:
 
     def _control(self) -> None:
         if "controller" not in self.silent:
-            self._tick += 1
+            self.tick += 1
             tick = RobotTick(*[0.0] * 18)._replace(**self.stopped)
-            head = (3, self.build, self._tick, -1, self.bench.now_ns, 0, 0, 0, 0, 0, 0)
+            head = (self.epoch, self.build, self.tick, -1, self.bench.now_ns, 0, 0, 0, 0, 0, 0)
             self.bench.say(TICK, TickRecord(*head, (tick,) * len(ROBOTS)))
 
     def _see(self) -> None:
@@ -148,7 +156,7 @@ class Stand:
             poses = tuple(TagPose(self.tags[r], 0, 0, *self.places[r]) for r in ROBOTS if r not in self.hidden)
             now_ns = self.bench.now_ns
             self.bench.say(
-                POSES, FleetPoses(4, self._image, self.build, now_ns, now_ns, self._tick, 0, 0, 0, poses), CAMERA
+                POSES, FleetPoses(4, self._image, self.build, now_ns, now_ns, self.tick, 0, 0, 0, poses), CAMERA
             )
 
     def _attend(self) -> None:

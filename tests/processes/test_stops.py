@@ -58,13 +58,10 @@ def test_who_has_not_acknowledged_after_200_ms_is_named(stand: Stand, deaf: tupl
     for robot in deaf:
         stand.robots[robot].deaf = True
     stand.ask("estop")
-    asked_ns, named_ns = stand.bench.now_ns, 0
-    while not named_ns:
-        stand.run(10 * MS)
-        if "not acknowledged" in stand.said[-1]:
-            named_ns = stand.bench.now_ns
+    stand.run(190 * MS)
+    assert "not acknowledged" not in stand.said[-1]
+    stand.run(60 * MS)
     assert stand.said[-1] == f"the emergency stop is not acknowledged by {', '.join(deaf)}"
-    assert 200 * MS <= named_ns - asked_ns <= 250 * MS
     assert [robot.acknowledged for robot in stand.state.robots] == [int(robot not in deaf) for robot in ROBOTS]
     assert stand.ask("status").endswith(f"not acknowledged by {', '.join(deaf)}")
     stand.run(S)
@@ -243,3 +240,9 @@ def test_the_stop_is_repeated_while_the_gate_is_closed(
     stops = [at for at, wheels in driver.writes if wheels == STOP and at > seen.nonce + 120 * MS]
     assert len(stops) >= 10
     assert max(np.diff(stops)) <= 10 * MS
+
+
+def test_a_camera_that_is_too_slow_stops_the_run_by_name(truth: Make) -> None:
+    figures = truth("run.duration_s=3", "camera.trigger=free", "camera.rate_hz=1")
+    assert figures["outcome"] == "fault"
+    assert figures["cause"] == "the tracker went silent"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import ENABLE, REQUEST, STATE, STATUS, TICK
-from robofleet.comms.messages import RobotTick, TickRecord
+from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
+from robofleet.comms.messages import FleetPoses, RobotTick, TagPose, TickRecord, TrackerNews
 from robofleet.safety import arming
 from robofleet.safety.arming import PROBE_RAD_S, ArmingState, Stage
 from robofleet.safety.gate import Latch
@@ -168,9 +168,6 @@ def test_a_robot_hidden_for_two_seconds_ends_the_run_and_keeps_its_cause(stand: 
 
 def test_a_tag_that_the_tracker_predicts_is_not_seen(stand: Stand) -> None:
     """By the images' own stamps: messages that are late or lost do not make it older."""
-    from robofleet.comms.keys import CAMERA, POSES
-    from robofleet.comms.messages import FleetPoses, TagPose
-
     stand.running()
     stand.silent.add("tracker")
 
@@ -188,9 +185,6 @@ def test_a_tag_that_the_tracker_predicts_is_not_seen(stand: Stand) -> None:
 
 
 def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost(stand: Stand) -> None:
-    from robofleet.comms.keys import CAMERA, POSES
-    from robofleet.comms.messages import FleetPoses, TagPose
-
     stand.running()
     stand.hidden.add("r2")
     stand.run(200 * MS)
@@ -237,6 +231,39 @@ def test_a_piece_of_news_behind_another_is_not_lost(stand: Stand) -> None:
     stand.tell(TrackerEvent.CAMERA_CORRECTED)
     stand.run(40 * MS)
     assert stand.state.phase == Phase.FAULT
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_bad_network_raises_nothing(stand: Stand, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """1 % of what is said is lost, in bursts of up to 60 ms, and one message in a hundred is later than 60 ms."""
+    rng = np.random.default_rng(seed)
+    say, under_way, burst_end_ns = stand.bench.say, [], dict.fromkeys(["", CAMERA, *ROBOTS], 0)
+    lost = 0
+
+    def say_badly(topic: Any, message: Any, name: str = "") -> None:
+        nonlocal lost
+        now_ns = stand.bench.now_ns
+        if rng.random() < 0.005:
+            burst_end_ns[name] = now_ns + int(rng.integers(60 * MS))
+        if now_ns < burst_end_ns[name]:
+            lost += 1
+        else:
+            late_ns = 2 * MS * np.exp(rng.standard_normal() * np.log(30) / 2.33)
+            under_way.append((now_ns + late_ns, topic, message, name))
+
+    def deliver() -> None:
+        due = sorted((m for m in under_way if m[0] <= stand.bench.now_ns), key=lambda m: m[0])
+        under_way[:] = [m for m in under_way if m[0] > stand.bench.now_ns]
+        for _, topic, message, name in due:
+            say(topic, message, name)
+
+    stand.others = [(MS, deliver)]
+    stand.running()
+    monkeypatch.setattr(stand.bench, "say", say_badly)
+    stand.run(20 * S)
+    assert lost > 50
+    assert stand.state.phase == Phase.RUNNING
+    assert stand.said[1:] == ["ARMED -> RUNNING: every check passed"]
 
 
 def test_a_run_is_not_resumed_into_what_held_it(stand: Stand) -> None:
@@ -382,6 +409,41 @@ def test_a_status_that_was_overtaken_says_nothing(stand: Stand) -> None:
     old = stand.robots["r1"].status(stand.bench.now_ns - 30 * MS, stand.build)._replace(latch=Latch.EMERGENCY_STOP)
     stand.bench.say(STATUS, old, "r1")
     stand.node.step(stand.bench.now_ns)
+    assert stand.state.phase == Phase.RUNNING
+
+
+def test_a_driver_whose_clock_began_anew_is_heard(stand: Stand) -> None:
+    stand.running()
+    stand.robots["r1"].boot_id, stand.robots["r1"].clock_ns = 4711, stand.bench.now_ns
+    stand.run(100 * MS)
+    assert stand.cause == (Phase.FAULT, Event.DRIVER_RESTARTED, 0)
+
+
+def test_a_restarted_controller_ends_the_run(stand: Stand) -> None:
+    stand.running()
+    stand.epoch, stand.tick = 8, 0
+    stand.run(100 * MS)
+    assert stand.cause == (Phase.FAULT, Event.CONTROLLER_RESTARTED, NOBODY)
+
+
+def test_a_tick_that_was_overtaken_says_nothing(stand: Stand) -> None:
+    stand.running()
+    head = (3, stand.build, stand.tick - 1, -1, 0, 0, 0, 0, 0, 0, 0)
+    stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 18)._replace(blocked=1.0),) * 4))
+    stand.node.step(stand.bench.now_ns)
+    assert stand.state.phase == Phase.RUNNING
+
+
+def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:
+    stand.running()
+    outside = TagPose(stand.tags["r1"], 0, 33 * MS, 9.0, 0.0, 0.0)
+    stranger = TagPose(999, 0, 0, 9.0, 0.0, 0.0)
+    seen = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS[1:])
+    stand.bench.run(stand.node, 10 * MS)
+    image = FleetPoses(4, 10**6, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, (outside, stranger, *seen))
+    stand.bench.say(POSES, image, CAMERA)
+    stand.bench.say(NEWS, TrackerNews(1, 1, 0, TrackerEvent.CAMERA_MOVED, 0, float("nan")), CAMERA)  # malformed
+    stand.bench.run(stand.node, 50 * MS)
     assert stand.state.phase == Phase.RUNNING
 
 
