@@ -141,8 +141,20 @@ def _process(name: str) -> None:
     app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
 
 
-for _name in ("router", "controller", "tracker", "supervisor"):
+for _name in ("router", "controller", "tracker"):
     _process(_name)
+
+
+@app.command()
+def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The supervisor of a run, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    with _bad_input():
+        tree = load_config(config)
+        _refuse_any_port(tree, config)
+    child.supervisor(tree, Lifeline(lifeline), config.parent)
 
 
 @app.command()

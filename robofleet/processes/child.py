@@ -3,8 +3,11 @@
 A driver process loads neither numba nor OpenCV: each process imports what it is made of when it starts.
 """
 
+import shutil
+import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
@@ -75,14 +78,19 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
     )  # fmt: skip
 
 
-def supervisor(config: Config, lifeline: Lifeline) -> None:
-    """The supervisor."""
+def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:
+    """The supervisor; ``folder`` is where the run is recorded."""
     from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
 
-    _run(
-        "supervisor", config, lifeline,
-        lambda c, bus, clock, _: Supervisor(c, bus, clock, entropy(c.run.seed, "supervisor")), _SUPERVISOR_PRIORITY,
-    )  # fmt: skip
+    def make(config: Config, bus: ZenohBus, clock: Clock, waker: Waker) -> Supervisor:
+        return Supervisor(
+            config, bus, clock, waker, entropy(config.run.seed, "supervisor"),
+            free_bytes=lambda: shutil.disk_usage(folder).free,
+            attended=config.run.attended,
+            say=lambda line: print(line, file=sys.stderr, flush=True),
+        )  # fmt: skip
+
+    _run("supervisor", config, lifeline, make, _SUPERVISOR_PRIORITY)
 
 
 def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:

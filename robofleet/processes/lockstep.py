@@ -84,7 +84,9 @@ class Lockstep:
             self._add(partial(DriverProcess, config, (robot.id,), bus, clock, rng=rng, keeping=self.keeping))
         charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
         self._tracker = self._add(partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
-        self._add(lambda _: Supervisor(config, bus, clock, generator(seed, "supervisor")))
+        rng = generator(seed, "supervisor")
+        make = partial(Supervisor, config, bus, clock, rng=rng, free_bytes=lambda: 1 << 40)
+        self._add(partial(make, attended=False, say=lambda _: None))
         self._tracker.timed = True
         self._controller = self._add(lambda _: Controller(config, bus, clock, generator(seed, "controller")))
         self._controller.timed = True

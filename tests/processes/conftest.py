@@ -31,6 +31,7 @@ LAYOUTS: dict[Topic, Any] = {
     keys.TRUTH: messages.TRUTH,
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
+    keys.NEWS: messages.TRACKER_NEWS,
 }
 
 
