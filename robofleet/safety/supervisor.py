@@ -73,6 +73,7 @@ class Event(IntEnum):
     RIGHT_REVERSED = 56
     BOTH_REVERSED = 57
     WRONG_GAIN = 58  # travelled over expected
+    ENCODER_WRONG = 59  # counted over asked
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
@@ -123,6 +124,7 @@ CAUSES = {
     Event.RIGHT_REVERSED: "its right wheel turns backwards",
     Event.BOTH_REVERSED: "both its wheels turn backwards",
     Event.WRONG_GAIN: "it travels {detail:.2f} of what its wheels should give: check wheel_radius_m",
+    Event.ENCODER_WRONG: "an encoder counts {detail:.2f} of what its wheel was asked to turn",
     Event.ARMED_TOO_LONG: "it was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
 }
@@ -177,6 +179,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.RIGHT_REVERSED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.BOTH_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WRONG_GAIN:           (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.ENCODER_WRONG:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.ARMED_TOO_LONG:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.HELD_TOO_LONG:        (_SAME, _SAME, _SAME, _F,    _SAME, _SAME),
 }  # fmt: skip
@@ -213,7 +216,7 @@ class RunStatus(NamedTuple):
 def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     """Return an event in words; ``robots`` are the ids in the group's order."""
     event, robot, detail = happening
-    other = robots[int(detail)] if 0 <= detail < len(robots) else "nobody"
+    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
     cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other)
     return f"{robots[robot]}: {cause}" if robot < len(robots) else cause
 
