@@ -11,7 +11,7 @@ from typing import NamedTuple
 from robofleet.safety import wiggle
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Happening
-from robofleet.safety.view import NEVER, FleetView
+from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.safety.wiggle import Wiggle
 from robofleet.vehicles.interface import WIRED_STOP
 
@@ -22,7 +22,6 @@ _ANSWER_NS = 200_000_000  # from the e-stop to its acknowledgement
 _CLEAR_NS = 1_000_000_000
 _CHARGE = 0.2
 _FREE_BYTES = 200_000_000
-_OPEN_OR_DRILLED = (Latch.NONE, Latch.DRILL)
 _MARGIN_M = 0.01  # between two bodies, and from a wall, wherever a wiggle may lead
 
 
@@ -94,17 +93,25 @@ def _wrong(settings: ArmingSettings, view: FleetView) -> Happening | None:
         if heard_ns != NEVER and build != settings.build:
             return Happening(Event.OTHER_BUILD)
     for row, robot in enumerate(view.robots):
-        faults = (
-            (Event.OTHER_BUILD, robot.build != settings.build, 0.0),
-            (Event.WIRED_STOP, bool(robot.faults & WIRED_STOP), 0.0),
-            (Event.ROBOT_FAULT, bool(robot.faults), robot.faults),
-            (Event.GATE_LATCHED, robot.latch not in _OPEN_OR_DRILLED, robot.latch),
-            (Event.BATTERY_LOW, 0.0 <= robot.battery < _CHARGE, robot.battery),
-        )
-        for event, happens, detail in faults:
-            if happens and robot.heard_ns != NEVER:
-                return Happening(event, row, detail)
+        if robot.heard_ns != NEVER and (unfit := _unfit(robot, settings.build)):
+            return Happening(unfit[0], row, unfit[1])
     return Happening(Event.DISK_FULL) if view.free_bytes < _FREE_BYTES else None
+
+
+def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
+    if robot.build != build:
+        fault: tuple[Event, float] | None = (Event.OTHER_BUILD, 0.0)
+    elif robot.faults & WIRED_STOP:
+        fault = Event.WIRED_STOP, 0.0
+    elif robot.faults:
+        fault = Event.ROBOT_FAULT, robot.faults
+    elif robot.latch > Latch.DRILL:
+        fault = Event.GATE_LATCHED, robot.latch
+    elif 0.0 <= robot.battery < _CHARGE:
+        fault = Event.BATTERY_LOW, robot.battery
+    else:
+        fault = None
+    return fault
 
 
 def _check(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:

@@ -37,22 +37,22 @@ _SILENT_RAD = 1e-3  # a wheel that counted less counted nothing
 class Mean(NamedTuple):
     """Poses of a robot that stands."""
 
-    image: int = 0  # number of the newest
     images: int = 0
     pose: Pose = (0.0, 0.0, 0.0)
 
-    def add(self, image: int, pose: Pose) -> "Mean":
+    def add(self, pose: Pose) -> "Mean":
         """Return the mean with one more."""
         x, y, psi = self.pose if self.images else pose
         k = 1.0 / (self.images + 1)
         turn = math.remainder(pose[2] - psi, math.tau)
-        return Mean(image, self.images + 1, (x + k * (pose[0] - x), y + k * (pose[1] - y), psi + k * turn))
+        return Mean(self.images + 1, (x + k * (pose[0] - x), y + k * (pose[1] - y), psi + k * turn))
 
 
 class Wiggle(NamedTuple):
     """Where the wiggle is. Instants on the supervisor's clock [ns]; wheels [rad], forward +."""
 
     means: tuple[Mean, ...] = ()
+    image: int = 0  # number of the newest that was looked at
     robot: int = NOBODY  # that is tried; NOBODY while all are looked at first; their number at the end
     stroke: int = 0  # index in STROKES of what it must do now
     since_ns: int = 0  # when it began to drive, to slow down or to stand
@@ -85,10 +85,11 @@ def step(
     state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
 ) -> tuple[Wiggle, Happening | None]:
     """Go on; a happening is why the fleet must not start. ``state.robot`` is the number of robots at the end."""
-    bad = _bad_sign(state, wheel_radius, view)
-    if bad is not None:
-        return state, bad
-    state = _look(state, view)
+    if view.image != state.image:
+        bad = _bad_sign(state, wheel_radius, view)
+        if bad is not None:
+            return state, bad
+        state = _look(state, view)
     if state.robot == NOBODY:
         return _stand(state, wheel_radius, wheel_base, view)
     state = _count(state, view.robots[state.robot])
@@ -127,12 +128,10 @@ def _look(state: Wiggle, view: FleetView) -> Wiggle:
     """Take the newest image's poses of all who stand: of the one that is tried, only after it was seen at rest."""
     settled = state.rest_tick is not None and view.image_tick > state.rest_tick
     means = tuple(
-        mean.add(view.image, robot.pose)
-        if robot.image == view.image != mean.image and (settled or state.robot not in (NOBODY, row))
-        else mean
+        mean.add(robot.pose) if robot.image == view.image and (settled or state.robot not in (NOBODY, row)) else mean
         for row, (robot, mean) in enumerate(zip(view.robots, state.means, strict=True))
     )
-    return state._replace(means=means)
+    return state._replace(means=means, image=view.image)
 
 
 def _count(state: Wiggle, robot: RobotView) -> Wiggle:
@@ -180,13 +179,11 @@ def _stand(
     counted = _counted(state, view.robots[row])
     leg = Leg(state.asked, counted, rolled(state.before, pose, wheel_radius[row], wheel_base[row]))
     if state.forth is None:
-        fault = wiring_fault(leg)
-        state = _start(state._replace(forth=leg), BACK, view)
+        fault, following = wiring_fault(leg), _start(state._replace(forth=leg), BACK, view)
     else:
-        leg = mean_of(state.forth, leg)
-        fault = wiring_fault(leg) or gain_fault(leg)
-        state = _next(state, row + 1, view)
-    return state, None if fault is None else Happening(fault[0], row, fault[1])
+        both = mean_of(state.forth, leg)
+        fault, following = wiring_fault(both) or gain_fault(both), _next(state, row + 1, view)
+    return (following, None) if fault is None else (state, Happening(fault[0], row, fault[1]))
 
 
 def _next(state: Wiggle, row: int, view: FleetView) -> Wiggle:
