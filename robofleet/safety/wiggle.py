@@ -22,7 +22,7 @@ PROBE_RAD_S = 6.0
 STROKES = (Stroke(0.0, 0.0), Stroke(1.0, 0.6), Stroke(-1.0, -0.6))  # stand, forth, back
 FORTH, BACK = 1, 2
 
-_STROKE_NS = 250_000_000
+_STROKE_NS = 240_000_000  # six periods of the supervisor
 _IMAGES = 3  # of a robot that stands
 _SETTLE_NS = 100_000_000  # after a stroke's end: no command of it is on its way any more
 _COAST_NS = 400_000_000  # of a robot that cannot tell whether its wheels rest
