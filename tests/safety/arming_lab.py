@@ -32,6 +32,8 @@ Alter = Callable[[FleetView], FleetView]
 class Lab:
     """Robots in a row, 0.3 m apart, heading every way."""
 
+    program: ClassVar[ModuleType] = arming
+
     def __init__(
         self, robots: int = 3, seed: int = 1, faults: Mapping[int, Mapping[str, object]] | None = None
     ) -> None:
@@ -62,8 +64,7 @@ class Lab:
         self.alter: Alter = lambda view: view
         self.outputs = [STOP] * robots
         self.commands = [STOP] * robots
-        self.arming = program
-        self.state = program.begin(self.now_ns)
+        self.state = self.program.begin(self.now_ns)
         self.stages: list[tuple[Stage, int, int]] = []  # with the robot and the stroke, as they came
         self.view = FleetView(
             self.now_ns,
@@ -87,7 +88,7 @@ class Lab:
                 self._tick()
             if self.now_ns % self.period_ns == 0:
                 seen = self.alter(self.view._replace(now_ns=self.now_ns))
-                self.state, happening = self.arming.step(self.state, self.settings, seen)
+                self.state, happening = self.program.step(self.state, self.settings, seen)
                 now = self.state.stage, self.state.probed, self.state.stroke
                 if not self.stages or self.stages[-1] != now:
                     self.stages.append(now)
