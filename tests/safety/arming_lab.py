@@ -6,9 +6,12 @@ What may be wrong with it is an attribute, or is done to the view before arming 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import ModuleType
+from typing import ClassVar
 
 import numpy as np
 
+from robofleet.safety import arming
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening
