@@ -26,6 +26,7 @@ from robofleet.config.model import (
     Positive,
     Vector2,
 )
+from robofleet.vehicles.interface import Wiring
 
 
 class Arena(Model):
@@ -51,6 +52,7 @@ class PlantErrors(Model):
     breakaway_rad_s: NonNegative
     actuation_delay_s: NonNegative = 0.0  # from a command's arrival to the moment when the wheels begin to follow it
     wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # of both wheels' travel, relative
+    wiring: Wiring = "straight"  # of motors and encoders together
     wheel_gain_spread: Fraction
     wheel_base_spread: Fraction
     slip_s_per_rad: NonNegative

@@ -26,9 +26,9 @@ from robofleet.config.tree import Config
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
-from robofleet.safety.arming import PROBE_RAD_S, STROKES
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import NOBODY, Phase
+from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
 from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 

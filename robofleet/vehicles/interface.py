@@ -5,11 +5,13 @@ A driver knows its robot and nothing of the bus; the process around it knows the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
+
+Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both_reversed"]
 
 
 class WheelSpeeds(NamedTuple):
@@ -60,6 +62,7 @@ class Imperfections:
     top_speed_sag: float  # fraction of the top speed lost when the battery is empty
     battery_life: float  # [s]
     wheel_gain_error: float = 0.0  # of both wheels' travel, relative
+    wiring: Wiring = "straight"  # of motors and encoders together
     actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
 
 
