@@ -116,6 +116,7 @@ class Lockstep:
         """Close every process."""
         for slot in self._slots.values():
             slot.node.close()
+        self.recording.trace_hash = self._hash.hexdigest()
 
     def run(self, watch: Watch = lambda _recording, _phase: None) -> tuple[str, str | None]:
         """Arm, run for the configured time, stop, and let the robots come to rest; returns (outcome, cause)."""
@@ -137,7 +138,6 @@ class Lockstep:
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
         self.recording.tick_durations_ns = self._controller.durations_ns
         self.recording.tracker_durations_ns = self._tracker.durations_ns
-        self.recording.trace_hash = self._hash.hexdigest()
         return outcome
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:

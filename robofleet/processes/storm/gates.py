@@ -45,6 +45,8 @@ class GateAudit:
         self._authorised = authorised  # whether a reset was asked for before an instant of lockstep's clock
         self._outages = outages  # of its driver
         self._found: list[Violation] = []
+        self.standing: Array = np.empty((0, 2))  # instant [ns], whether the output is zero
+        self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
 
     def violations(self, decisions: Sequence[Decision]) -> list[Violation]:
         """Return what did not hold, oldest first."""
@@ -191,6 +193,8 @@ class GateAudit:
         """Speeds, accelerations and times, all at once."""
         true_ns, now_ns, nonce_ns, start = rows[:, :4].T
         output, target = rows[:, 4:6], rows[:, 6:8]
+        self.standing = np.column_stack([true_ns, ~output.any(axis=1)])
+        self.moving = np.column_stack([true_ns, target.any(axis=1)])
         drive = self._drive
         for speed, limit in (
             (abs(output).max(axis=1), drive.max_wheel_speed),

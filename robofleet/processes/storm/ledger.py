@@ -4,10 +4,13 @@ It keeps references only: a run must not slow down because it is watched. ``gate
 """
 
 from collections import defaultdict
+from collections.abc import Callable
 from typing import NamedTuple
 
-from robofleet.clock import S, Clock
+from robofleet.clock import Clock
+from robofleet.comms.bus import MemoryBus
 from robofleet.safety.gate import GateOutput, GateState, Inputs
+from robofleet.vehicles.interface import STOP
 
 
 class Decision(NamedTuple):
@@ -23,16 +26,26 @@ class Decision(NamedTuple):
 class Ledger:
     """The decisions of each robot's gate and the instants of each key's messages, oldest first."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._now_ns = clock.now_ns
+    _now_ns: Callable[[], int]
+
+    def __init__(self) -> None:
         self.decisions: dict[str, list[Decision]] = defaultdict(list)
         self.said_ns: dict[str, list[int]] = defaultdict(list)
+
+    def follow(self, clock: Clock, bus: MemoryBus) -> None:
+        """Take the time from here on, and hear what is said."""
+        self._now_ns = clock.now_ns
+        bus.tap(self._heard)
+
+    def turning(self) -> set[str]:
+        """Return the robots whose wheels are let turn now."""
+        return {robot for robot, rows in self.decisions.items() if rows[-1].output.target != STOP}
 
     def witness(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
         """Keep what a gate decided."""
         self.decisions[robot].append(Decision(self._now_ns(), now_ns, inputs, state, output))
 
-    def heard(self, message: tuple[str, bytes]) -> None:
+    def _heard(self, message: tuple[str, bytes]) -> None:
         """Keep when a message was said; what it says is in the recording, in the same order."""
         self.said_ns[message[0]].append(self._now_ns())
 
@@ -43,7 +56,3 @@ class Outage(NamedTuple):
     process: str
     start_s: float
     end_s: float
-
-    def covers(self, start_ns: int, end_ns: int) -> bool:
-        """Whether it lies between two instants, or overlaps them."""
-        return start_ns < self.end_s * S and end_ns >= self.start_s * S
