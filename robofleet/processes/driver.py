@@ -47,7 +47,9 @@ _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at res
 _LATCHES = tuple(Latch)
 _ACTIONS = tuple(LeaseAction)
 
-Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate was given and decided
+Witness = Callable[
+    [str, int, Inputs, GateState, GateOutput], None
+]  # robot, instant, what its gate was given and decided
 
 
 @dataclass

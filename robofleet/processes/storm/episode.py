@@ -16,7 +16,7 @@ from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.storm.bodies import apart, rolling_on
-from robofleet.processes.storm.fleet import States, moved_unasked, without_cause
+from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
 from robofleet.processes.storm.gates import GateAudit
 from robofleet.processes.storm.ledger import Ledger, Outage
 from robofleet.processes.storm.schedule import Plan, plan
@@ -40,12 +40,14 @@ class Episode(NamedTuple):
     events: frozenset[Event]
     injected: Counter[str]  # effects by kind of fault
     simulated_s: float
+    run_s: float  # when the fleet ran first, on lockstep's clock
+    longest_queue: int
 
 
 def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
     storm = plan(config, seed)
-    tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": ()})
+    tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": storm.faults})
     gc.disable()  # nothing here is cyclic but what ends with the episode
     try:
         return _Player(tree, storm).play()
@@ -80,6 +82,7 @@ class _Player:
         return Episode(
             self._config.run.seed, storm, lockstep.recording.trace_hash or "", tuple(self._found),
             frozenset(self._states.events()), Counter(), (lockstep.clock.now_ns() - started_ns) / S,
+            run_ns / S, 0,
         )  # fmt: skip
 
     def _restless(self) -> Iterator[tuple[float, bytes | None]]:
@@ -103,7 +106,9 @@ class _Player:
             else:
                 turned.clear()
         words = lockstep.status.describe(self._config.groups[0].robots)
-        self._fail("it does not run again within 5 s", f"{lockstep.status.phase.name}: {words}; turned: {sorted(turned)}")
+        self._fail(
+            "it does not run again within 5 s", f"{lockstep.status.phase.name}: {words}; turned: {sorted(turned)}"
+        )
 
     def _ask(self, request: bytes | None) -> None:
         if request is not None:
@@ -116,9 +121,7 @@ class _Player:
         config, recording, ledger = self._config, self._lockstep.recording, self._ledger
         arena = config.arena.name
         state_key, request_key = key(arena, STATE), key(arena, REQUEST, "supervisor")
-        self._states = States.of(
-            ledger.said_ns[state_key], recording.messages[state_key], len(config.platoon)
-        )
+        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.platoon))
         resets = [
             ns for ns, payload in zip(ledger.said_ns[request_key], recording.messages[request_key], strict=True)
             if payload == b"reset"
@@ -128,12 +131,19 @@ class _Player:
             full = key(arena, TRUTH, robot.id)
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
-            audit = GateAudit(robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(run_ns))
+            audit = GateAudit(
+                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(run_ns)
+            )
             self._found += audit.violations(ledger.decisions[robot.id])
             self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
         self._found += without_cause(self._states, config.groups[0].robots)
+        self._found += unanswered(self._states, self._plan.faults, run_ns)
 
-    def _outages(self, run_ns: int) -> list[Outage]:
-        return []
+    def _outages(self, robot: str, run_ns: int) -> list[Outage]:
+        """Return when a robot's driver did not run, or had another time than the rest."""
+        mine = (f for f in self._plan.faults if getattr(f, "process", None) == f"driver-{robot}")
+        return [
+            Outage(run_ns / S + (f.at_s or 0.0), run_ns / S + (f.at_s or 0.0) + (f.duration_s or 0.0)) for f in mine
+        ]

@@ -1,5 +1,6 @@
 """What the whole run must keep: wheels turn in the phases that let them, and every stop has a cause and an end."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,10 +9,16 @@ from numpy.typing import NDArray
 from robofleet.clock import MS, S
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import RUN_STATE
+from robofleet.config.troubles import Fault
 from robofleet.processes.storm.gates import intervals
 from robofleet.processes.storm.verdict import Violation
-from robofleet.safety.supervisor import CAUSES, NOBODY, Event, Phase
+from robofleet.safety.supervisor import CAUSES, Event, Phase
 
+# After how long such a fault has to have stopped a robot, or all of them.
+_STOPS_WITHIN_S = {
+    "wired_stop": 0.3, "low_battery": 0.5, "pose_dropout": 0.4, "duplicate_tag": 1.0, "camera_stalled": 1.0,
+    "camera_frozen": 1.5, "killed": 1.2, "stopped": 1.2, "network_cut": 1.2, "disk_full": 1.0,
+}  # fmt: skip
 _WITHIN_NS = 130 * MS  # of a state that lets a robot's wheels turn no longer
 
 Array = NDArray[np.float64]
@@ -68,7 +75,7 @@ def without_cause(states: States, robots: tuple[str, ...]) -> list[Violation]:
     ended = np.flatnonzero(running[:-1] & ~running[1:] & same & (heads["cause"][1:] == Event.NOTHING))
     found += [
         Violation("the run ended without a cause", states.said_ns[k + 1] / S, "", _phase(states, k + 1).name)
-        for k in ended
+        for k in ended.tolist()
     ]
     items = heads["items"]
     halted = running[:, None] & (items["permitted"] == 0) & (items["cause"] == Event.NOTHING)
@@ -80,11 +87,22 @@ def without_cause(states: States, robots: tuple[str, ...]) -> list[Violation]:
     return found
 
 
-def unstopped(states: States, row: int, start_ns: float, within_ns: float) -> bool:
-    """Whether a robot was free to move from an instant on for so long, as if nothing had happened."""
-    first, last = np.searchsorted(states.said_ns, [start_ns, start_ns + within_ns], side="right")
-    free = states.running() if row == NOBODY else states.free(row) & states.running()
-    return first > 0 and last > first and bool(free[first - 1 : last].all())
+def unanswered(states: States, faults: Iterable[Fault], run_ns: int) -> list[Violation]:
+    """Find faults that must stop a robot or the run, and during which all were free to move as if nothing had happened."""
+    free = np.logical_and.reduce([states.free(row) for row in range(states.heads["items"].shape[1])])
+    free &= states.running()
+    found = []
+    for fault in faults:
+        within_s = _STOPS_WITHIN_S.get(fault.kind, np.inf)
+        if fault.at_s is None or fault.duration_s is None or fault.duration_s < within_s:
+            continue
+        start_ns, end_ns = run_ns + fault.at_s * S, run_ns + (fault.at_s + within_s) * S
+        first, last = np.searchsorted(states.said_ns, [start_ns, end_ns], side="right").tolist()
+        spoken = last > first > 0 and states.said_ns[last - 1] > end_ns - 100 * MS
+        if spoken and free[first - 1 : last].all():
+            numbers = f"{fault.kind} since {start_ns / S:.3f} s"
+            found.append(Violation("nothing stopped, though something had to", end_ns / S, "", numbers))
+    return found
 
 
 def _phase(states: States, row: int) -> Phase:

@@ -155,7 +155,11 @@ class GateAudit:
 
     def _valid_permission(self, decision: Decision, before: GateState) -> Permission | None:
         permission = decision.inputs.permission
-        if permission is None or not _fresh(permission, decision) or (permission.nonce, permission.seq) <= before.enabled:
+        if (
+            permission is None
+            or not _fresh(permission, decision)
+            or (permission.nonce, permission.seq) <= before.enabled
+        ):
             return None
         return permission if permission.epoch == before.epoch or permission.latch else None
 
@@ -193,8 +197,6 @@ class GateAudit:
         """Speeds, accelerations and times, all at once."""
         true_ns, now_ns, nonce_ns, start = rows[:, :4].T
         output, target = rows[:, 4:6], rows[:, 6:8]
-        self.standing = np.column_stack([true_ns, ~output.any(axis=1)])
-        self.moving = np.column_stack([true_ns, target.any(axis=1)])
         drive = self._drive
         for speed, limit in (
             (abs(output).max(axis=1), drive.max_wheel_speed),
@@ -206,7 +208,9 @@ class GateAudit:
         change = abs(np.diff(output, axis=0)).max(axis=1)
         fast = change > drive.max_wheel_acceleration * elapsed_ns / S + 1e-9
         self._report("a wheel accelerates more than it may", true_ns[1:], fast & same, change / elapsed_ns * S)
-        closed = ~target.any(axis=1)
+        standing = np.asarray(~output.any(axis=1))
+        closed = np.asarray(~target.any(axis=1))
+        self.standing, self.moving = np.column_stack([true_ns, standing]), np.column_stack([true_ns, ~closed])
         rising = (abs(output[1:]) > abs(output[:-1]) + 1e-12) | (output[1:] * output[:-1] < 0)
         self._report(
             "the output rose or reversed while the target was zero",
@@ -216,7 +220,7 @@ class GateAudit:
         age_ns = now_ns[1:] - nonce_ns[:-1]
         late = ~closed[:-1] & (age_ns > _TARGET_WITHIN_NS) & steady
         self._report("the target was not zero 130 ms after the newest nonce", true_ns[1:], late, age_ns / MS)
-        late = output[:-1].any(axis=1) & closed[:-1] & (age_ns > _OUTPUT_WITHIN_NS) & steady
+        late = ~standing[:-1] & closed[:-1] & (age_ns > _OUTPUT_WITHIN_NS) & steady
         self._report("the output was not zero 230 ms after the newest nonce", true_ns[1:], late, age_ns / MS)
 
     def _out(self, true_ns: Array) -> NDArray[np.bool_]:

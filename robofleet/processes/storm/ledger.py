@@ -53,6 +53,5 @@ class Ledger:
 class Outage(NamedTuple):
     """A process that did not run, or whose clock was changed, for a while [lockstep's clock, s]."""
 
-    process: str
     start_s: float
     end_s: float

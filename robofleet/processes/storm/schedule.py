@@ -1,4 +1,4 @@
-"""From a seed to what a storm does to a fleet: timed faults, several at once, and an operator who does not sit still."""
+"""From a seed to a storm: timed faults, several at once, and an operator who does not sit still."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,7 +16,6 @@ _SHORTEST_S, _LONGEST_S = 0.05, 5.0
 _MOST = 6  # faults of one seed
 _CALM = 0.5  # share of seeds that stay inside the envelope
 _TOPICS = ("cmd", "enable", "status", "poses", "state", "tick")
-_MESSAGE_KINDS = ("lost", "late", "duplicated", "reordered", "not_a_number", "malformed")
 _REQUESTS = (b"hold", b"resume", b"estop", b"reset", b"stop", b"start", b"status", b"\xff nonsense")
 _FAULTS: TypeAdapter[Fault] = TypeAdapter(Fault)
 
@@ -64,9 +63,13 @@ def _robot(dice: _Dice) -> dict[str, Any]:
     return {"robot": dice.one(dice.robots)}
 
 
+def _route(dice: _Dice) -> dict[str, Any]:
+    topics = dice.rng.permutation(_TOPICS)[: 1 + int(dice.rng.integers(3))].tolist()
+    return {"topics": topics, "robot": dice.one([None, *dice.robots])}
+
+
 def _message(dice: _Dice) -> dict[str, Any]:
-    robot = dice.one([None, *dice.robots])
-    return {"topic": dice.one(_TOPICS), "robot": robot, "share": dice.one((0.01, 0.1, 0.5, 1.0))}
+    return {**_route(dice), "share": dice.one((0.01, 0.1, 0.5, 1.0))}
 
 
 def _lost(dice: _Dice) -> dict[str, Any]:
@@ -74,7 +77,7 @@ def _lost(dice: _Dice) -> dict[str, Any]:
 
 
 def _late(dice: _Dice) -> dict[str, Any]:
-    return {**_message(dice), "median_s": dice.between(0.002, 0.03), "p99_s": dice.between(0.06, 0.3)}
+    return {**_route(dice), "median_s": dice.between(0.002, 0.03), "p99_s": dice.between(0.06, 0.3)}
 
 
 def _few(dice: _Dice) -> dict[str, Any]:
@@ -96,7 +99,7 @@ _INSIDE: dict[str, Callable[[_Dice], dict[str, Any]]] = {
     "camera_frozen": lambda _: {},
     "camera_stalled": lambda _: {},
     "pose_delay": lambda dice: {"delay_s": dice.between(0.01, 0.08)},
-    "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.0005, 0.002)},
+    "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.0005, 0.002), "sigma_rad": 0.005},
     "lost": _lost,
     "late": _late,
     **dict.fromkeys(("duplicated", "reordered", "not_a_number", "malformed"), _message),
@@ -110,7 +113,7 @@ _OUTSIDE: dict[str, Callable[[_Dice], dict[str, Any]]] = {
     "slip": _robot,
     "id_swap": lambda dice: {"robots": tuple(dice.rng.permutation(dice.robots)[:2].tolist())},
     "duplicate_tag": _robot,
-    "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.005, 0.1)},
+    "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.005, 0.1), "sigma_rad": 0.1},
     "pose_delay": lambda dice: {"delay_s": dice.between(0.1, 0.25)},
     # A gate that does not run closes nothing: what stops the wheels then is the robot's own affair.
     "killed": lambda dice: {"process": dice.one(dice.drivers)},

@@ -23,6 +23,7 @@ class Tally:
     def __init__(self) -> None:
         self.seeds = 0
         self.simulated_s = 0.0
+        self.longest_queue = 0
         self.scheduled: Counter[str] = Counter()  # faults
         self.injected: Counter[str] = Counter()  # their effects
         self.events: Counter[Event] = Counter()  # seeds in which each was a recorded cause
@@ -32,6 +33,7 @@ class Tally:
         """Count a seed."""
         self.seeds += 1
         self.simulated_s += episode.simulated_s
+        self.longest_queue = max(self.longest_queue, episode.longest_queue)
         self.scheduled.update(fault.kind for fault in episode.plan.faults)
         self.injected.update(episode.injected)
         self.events.update(episode.events)

@@ -14,17 +14,19 @@ from robofleet.processes.storm.verdict import Violation
 
 _TWICE = 25  # one seed in so many is played twice
 
+Watch = Callable[[Tally, Episode], None]  # called after every seed
+
 _config: Config  # of this worker
 
 
-def storm(config: Config, seeds: Iterable[int], watch: Callable[[Tally], None]) -> Tally:
+def storm(config: Config, seeds: Iterable[int], watch: Watch) -> Tally:
     """Play all the seeds; ``watch`` sees the tally grow."""
     compile_kernels(config)  # once, on disk, before every worker wants the same
     tally, cores = Tally(), len(os.sched_getaffinity(0))
     with ProcessPoolExecutor(cores, get_context("spawn"), _ready, (config,)) as pool:
         for episode in pool.map(examine, seeds, chunksize=4):
             tally.add(episode)
-            watch(tally)
+            watch(tally, episode)
     return tally
 
 
