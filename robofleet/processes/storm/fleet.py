@@ -88,7 +88,7 @@ def without_cause(states: States, robots: tuple[str, ...]) -> list[Violation]:
 
 
 def unanswered(states: States, faults: Iterable[Fault], run_ns: int) -> list[Violation]:
-    """Find faults that must stop a robot or the run, and during which all were free to move as if nothing had happened."""
+    """Find faults that must stop a robot or the run, and during which all were free to move the whole time."""
     free = np.logical_and.reduce([states.free(row) for row in range(states.heads["items"].shape[1])])
     free &= states.running()
     found = []
