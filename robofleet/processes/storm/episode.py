@@ -132,7 +132,7 @@ class _Player:
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
             audit = GateAudit(
-                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(run_ns)
+                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(robot.id, run_ns)
             )
             self._found += audit.violations(ledger.decisions[robot.id])
             self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
