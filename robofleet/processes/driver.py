@@ -47,9 +47,7 @@ _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at res
 _LATCHES = tuple(Latch)
 _ACTIONS = tuple(LeaseAction)
 
-Witness = Callable[
-    [str, int, Inputs, GateState, GateOutput], None
-]  # robot, instant, what its gate was given and decided
+Witness = Callable[[str, int, GateState, GateOutput], None]  # robot, instant, and what its gate decided
 
 
 @dataclass
@@ -120,7 +118,7 @@ class GatedRobot:
             request.reply(LEASE_ANSWER.encode(answer))
         self._status, self._deadline_ns = output.status, output.deadline_ns
         if self._witness is not None:
-            self._witness(self._robot, now_ns, inputs, self._gate, output)
+            self._witness(self._robot, now_ns, self._gate, output)
         return output.deadline_ns
 
     def publish(self, now_ns: int, *, status: bool) -> None:
