@@ -49,7 +49,7 @@ class DriverProcess:
                     slices.vehicle_drive(robot.vehicle),
                     slices.imperfections(robot.vehicle),
                     slices.start_pose(robot),
-                    slices.stalls(config, robot_id),
+                    None,
                     slices.generator(config.run.seed, "plant", robot_id),
                 ),
                 self._clock.now_ns,

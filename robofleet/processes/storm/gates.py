@@ -25,9 +25,16 @@ _LAPSE_NS = 1 * S
 _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
 _LIMIT = 1.01
 _NEVER = -1
-_COUNTED = ("refused", "why")
-_TIMED = ("output", "at_ns", "moving", "target_after_ns", "output_after_ns")
-_memory = itemgetter(*(i for i, name in enumerate(GateState._fields) if name not in (*_COUNTED, *_TIMED)))
+_PASSING = (
+    "refused",
+    "output",
+    "target",
+    "at_ns",
+    "moved_by",
+    "target_after_ns",
+    "output_after_ns",
+)  # time moves these
+_memory = itemgetter(*(i for i, name in enumerate(GateState._fields) if name not in _PASSING))
 _lease = itemgetter(*map(GateState._fields.index, ("epoch", "session")))
 _command = itemgetter(*map(GateState._fields.index, ("seq", "command_nonce", "wheels", "heard_ns")))
 _enable = itemgetter(*map(GateState._fields.index, ("enabled", "limit")))
@@ -79,22 +86,24 @@ class GateAudit:
         """Return what a gate with a new boot id may know: its lease's epoch and its latch."""
         state = decision.state
         if previous is not None and decision.now_ns < previous.now_ns:  # its clock went back: it must forget
-            return before._replace(boot_id=state.boot_id, command_nonce=_NEVER, enabled=(_NEVER, 0), limit=0.0)
+            return before._replace(
+                boot_id=state.boot_id, heard_ns=state.heard_ns, command_nonce=_NEVER, enabled=(_NEVER, 0)
+            )
         latch = Latch.NONE if before.latch is Latch.DRILL else before.latch
         return GateState(state.boot_id, before.epoch, latch, before.latch_id, refused=state.refused)
 
     def _explain(self, decision: Decision, before: GateState) -> None:
         """Find what allowed each change."""
         state = decision.state
-        granted = _lease(state) != _lease(before)
-        if granted:
+        granted = state.session != 0 and _lease(state) != _lease(before)
+        if _lease(state) != _lease(before):
             self._lease(decision, before)
         if (state.latch, state.latch_id) != (before.latch, before.latch_id):
             self._latch(decision, before)
         if _enable(state) != (before.enabled, 0.0 if granted else before.limit):
             self._enable(decision, before)
         forgotten = (0, _NEVER, before.wheels, decision.now_ns) if granted else _command(before)
-        if _command(state) != forgotten and state.session:
+        if _command(state) != forgotten:
             self._command(decision, forgotten[0])
 
     def _lease(self, decision: Decision, before: GateState) -> None:
@@ -114,13 +123,13 @@ class GateAudit:
     def _latch(self, decision: Decision, before: GateState) -> None:
         true_ns, _, inputs, state, _ = decision
         permission = self._valid_permission(decision, before)
-        change = f"{before.latch.name} {before.latch_id} to {state.latch.name} {state.latch_id}"
+        change = f"{Latch(before.latch).name} {before.latch_id} to {Latch(state.latch).name} {state.latch_id}"
         if state.latch > before.latch or state.latch_id > before.latch_id:
             asked = max(inputs.latch, permission.latch if permission else Latch.NONE)
             if state.latch != asked:
                 self._fail(true_ns, "a latch that nobody asked for", change)
             return
-        rest = before.output == STOP and not inputs.turning
+        rest = before.output == STOP and not inputs.turning and not inputs.latch
         if permission is None or permission.clear != before.latch_id or not rest:
             self._fail(true_ns, "a latch was cleared without an authorised reset at rest", f"{change} by {permission}")
         elif before.latch is not Latch.DRILL and not self._authorised(true_ns):
