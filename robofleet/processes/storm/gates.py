@@ -24,7 +24,7 @@ _OUTPUT_WITHIN_NS = 230 * MS
 _LAPSE_NS = 1 * S
 _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
 _LIMIT = 1.01
-_NEVER = -1
+_NEVER = GateState(0).command_nonce
 _PASSING = (
     "refused",
     "output",
