@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from robofleet.plugins import load
 from robofleet.processes.keeping import Keeping, kept
 from robofleet.safety import gate
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
+from robofleet.simulation.faults import Schedule
 from robofleet.vehicles.interface import (
     STOP,
     WIRED_STOP,
@@ -166,8 +168,9 @@ class DriverProcess:
         rng: np.random.Generator,
         keeping: Keeping,
         witness: Witness | None = None,
+        faults: Schedule | None = None,
     ) -> None:
-        self._clock = clock
+        self._clock, self._faults = clock, faults
         self._keeping, self._witness = keeping, witness
         self._robots: list[GatedRobot] = []
         try:
@@ -179,6 +182,7 @@ class DriverProcess:
         self._loops = 0
 
     def _open(self, config: Config, robot_ids: tuple[str, ...], bus: Bus, wake: Wake, rng: np.random.Generator) -> None:
+        faults = self._faults
         for robot_id in robot_ids:
             robot = config.robot(robot_id)
             context = DriverContext(
@@ -188,12 +192,13 @@ class DriverProcess:
                     slices.vehicle_drive(robot.vehicle),
                     slices.imperfections(robot.vehicle),
                     slices.start_pose(robot),
-                    slices.stalls(config, robot_id),
+                    None if faults is None else faults.body_trouble(robot_id),
                     slices.generator(config.run.seed, "plant", robot_id),
                 ),
-                self._clock.now_ns,
+                self._clock.now_ns if faults is None else faults.now_ns,
             )
-            driver: Driver = load("robofleet.drivers", robot.driver)(context)
+            make: Callable[[], Driver] = partial(load("robofleet.drivers", robot.driver), context)
+            driver = make() if faults is None else faults.driver(robot_id, make)
             boot_id = slices.drawn_id(rng, 64)
             build = slices.build(config)
             self._robots.append(GatedRobot(context, driver, boot_id, build, bus, wake, self._keeping, self._witness))
