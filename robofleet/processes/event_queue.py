@@ -1,4 +1,4 @@
-"""Lockstep's event queue: it calls each process at the instant that the process asked for, or when a message wakes it."""
+"""Lockstep's event queue: each process is called at the instant that it asked for, or when a message wakes it."""
 
 import heapq
 from collections.abc import Callable
