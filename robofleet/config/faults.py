@@ -107,7 +107,8 @@ def meant(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
 
 def _known_keys(loc: Iterable[str | int], root: type[BaseModel] = Config) -> list[str]:
     """Return the keys that the mapping at ``loc`` may have."""
-    kind, kinds = root, {}
+    kind = root
+    kinds: dict[str | int, type[BaseModel]] = {}
     for part in loc:
         if part in kinds:
             kind = kinds[part]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import Fraction, Model, Name, NonNegative, Positive
+from robofleet.config.model import Model, Name, NonNegative, Positive
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
 Share = Annotated[float, Field(gt=0, le=1)]

@@ -6,60 +6,33 @@ fixed order. Same seed, config, machine and versions: same bytes on the bus.
 
 import gc
 import hashlib
-import heapq
 from collections.abc import Callable
 from functools import partial
 
-from robofleet.clock import S, SimulatedClock, stopwatch_ns
-from robofleet.comms.bus import Answer, MemoryBus
+import numpy as np
+
+from robofleet.clock import Clock, S, SimulatedClock, stopwatch_ns
+from robofleet.comms.bus import Answer, Bus, MemoryBus
 from robofleet.comms.keys import REQUEST, STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
-from robofleet.processes.driver import DriverProcess, Witness
-from robofleet.processes.keeping import MemoryKeeping
+from robofleet.processes.driver import DriverProcess
+from robofleet.processes.event_queue import SECOND_CONTROLLER, EventQueue, ProcessFaults, Slot
+from robofleet.processes.gated_robot import Witness
+from robofleet.processes.keeping import FaultyKeeping, Keeping, MemoryKeeping
 from robofleet.processes.node import Node
 from robofleet.processes.readiness import missing
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
+from robofleet.simulation.faults import Schedule, SteppedClock
+from robofleet.simulation.faulty_bus import FaultyBus
 
 _READY_WITHIN_NS = 5 * S
 _REST_NS = S  # after the stop: wheels come to rest
-
-
-class _Slot:
-    """A process in the queue. Called with an instant it wakes the process then, beside its own schedule."""
-
-    def __init__(self, order: int, queue: "list[tuple[int, int, bool, _Slot]]") -> None:
-        self.order, self._queue = order, queue
-        self.node: Node
-        self.next_ns = 0
-        self.timed = False
-        self.durations_ns: list[int] = []
-
-    def __call__(self, instant_ns: int) -> None:
-        """Wake the process at an instant."""
-        heapq.heappush(self._queue, (instant_ns, self.order, True, self))
-
-    def schedule(self, instant_ns: int) -> None:
-        """Set the process's own next instant; an entry that was queued for another one is passed over."""
-        self.next_ns = instant_ns
-        heapq.heappush(self._queue, (instant_ns, self.order, False, self))
-
-    def step(self, instant_ns: int) -> None:
-        """Step the process and queue what it asks for."""
-        scheduled = self.next_ns == instant_ns
-        if self.timed:
-            started_ns = stopwatch_ns()
-            next_ns = self.node.step(instant_ns)
-            self.durations_ns.append(stopwatch_ns() - started_ns)
-        else:
-            next_ns = self.node.step(instant_ns)
-        if scheduled or next_ns != self.next_ns:
-            self.schedule(max(next_ns, instant_ns + 1))
 
 
 class Lockstep:
@@ -80,29 +53,61 @@ class Lockstep:
         self._hash = hashlib.blake2b(digest_size=16)
         self._said: list[tuple[str, bytes]] = []  # by the step that is under way
         self.bus.tap(self._said.append)
-        self._queue: list[tuple[int, int, bool, _Slot]] = []
-        self._slots: dict[str, _Slot] = {}
-        seed, clock, bus = config.run.seed, self.clock, self.bus
-        for robot in config.robots:
-            rng = generator(seed, "driver", robot.id)
-            make = partial(DriverProcess, config, (robot.id,), bus, clock, rng=rng, keeping=self.keeping)
-            self._add(f"driver-{robot.id}", partial(make, witness=witness))
-        charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
-        self._tracker = self._add("tracker", partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
-        self._add("supervisor", lambda _: Supervisor(config, bus, clock, generator(seed, "supervisor")))
-        self._tracker.timed = True
-        self._controller = self._add(
-            "controller", lambda _: Controller(config, bus, clock, generator(seed, "controller"))
-        )
-        self._controller.timed = True
+        self.faults = Schedule(config, self.clock) if config.faults else None
+        self._queue = EventQueue(self.clock)
+        self._witness = witness
+        self._add_processes()
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
         self.status = RunStatus()  # as the supervisor said it last
 
+    def _add_processes(self) -> None:
+        config, queue, faults = self._config, self._queue, self.faults
+        if faults is not None:
+            queue.add("faults", lambda _: ProcessFaults(faults, queue, self.bus))
+        for robot in config.robots:
+            queue.add(f"driver-{robot.id}", partial(self._driver, robot.id))
+        queue.add("tracker", self._made_tracker).timed = True
+        queue.add("supervisor", lambda slot: Supervisor(config, *self._edges(slot), self._rng(slot)))
+        queue.add("controller", self._made_controller).timed = True
+        if faults is not None and faults.of("second_controller"):
+            queue.add(SECOND_CONTROLLER, self._made_controller).kill()
+
+    def _driver(self, robot: str, slot: Slot) -> DriverProcess:
+        keeping: Keeping = self.keeping if self.faults is None else FaultyKeeping(self.keeping, self.faults)
+        rng = self._rng(slot, "driver", robot)
+        bus, clock = self._edges(slot)
+        return DriverProcess(
+            self._config, (robot,), bus, clock, slot, rng, keeping, witness=self._witness, faults=self.faults
+        )
+
+    def _made_tracker(self, slot: Slot) -> Tracker:
+        charge_ns = round(self._config.lockstep.tracker_delay_s * S)
+        bus, clock = self._edges(slot)
+        return Tracker(self._config, bus, clock, slot, self._rng(slot), charge_ns=charge_ns, faults=self.faults)
+
+    def _made_controller(self, slot: Slot) -> Controller:
+        return Controller(self._config, *self._edges(slot), self._rng(slot))
+
+    def _edges(self, slot: Slot) -> tuple[Bus, Clock]:
+        """Return a process's bus and clock."""
+        if self.faults is None:
+            return self.bus, self.clock
+        clock: Clock = self.clock
+        if self.faults.of("clock_step", process=slot.name):
+            clock = slot.clock = SteppedClock(self.clock, self.faults, slot.name)
+        slot.bus = FaultyBus(self.bus, self.faults, slot.name, clock, simulated_router=True)
+        return slot.bus, clock
+
+    def _rng(self, slot: Slot, *key: str) -> np.random.Generator:
+        """Return a process's randomness: another one for every start."""
+        again = (f"start-{slot.starts}",) if slot.starts else ()
+        return generator(self._config.run.seed, *(key or (slot.name,)), *again)
+
     @property
     def nodes(self) -> dict[str, Node]:
         """The processes by their names: supervisor, tracker, controller, driver-r1, ..."""
-        return {name: slot.node for name, slot in self._slots.items()}
+        return {name: slot.node for name, slot in self._queue.slots.items() if slot.node is not None}
 
     def request(self, payload: bytes) -> Answer:
         """Ask the supervisor for something, as an operator does; take the answer after some milliseconds."""
@@ -114,8 +119,8 @@ class Lockstep:
 
     def close(self) -> None:
         """Close every process."""
-        for slot in self._slots.values():
-            slot.node.close()
+        for node in self.nodes.values():
+            node.close()
         self.recording.trace_hash = self._hash.hexdigest()
 
     def run(self, watch: Watch = lambda _recording, _phase: None) -> tuple[str, str | None]:
@@ -136,8 +141,8 @@ class Lockstep:
             gc.enable()
             gc.unfreeze()
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
-        self.recording.tick_durations_ns = self._controller.durations_ns
-        self.recording.tracker_durations_ns = self._tracker.durations_ns
+        self.recording.tick_durations_ns = self._queue.slots["controller"].durations_ns
+        self.recording.tracker_durations_ns = self._queue.slots["tracker"].durations_ns
         return outcome
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
@@ -154,25 +159,13 @@ class Lockstep:
 
     def _run_until(self, done: Callable[[], bool], within_ns: int) -> bool:
         """Step whatever is due next, until something is true or simulated time has passed; returns which."""
-        queue, clock = self._queue, self.clock
-        end_ns = clock.now_ns() + within_ns
+        step, end_ns = self._queue.step, self.clock.now_ns() + within_ns
         while not done():
-            if queue[0][0] > end_ns:
-                clock.advance_to(end_ns)
+            if not step(end_ns):
                 return False
-            instant_ns, _, woken, slot = heapq.heappop(queue)
-            if woken or instant_ns == slot.next_ns:
-                clock.advance_to(instant_ns)
-                slot.step(instant_ns)
-                if self._said:
-                    self._observe()
+            if self._said:
+                self._observe()
         return True
-
-    def _add(self, name: str, make: Callable[[_Slot], Node]) -> _Slot:
-        slot = self._slots[name] = _Slot(len(self._slots), self._queue)
-        slot.node = make(slot)
-        slot.schedule(self.clock.now_ns())
-        return slot
 
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
@@ -184,4 +177,7 @@ class Lockstep:
                 self._run_tick = head[3]
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
                 self.status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
+                if self.faults is not None and not self.faults.begun and self.status.phase is Phase.RUNNING:
+                    self.faults.begin(self.clock.now_ns())
+                    self._queue.slots["faults"].schedule(self.clock.now_ns())
         self._said.clear()

@@ -2,6 +2,7 @@
 
 import sys
 from functools import partial
+
 import numpy as np
 
 from robofleet.clock import MS, Clock, S, SimulatedClock

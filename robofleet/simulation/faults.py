@@ -4,7 +4,7 @@ Nothing of this is made where a configuration has no faults. ``faulty_bus.py`` a
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -58,12 +58,19 @@ class Injection:
         self.end_ns = _NEVER if fault.duration_s is None else self.start_ns + round(fault.duration_s * S)
 
 
+def struck(injections: Iterable[Injection], now_ns: int) -> bool:
+    """Return whether one of them acts now, and count each that does."""
+    return sum(injection.strike(now_ns) for injection in injections) > 0
+
+
 class Schedule:
     """Every fault of a run. Lockstep has one for all processes; in real time each process has its own."""
 
     def __init__(self, config: Config, clock: Clock) -> None:
         self.now_ns = clock.now_ns  # of the world: it does not jump
         self.injections = tuple(Injection(fault, number) for number, fault in enumerate(config.faults))
+        self.processes = config.processes
+        self.robots = tuple(robot.id for robot in config.robots)
         self.begun = False
         self._seed = config.run.seed
         self._bodies: dict[str, Driver] = {}
@@ -110,8 +117,7 @@ class Schedule:
 
         def trouble() -> BodyTrouble:
             now_ns = self.now_ns()
-            blocked, slips = [i.strike(now_ns) for i in stuck], [i.strike(now_ns) for i in slip]
-            return BodyTrouble(any(blocked), _SLIP if any(slips) else 0.0)
+            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0)
 
         return trouble if stuck or slip else None
 
@@ -131,8 +137,7 @@ class Schedule:
 
     def disk_is_full(self) -> bool:
         """Return whether the disk takes nothing now."""
-        now_ns = self.now_ns()
-        return any([injection.strike(now_ns) for injection in self.of("disk_full")])
+        return struck(self.of("disk_full"), self.now_ns())
 
 
 class FaultyDriver:
@@ -149,12 +154,10 @@ class FaultyDriver:
     def read(self) -> DriverReading:
         """Return the reading as it is now."""
         reading, now_ns = self._driver.read(), self._now_ns()
-        for injection in self._low:
-            if injection.strike(now_ns):
-                reading = reading._replace(battery=_LOW_CHARGE)
-        for injection in self._pressed:
-            if injection.strike(now_ns):
-                reading = reading._replace(faults=reading.faults | WIRED_STOP)
+        if struck(self._low, now_ns):
+            reading = reading._replace(battery=_LOW_CHARGE)
+        if struck(self._pressed, now_ns):
+            reading = reading._replace(faults=reading.faults | WIRED_STOP)
         return reading
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Bus, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic
-from robofleet.simulation.faults import Injection, Schedule
+from robofleet.simulation.faults import Injection, Schedule, struck
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
 _OF_ONE_ROBOT = (COMMAND, ENABLE, STATUS)
@@ -73,7 +73,7 @@ class FaultyBus:
         now_ns = self._schedule.now_ns
 
         def through() -> Request | None:
-            while (request := take()) is not None and any([cut.strike(now_ns()) for cut in cuts]):
+            while (request := take()) is not None and struck(cuts, now_ns()):
                 pass
             return request
 
@@ -150,9 +150,7 @@ class _FaultySubscription:
 class _Fate:
     """What becomes of the messages on one key on their way to one process."""
 
-    def __init__(
-        self, schedule: Schedule, process: str, topic: Topic, name: str, cuts: tuple[Injection, ...]
-    ) -> None:
+    def __init__(self, schedule: Schedule, process: str, topic: Topic, name: str, cuts: tuple[Injection, ...]) -> None:
         self._rng = schedule.rng(process, topic.key, name)
         self._at_nan = 14 if topic is STATE else -8  # the only double of a run's state stands in its head
         self._cuts = cuts

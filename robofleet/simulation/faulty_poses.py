@@ -8,7 +8,7 @@ import numpy as np
 from robofleet.clock import S
 from robofleet.comms.messages import TagPose
 from robofleet.config.tree import Config
-from robofleet.simulation.faults import Injection, Schedule
+from robofleet.simulation.faults import Injection, Schedule, struck
 from robofleet.tracking.events import Happening, News, TrackerEvent
 from robofleet.tracking.sources import Feed, Frame, Lost, Observation, PoseSource
 from robofleet.tracking.watch import CameraWatch
@@ -35,9 +35,9 @@ class FaultyFeed:
         if not isinstance(taken, Frame):
             return taken
         at_ns = self._now_ns()
-        if any([injection.strike(at_ns) for injection in self._stalled]):
+        if struck(self._stalled, at_ns):
             return None
-        frozen = any([injection.strike(at_ns) for injection in self._frozen])
+        frozen = struck(self._frozen, at_ns)
         if frozen and self._last is not None:
             return Frame(self._last.image, taken.exposure_ns)
         self._last = taken
@@ -63,14 +63,11 @@ class _WatchedTruth:
 
     def observe(self, now_ns: int) -> Observation | None:
         seen, at_ns = self._source.observe(now_ns), self._now_ns()
-        stalled = any([injection.acts(at_ns) for injection in self._stalled])
+        stalled = struck(self._stalled, at_ns)
         if seen is None or stalled:
-            if seen is not None:
-                for injection in self._stalled:
-                    injection.strike(at_ns)
             self._watch.wait(now_ns, expected=stalled)
             return None
-        if not any([injection.strike(at_ns) for injection in self._frozen]):
+        if not struck(self._frozen, at_ns):
             self._image = 1 - self._image
         return seen if self._watch.look(self._image, seen.exposure_ns, now_ns) else None
 
