@@ -63,6 +63,7 @@ class _Player:
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
         self._found: list[Violation] = []
+        self._longest_queue = 0
         self._rng = generator(config.run.seed, "operator")
 
     def play(self) -> Episode:
@@ -81,8 +82,8 @@ class _Player:
         self._judge(run_ns)
         return Episode(
             self._config.run.seed, storm, lockstep.recording.trace_hash or "", tuple(self._found),
-            frozenset(self._states.events()), Counter(), (lockstep.clock.now_ns() - started_ns) / S,
-            run_ns / S, 0,
+            frozenset(self._states.events()), self._injected(), (lockstep.clock.now_ns() - started_ns) / S,
+            run_ns / S, self._longest_queue,
         )  # fmt: skip
 
     def _restless(self) -> Iterator[tuple[float, bytes | None]]:
@@ -132,7 +133,7 @@ class _Player:
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
             audit = GateAudit(
-                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(robot.id, run_ns)
+                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(robot.id)
             )
             self._found += audit.violations(ledger.decisions[robot.id])
             self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
@@ -141,9 +142,15 @@ class _Player:
         self._found += without_cause(self._states, config.groups[0].robots)
         self._found += unanswered(self._states, self._plan.faults, run_ns)
 
-    def _outages(self, robot: str, run_ns: int) -> list[Outage]:
+    def _injected(self) -> Counter[str]:
+        assert self._lockstep.faults is not None
+        effects: Counter[str] = Counter()
+        for injection in self._lockstep.faults.injections:
+            effects[injection.fault.kind] += injection.effects
+        return effects
+
+    def _outages(self, robot: str) -> list[Outage]:
         """Return when a robot's driver did not run, or had another time than the rest."""
-        mine = (f for f in self._plan.faults if getattr(f, "process", None) == f"driver-{robot}")
-        return [
-            Outage(run_ns / S + (f.at_s or 0.0), run_ns / S + (f.at_s or 0.0) + (f.duration_s or 0.0)) for f in mine
-        ]
+        assert self._lockstep.faults is not None
+        faults = self._lockstep.faults.of("killed", "stopped", "clock_step", process=f"driver-{robot}")
+        return [Outage(fault.start_ns, fault.end_ns) for fault in faults]

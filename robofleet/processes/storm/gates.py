@@ -236,7 +236,7 @@ class GateAudit:
         """Return between which rows the driver itself did not run, or had its clock changed."""
         out = np.zeros(len(true_ns) - 1, dtype=np.bool_)
         for outage in self._outages:
-            out |= (true_ns[:-1] < outage.end_s * S) & (true_ns[1:] >= outage.start_s * S)
+            out |= (true_ns[:-1] <= outage.end_ns) & (true_ns[1:] >= outage.start_ns)
         return out
 
     def _report(self, invariant: str, at_ns: Array, wrong: NDArray[np.bool_], figure: Array) -> None:

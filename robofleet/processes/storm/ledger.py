@@ -51,7 +51,7 @@ class Ledger:
 
 
 class Outage(NamedTuple):
-    """A process that did not run, or whose clock was changed, for a while [lockstep's clock, s]."""
+    """When a process did not run, or had its clock changed [lockstep's clock, ns]."""
 
-    start_s: float
-    end_s: float
+    start_ns: float
+    end_ns: float
