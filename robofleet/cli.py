@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robofleet.clock import WallClock, utc_now
+from robofleet.clock import S, WallClock, utc_now
 from robofleet.config.load import ConfigError, load_config
 
 if TYPE_CHECKING:
@@ -126,6 +126,30 @@ def paper(
         print(json.dumps({"folder": str(folder), "experiments": contents}))
     else:
         print(folder)
+
+
+@app.command()
+def storm(
+    config: ConfigFile,
+    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
+    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
+    pixels: Annotated[bool, typer.Option(help="Render the camera's images: slower.")] = False,
+) -> None:
+    """Hit a simulated fleet with random faults, in lockstep, and check what must always hold.
+
+    robofleet storm configs/platoon.yaml --seeds 50
+    """
+    source = "camera" if pixels else "truth"
+    with _bad_input():
+        tree = _checked(config, [f"tracker.source={source}"], None, lockstep=True)
+    from robofleet.processes.storm import report, workers  # noqa: PLC0415
+
+    replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
+    started_ns = WallClock().now_ns()
+    with report.progress(seeds, replay) as watch:
+        tally = workers.storm(tree, range(first, first + seeds), watch)
+    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
+        raise typer.Exit(1)
 
 
 def _process(name: str) -> None:

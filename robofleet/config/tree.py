@@ -26,6 +26,7 @@ from robofleet.config.model import (
     Positive,
     Vector2,
 )
+from robofleet.config.troubles import Fault
 from robofleet.vehicles.interface import Wiring
 
 
@@ -176,15 +177,6 @@ class LockstepSettings(Model):
     tracker_delay_s: NonNegative = 0.004
 
 
-class Fault(Model):
-    """A timed fault of a simulated robot. Time counts from its first motion command."""
-
-    robot: Name
-    kind: Literal["motor_stuck"]
-    at_s: NonNegative
-    duration_s: Positive
-
-
 class RunSettings(Model):
     """One run."""
 
@@ -208,6 +200,11 @@ class Config(Model):
     run: RunSettings
     lockstep: LockstepSettings = LockstepSettings()
     faults: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """The processes of a run, by name."""
+        return "router", "supervisor", "tracker", "controller", *(f"driver-{robot.id}" for robot in self.robots)
 
     def robot(self, robot_id: str) -> Robot:
         """Return a robot by its id; KeyError if there is none."""

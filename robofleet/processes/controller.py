@@ -105,6 +105,8 @@ class Controller:
         decisions = self._behaviour.tick(t, there, driving, w)
         self._try_wheels(decisions)
         self._filter.command(tick_ns, decisions[:, WHEELS])
+        if self._leases.refused:
+            return  # somebody else drives these robots: not a word that could be taken for the other's
         self._publish_commands(decisions[:, WHEELS].tolist())
         self._publish_record(tick_ns, here, measured, lost, decisions)
 
@@ -186,9 +188,11 @@ class Leases:
         self._request = LEASE_REQUEST.encode(LeaseRequest(session, LeaseAction.ACQUIRE))
         self._asked: list[Answer | None] = [None] * len(robots)
         self._again = [0] * len(robots)
+        self.refused = False  # somebody else holds the lease of a robot
 
     def update(self, newest: list[RobotStatus | None]) -> None:
         """Ask every driver that is there and is not ours, every few ticks."""
+        self.refused = any(status is not None and status.session not in (0, self.session) for status in newest)
         for row, status in enumerate(newest):
             if status is None or status.session == self.session:
                 continue

@@ -66,11 +66,11 @@ class Imperfections:
     actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
 
 
-class Stall(NamedTuple):
-    """Motors of a simulated robot blocked for a while; time counts from its first motion command [s]."""
+class BodyTrouble(NamedTuple):
+    """What is wrong with a simulated robot now."""
 
-    start: float
-    end: float
+    stuck: bool = False  # motors stand still, whatever they are told
+    slip: float = 0.0  # share of the wheels' travel that is lost
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Simulation:
     drive: DifferentialDrive  # the kind of robot that it is one of
     imperfections: Imperfections
     start: tuple[float, float, float]  # x, y [m], psi [rad]; world
-    stalls: tuple[Stall, ...]
+    trouble: Callable[[], BodyTrouble] | None  # None: never any
     rng: np.random.Generator
 
 
