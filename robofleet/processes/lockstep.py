@@ -152,10 +152,10 @@ class Lockstep:
 
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
-        update, messages = self._hash.update, self.recording.messages
+        update, add = self._hash.update, self.recording.add
         for full, payload in self._said:
             update(full.encode() + payload)
-            messages[full].append(payload)
+            add(full, payload)
             if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
                 self._run_tick = head[3]
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
