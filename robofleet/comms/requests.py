@@ -11,7 +11,9 @@ _AGAIN_NS = 200 * MS
 _POLL_NS = 2 * MS
 
 
-def asked(bus: Bus, clock: Clock, process: str, payload: bytes, meanwhile: Callable[[], None] = lambda: None) -> bytes:
+def asked(
+    bus: Bus, clock: Clock, process: str, payload: bytes, meanwhile: Callable[[], object] = lambda: None
+) -> bytes:
     """Ask a process, again while no answer comes, and return its answer; TimeoutError after two seconds.
 
     ``meanwhile`` is called again and again, and may raise. At first the router may not have heard of that process yet:

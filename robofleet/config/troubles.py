@@ -59,7 +59,9 @@ class NetworkCut(Timed):
     """Nothing passes between some processes and the rest; held back, it is delivered at the end."""
 
     kind: Literal["network_cut"]
-    processes: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]  # controller, tracker, supervisor, driver-r1
+    processes: Annotated[
+        tuple[str, ...], Field(min_length=1, strict=False)
+    ]  # controller, tracker, supervisor, driver-r1
     held_back: bool = False
 
 

@@ -10,9 +10,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from robofleet.clock import MS, Clock, utc_now
+
+if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hurry
+    from robofleet.config.tree import Config
 
 _PATIENCE_NS = 200 * MS  # who looks whether a file was left behind holds the lock for a moment
 _AGAIN_NS = 10 * MS
@@ -34,14 +37,18 @@ class ArenaBusyError(Exception):
 
 
 @contextmanager
-def claimed(arena: str, endpoint: str, folder: Path, robots: tuple[str, ...], clock: Clock) -> Iterator[None]:
+def claimed(config: "Config", folder: Path, clock: Clock) -> Iterator[None]:
     """Leave the file for as long as the run is on; ArenaBusyError where there is one."""
-    file, lock = _places(arena)
+    arena = config.arena.name
+    file = _folder() / f"{arena}.json"
+    lock = file.with_suffix(".lock")
     descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         if not _locked(descriptor, clock):
             raise ArenaBusyError(_whose(arena, _read(file)))
-        mine = ArenaFile(arena, endpoint, os.getpid(), str(folder), f"{utc_now():%Y-%m-%dT%H:%M:%SZ}", robots)
+        started = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
+        robots = config.groups[0].robots
+        mine = ArenaFile(arena, config.bus.endpoint, os.getpid(), str(folder.absolute()), started, robots)
         beside = file.with_suffix(".new")
         beside.write_text(json.dumps(mine._asdict()))
         beside.replace(file)
@@ -68,11 +75,6 @@ def running() -> list[ArenaFile]:
         finally:
             os.close(descriptor)
     return found
-
-
-def _places(arena: str) -> tuple[Path, Path]:
-    file = _folder() / f"{arena}.json"
-    return file, file.with_suffix(".lock")
 
 
 def _folder() -> Path:

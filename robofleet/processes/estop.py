@@ -1,4 +1,4 @@
-"""The emergency stop, from whoever asks for it: asked for until it is answered, and the robots' own word that it holds."""
+"""The emergency stop, from whoever asks for it: asked for until it is answered, and the robots' own word for it."""
 
 from typing import NamedTuple
 

@@ -1,10 +1,13 @@
-"""The operator's terminal: single keys, and whether it is still there."""
+"""The operator's terminal: single keys, signals, and whether it is still there."""
 
 import os
 import select
+import signal
 import sys
 import termios
 import tty
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from types import TracebackType
 from typing import Any, Self
 
@@ -21,6 +24,7 @@ class Terminal:
 
     def __init__(self) -> None:
         self.lost = False  # it was closed
+        self.note = ""  # what the operator should read
         self._before: list[Any] | None = None
         self._descriptor = -1
 
@@ -46,10 +50,8 @@ class Terminal:
     ) -> None:
         """Give it back."""
         if self._before is not None:
-            try:
+            with suppress(termios.error):  # there may be no terminal any more
                 termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
-            except termios.error:
-                pass  # there is no terminal any more
 
     def keys(self, clock: Clock, until_ns: int) -> str:
         """Return the keys pressed by an instant, as soon as there is one."""
@@ -64,3 +66,31 @@ class Terminal:
         if pressed == b"":
             self.lost = True
         return (pressed or b"").decode("ascii", "ignore")
+
+
+class Interrupts:
+    """Ctrl-C, SIGTERM, a closed terminal and Ctrl-Z (a stopped launcher would leave the robots driving), counted."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.hung_up = False
+
+    def __call__(self, number: int, _frame: object) -> None:
+        """Count a signal."""
+        self.count += 1
+        self.hung_up = self.hung_up or number == signal.SIGHUP
+
+
+@contextmanager
+def interrupts() -> Iterator[Interrupts]:
+    """Count the terminal's signals instead of ending by them; nohup's wish stands."""
+    counted = Interrupts()
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, counted) for number in numbers}
+    try:
+        yield counted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.messages import RunState
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.recording.run import Run
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Phase
 
 _WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why
+_SOON = 3  # statuses: a gate may close before the news that the run ended is here
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
 
 
 def stops(run: Run) -> list[dict[str, Any]]:
     """Return the stops in order: gates that closed, and robots that the controller let stand with an open gate.
 
-    ``t_s`` counts from the run's first tick. ``target_ms`` and ``output_ms``: from the issue of the newest nonce echoed to
-    a target and to an output of zero, on the driver's clock; None where that was not seen. A controlled stop that
-    ends the run is none.
+    ``t_s`` counts from the run's first tick. ``target_ms`` and ``output_ms``: from the issue of the newest nonce
+    echoed to a target and to an output of zero, on the driver's clock; None where that was not seen. A controlled stop
+    that ends the run is none.
     """
     found: list[dict[str, Any]] = []
     if not len(run.ticks):
@@ -52,7 +52,7 @@ def _cause(run: Run, row: int, k: int) -> str | None:
         if place > places[last]:
             break
         if state.phase == Phase.IDLE:
-            return None if place < places[k] else gate
+            return None if place <= places[min(k + _SOON, last)] else gate
         own = halt_cause(state, row)
         if own or state.phase not in _GOING_ON:
             return f"{gate}: {own or run_cause(state, robots)}"
