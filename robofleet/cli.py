@@ -40,7 +40,7 @@ def run(
     overrides: Overrides = [],  # noqa: B006 - typer copies it
     faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults of simulated robots.")] = None,
     reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
-    takeover: Annotated[bool, typer.Option("--takeover", help="Take the robots from a controller that has them.")] = False,
+    takeover: Annotated[bool, typer.Option("--takeover", help="Take robots that another controller has.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
     quiet: Annotated[bool, typer.Option(help="No live view.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
@@ -65,9 +65,7 @@ def run(
                 tree = _settled(tree)
                 held.enter_context(_claimed(tree, folder))
             _new_folder(folder)
-        summary = _summary(
-            tree, config.stem, folder, lockstep=lockstep, quiet=quiet, reset=reset, take_over=takeover
-        )
+        summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, reset=reset, take_over=takeover)
     try:
         (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     except OSError as error:
@@ -196,8 +194,7 @@ def _told(done: bool, what: str) -> None:
 
 
 def _process(name: str) -> None:
-    def command(config: ConfigFile, lifeline: ArenaName = Annotated[str | None, typer.Argument(metavar="[ARENA]", help="Which one, where several have a run.")]
-LifelineFd = None) -> None:
+    def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
         from robofleet.processes import child  # noqa: PLC0415
         from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
@@ -227,8 +224,7 @@ def controller(
 def driver(
     config: ConfigFile,
     robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
-    lifeline: ArenaName = Annotated[str | None, typer.Argument(metavar="[ARENA]", help="Which one, where several have a run.")]
-LifelineFd = None,
+    lifeline: LifelineFd = None,
 ) -> None:
     """The drivers of some robots, as a process of its own."""
     from robofleet.processes import child  # noqa: PLC0415
@@ -282,7 +278,7 @@ def _for_one_process(config: Path) -> "Config":
 
 def _refuse_unattended(tree: "Config") -> None:
     if tree.run.attended and not sys.stdin.isatty():
-        raise RefusedError("run.attended: stdin is no terminal, so nobody attends: start the run in one, or set it to false")
+        raise RefusedError("run.attended: stdin is no terminal: start the run in one, or set it to false")
 
 
 @contextmanager

@@ -99,25 +99,23 @@ def status(there: ArenaFile) -> dict[str, Any]:
         "phase": None if state is None else named(Phase, state.phase),
         "cause": None if state is None else run_cause(state, there.robots),
         "robots": [
-            _robot(robot, *newest.get(robot, (0, None)), state, row, clock.now_ns())
+            _robot(robot, newest.get(robot), "" if state is None else halt_cause(state, row), clock.now_ns())
             for row, robot in enumerate(there.robots)
         ],
     }
 
 
-def _robot(
-    robot: str, heard_ns: int, message: RobotStatus | None, state: RunState | None, row: int, now_ns: int
-) -> dict[str, Any]:
-    halted = (state is not None and halt_cause(state, row)) or None
-    if message is None:
-        return {"id": robot, "gate": None, "latch": None, "battery": None, "age_ms": None, "halted": halted}
+def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_ns: int) -> dict[str, Any]:
+    if heard is None:
+        return {"id": robot, "gate": None, "latch": None, "battery": None, "age_ms": None, "halted": halted or None}
+    heard_ns, message = heard
     return {
         "id": robot,
         "gate": named(GateStatus, message.gate),
         "latch": named(Latch, message.latch),
         "battery": None if message.battery < 0.0 else round(message.battery, 3),
         "age_ms": round((now_ns - heard_ns) / MS, 1),
-        "halted": halted,
+        "halted": halted or None,
     }
 
 
