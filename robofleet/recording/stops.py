@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.recording.run import Run
 from robofleet.safety.gate import GateStatus
-from robofleet.safety.supervisor import Phase
+from robofleet.safety.supervisor import Event, Phase
 
 _WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why
 _SOON = 3  # statuses: a gate may close before the news that the run ended is here
+_ASKED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
 
 
@@ -45,17 +46,17 @@ def _cause(run: Run, row: int, k: int) -> str | None:
     """Return why a gate closed, and for which cause of the run or of this robot; None where the run had ended."""
     status, places = run.statuses[row], run.status_places[row]
     last = int(np.searchsorted(status["stamp_ns"], int(status["stamp_ns"][k]) + _WHY_WITHIN_NS)) - 1
+    soon = places[min(k + _SOON, last)]
     gate = named(GateStatus, int(status["gate"][k]))
     before = bisect_right(run.states, places[k], key=lambda change: change[0]) - 1
-    robots = run.config.groups[0].robots
     for place, state in run.states[max(0, before) :]:
-        if place > places[last]:
-            break
+        if place > soon and (place > places[last] or state.cause in _ASKED):
+            break  # what somebody asks for closes no gate beforehand
         if state.phase == Phase.IDLE:
-            return None if place <= places[min(k + _SOON, last)] else gate
+            return None
         own = halt_cause(state, row)
         if own or state.phase not in _GOING_ON:
-            return f"{gate}: {own or run_cause(state, robots)}"
+            return f"{gate}: {own or run_cause(state, run.config.groups[0].robots)}"
     return gate
 
 
@@ -66,6 +67,7 @@ def _times(closed: NDArray[Any]) -> dict[str, float | None]:
     still = np.flatnonzero((until["left_output_rad_s"] == 0.0) & (until["right_output_rad_s"] == 0.0))
     output_ns = int(until["output_after_ns"][still[0]]) if len(still) else -1
     target_ns = int(closed["target_after_ns"][0])
+    output_ns = output_ns if output_ns >= target_ns else -1  # of an earlier stop: the wheels stood already
     return {
         name: None if ns < 0 else round(ns / 1e6, 2)
         for name, ns in (("target_ms", target_ns), ("output_ms", output_ns))

@@ -16,6 +16,7 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.node import Node
 from robofleet.recording.metrics import summary
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+from tests.processes.realrun import RealRun
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 LAYOUTS: dict[Topic, Any] = {
@@ -143,3 +144,17 @@ def recorded() -> Callable[..., list[str]]:
     """Return what makes robots of the platoon RecordingDrivers: config changes."""
     name = f"{RecordingDriver.__module__}:{RecordingDriver.__qualname__}"
     return lambda *rows: [f"robots.{row}.driver='{name}'" for row in rows]
+
+
+@pytest.fixture
+def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
+    """Return what starts a run with real processes; nothing of it is left afterwards."""
+    runs: list[RealRun] = []
+
+    def start(*arguments: str, terminal: bool = False) -> RealRun:
+        runs.append(RealRun(tmp_path, *arguments, terminal=terminal))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        run.clean_up()
