@@ -48,7 +48,6 @@ def test_a_robot_that_does_not_answer_is_named(real_run: Start) -> None:
     assert "NOT acknowledged within 200 ms by r3: stop them by hand" in stopped.stderr
     assert run.ended(5) == 1
     assert run.latched() == ALL_LATCHED | {"r3": 0}
-    assert "NOT acknowledged within 200 ms by r3" in run.summary["cause"]
 
 
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:

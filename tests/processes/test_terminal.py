@@ -1,5 +1,6 @@
 """The operator's terminal in a real run: keys, the dead man's handle, and the terminal given back as it was."""
 
+import signal
 import subprocess
 import sys
 import termios
@@ -40,6 +41,17 @@ def test_one_key_is_the_emergency_stop(real_run: Start, key: bytes) -> None:
     stops = [stop for stop in run.summary["stops"] if "emergency stop requested" in stop["cause"]]
     assert {stop["robot"] for stop in stops} == set(ALL_LATCHED)
     assert all(0 <= stop["target_ms"] <= stop["output_ms"] <= 230 for stop in stops)
+
+
+def test_a_robot_that_does_not_answer_is_named(real_run: Start) -> None:
+    run = real_run(*TRUTH, terminal=True)
+    run.wait_until_running()
+    (driver,) = run.children("driver", "r3")
+    driver.send_signal(signal.SIGSTOP)
+    run.press(b"e")
+    assert run.ended(5) == 1
+    assert run.summary["cause"] == "emergency stop (by key); NOT acknowledged within 200 ms by r3: stop them by hand"
+    assert run.latched() == ALL_LATCHED | {"r3": 0}
 
 
 def test_h_holds_r_resumes_q_ends(real_run: Start) -> None:
