@@ -184,7 +184,10 @@ class Launcher:
         except TimeoutError as error:
             raise RunError(str(error)) from error
         if not answer.startswith(b"ok"):
-            raise RunError(f"{what.decode()}: {answer.decode(errors='replace')}")
+            latched = any((status := self._newest(k, ROBOT_STATUS)) and status.latch for k in self._status_keys)
+            way_out = ": `robofleet run --reset` does it" if latched and what == b"start" else ""
+            why = answer.decode(errors="replace").removeprefix("refused: ")
+            raise RunError(f"{what.decode()} was refused: {why}{way_out}")
 
     def _polled(self) -> RunState | None:
         """Take what came, do what the operator asks, show it; returns the run's newest state."""
