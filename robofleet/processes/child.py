@@ -38,15 +38,15 @@ def router(config: Config, lifeline: Lifeline) -> None:
         session.close()  # type: ignore[no-untyped-call]
 
 
-def controller(config: Config, lifeline: Lifeline) -> None:
+def controller(config: Config, lifeline: Lifeline, *, take_over: bool) -> None:
     """The controller at its tick."""
     from robofleet.processes.controller import Controller, compile_kernels  # noqa: PLC0415
 
     compile_kernels(config)
     _run(
         "controller", config, lifeline,
-        lambda c, bus, clock, *_: Controller(c, bus, clock, entropy(c.run.seed, "controller")), _CONTROLLER_PRIORITY,
-        precise=True,
+        lambda c, bus, clock, *_: Controller(c, bus, clock, entropy(c.run.seed, "controller"), take_over=take_over),
+        _CONTROLLER_PRIORITY, precise=True,
     )  # fmt: skip
 
 

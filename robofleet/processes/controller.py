@@ -50,11 +50,13 @@ class _Timing:
 class Controller:
     """All robots of the group, in platoon order."""
 
-    def __init__(self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator) -> None:
+    def __init__(
+        self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False
+    ) -> None:
         robots, c = config.platoon, config.controller
         self._clock = clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
-        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64))
+        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64), take_over=take_over)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._first_delay_s = slices.delay_ns(config, robots[0]) / S
@@ -181,11 +183,14 @@ class Controller:
 
 
 class Leases:
-    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one."""
+    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one.
 
-    def __init__(self, bus: Bus, robots: list[str], session: int) -> None:
+    ``take_over``: each is taken once also from a controller that is alive; who loses it then does not take it back.
+    """
+
+    def __init__(self, bus: Bus, robots: list[str], session: int, *, take_over: bool = False) -> None:
         self._bus, self._robots, self.session = bus, robots, session
-        self._request = LEASE_REQUEST.encode(LeaseRequest(session, LeaseAction.ACQUIRE))
+        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(robots)
         self._asked: list[Answer | None] = [None] * len(robots)
         self._again = [0] * len(robots)
         self.refused = False  # somebody else holds the lease of a robot
@@ -194,12 +199,16 @@ class Leases:
         """Ask every driver that is there and is not ours, every few ticks."""
         self.refused = any(status is not None and status.session not in (0, self.session) for status in newest)
         for row, status in enumerate(newest):
-            if status is None or status.session == self.session:
+            if status is None:
+                continue
+            if status.session == self.session:
+                self._actions[row] = LeaseAction.ACQUIRE
                 continue
             self._again[row] -= 1
             if self._again[row] < 0:
                 self._again[row] = _ASK_AGAIN_TICKS
-                self._asked[row] = self._bus.ask(LEASE, self._robots[row], self._request)
+                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[row]))
+                self._asked[row] = self._bus.ask(LEASE, self._robots[row], request)
 
 
 def compile_kernels(config: Config) -> None:
