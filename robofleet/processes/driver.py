@@ -1,5 +1,8 @@
 """A driver process: one robot or several, each behind its gate. It owns the gates; the drivers know no bus."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from robofleet.clock import MS, Clock
@@ -9,6 +12,7 @@ from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.gated_robot import GatedRobot, Witness
 from robofleet.processes.keeping import Keeping
+from robofleet.simulation.faults import Schedule
 from robofleet.vehicles.interface import Driver, DriverContext, Simulation
 
 _LOOP_NS = 10 * MS
@@ -27,8 +31,9 @@ class DriverProcess:
         rng: np.random.Generator,
         keeping: Keeping,
         witness: Witness | None = None,
+        faults: Schedule | None = None,
     ) -> None:
-        self._clock = clock
+        self._clock, self._faults = clock, faults
         self._keeping, self._witness = keeping, witness
         self._robots: list[GatedRobot] = []
         try:
@@ -40,6 +45,7 @@ class DriverProcess:
         self._loops = 0
 
     def _open(self, config: Config, robot_ids: tuple[str, ...], bus: Bus, wake: Wake, rng: np.random.Generator) -> None:
+        faults = self._faults
         for robot_id in robot_ids:
             robot = config.robot(robot_id)
             context = DriverContext(
@@ -49,12 +55,13 @@ class DriverProcess:
                     slices.vehicle_drive(robot.vehicle),
                     slices.imperfections(robot.vehicle),
                     slices.start_pose(robot),
-                    slices.stalls(config, robot_id),
+                    None if faults is None else faults.body_trouble(robot_id),
                     slices.generator(config.run.seed, "plant", robot_id),
                 ),
-                self._clock.now_ns,
+                self._clock.now_ns if faults is None else faults.now_ns,
             )
-            driver: Driver = load("robofleet.drivers", robot.driver)(context)
+            make: Callable[[], Driver] = partial(load("robofleet.drivers", robot.driver), context)
+            driver = make() if faults is None else faults.driver(robot_id, make)
             boot_id, build = slices.drawn_id(rng, 64), slices.build(config)
             try:
                 gated = GatedRobot(context, driver, boot_id, build, bus, wake, self._keeping, self._witness)

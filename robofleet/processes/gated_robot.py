@@ -42,7 +42,7 @@ _ACTIONS = tuple(LeaseAction)
 _UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
 _U32 = 1 << 32
 
-Witness = Callable[[str, int, GateState, GateOutput], None]  # robot, instant, and what its gate decided
+Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
 
 
 class GatedRobot:
@@ -105,7 +105,8 @@ class GatedRobot:
         inputs = self._inputs(
             None if command is None else _command(command), None if enable is None else _permission(enable)
         )
-        self._adopt(*gate.step(self._gate, self._drive, inputs, now_ns), now_ns, again=command is not None)
+        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
+        self._adopt(inputs, state, output, now_ns, again=command is not None)
         if command is not None and self._gate.seq != seq:
             self._accepted_exposure_ns = command.exposure_ns
         if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
@@ -153,15 +154,16 @@ class GatedRobot:
         turning = max(abs(self._reading.left_speed), abs(self._reading.right_speed)) > _TURNING_RAD_S
         return Inputs(command, permission, lease, self._trouble, turning)
 
-    def _adopt(self, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
+    def _adopt(self, inputs: Inputs, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
         """Do what the gate decided; ``again`` tells the robot also what it was told before."""
         self._gate, self._status, self.deadline_ns = state, output.status, output.deadline_ns
         if self._witness is not None:
-            self._witness(self._robot, now_ns, state, output)
+            self._witness(self._robot, now_ns, inputs, state, output)
         if again or output.output != self._written:
             self._write(output.output)
         if self._trouble > state.latch:  # just now
-            self._adopt(*gate.step(state, self._drive, self._inputs(), now_ns), now_ns)
+            inputs = self._inputs()
+            self._adopt(inputs, *gate.step(state, self._drive, inputs, now_ns), now_ns)
 
     def _write(self, wheels: WheelSpeeds) -> None:
         try:
@@ -186,12 +188,13 @@ class GatedRobot:
             self._unreadable += 1
             return
         lease = asked.session, LeaseAction(asked.action)
-        state, output = gate.step(self._gate, self._drive, self._inputs(lease=lease), now_ns)
+        inputs = self._inputs(lease=lease)
+        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
         granted = bool(output.granted)
         if state.epoch != self._gate.epoch and not self._save(kept(state)):
             granted = False  # an epoch that a restart would give out again is not given out: nothing has happened
         else:
-            self._adopt(state, output, now_ns)
+            self._adopt(inputs, state, output, now_ns)
         request.reply(LEASE_ANSWER.encode(LeaseAnswer(int(granted), self._gate.epoch, self._gate.session)))
 
     def _save(self, memory: Kept) -> bool:

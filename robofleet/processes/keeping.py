@@ -1,5 +1,6 @@
 """What a driver must remember when it is started again: the epoch of its lease, and what latched its gate."""
 
+import errno
 import json
 import os
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from robofleet.safety.gate import GateState, Latch
+from robofleet.simulation.faults import Schedule
 
 _MOST = 1 << 31  # of what the wire carries in 32 bits: so many leases or latches nobody lives to see
 
@@ -80,6 +82,19 @@ class FileKeeping:
 
     def _file(self, robot: str) -> Path:
         return self._folder / f"{robot}.json"
+
+
+class FaultyKeeping:
+    """A keeping whose disk can be full."""
+
+    def __init__(self, keeping: Keeping, faults: Schedule) -> None:
+        self.load, self._keeping, self._faults = keeping.load, keeping, faults
+
+    def save(self, robot: str, kept: Kept) -> None:
+        """Keep it, if the disk takes it."""
+        if self._faults.disk_is_full():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._keeping.save(robot, kept)
 
 
 def _checked(found: dict[str, int]) -> Kept:

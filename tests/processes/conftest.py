@@ -21,6 +21,7 @@ from robofleet.recording.metrics import summary
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+from tests.processes.realrun import RealRun
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 LAYOUTS: dict[Topic, Any] = {
@@ -31,6 +32,7 @@ LAYOUTS: dict[Topic, Any] = {
     keys.TRUTH: messages.TRUTH,
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
+    keys.NEWS: messages.TRACKER_NEWS,
 }
 
 
@@ -235,3 +237,17 @@ def stand(
     """Return two robots of one driver process, r1 and r2."""
     bench = Bench(platoon_of(*recorded(0, 1)))
     return Stand(bench, driver_of(bench, "r1", "r2"), recording_driver.made)
+
+
+@pytest.fixture
+def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
+    """Return what starts a run with real processes; nothing of it is left afterwards."""
+    runs: list[RealRun] = []
+
+    def start(*arguments: str, terminal: bool = False) -> RealRun:
+        runs.append(RealRun(tmp_path, *arguments, terminal=terminal))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        run.clean_up()
