@@ -13,12 +13,13 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.processes.fleet_view import FleetListener
 from robofleet.safety import arming, monitor, supervisor
-from robofleet.safety.arming import PROBE_RAD_S, ArmingSettings, ArmingState
+from robofleet.safety.arming import ArmingSettings, ArmingState
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
 from robofleet.safety.supervisor import Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.safety.wiggle import PROBE_RAD_S
 
 _PERIOD_NS = 40 * MS
 _ACKNOWLEDGED_WITHIN_NS = 200 * MS

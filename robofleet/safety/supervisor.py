@@ -74,6 +74,7 @@ class Event(IntEnum):
     RIGHT_REVERSED = 56
     BOTH_REVERSED = 57
     WRONG_GAIN = 58  # travelled over expected
+    ENCODER_WRONG = 59  # counted over asked
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
@@ -121,6 +122,7 @@ CAUSES = {
     Event.DID_NOT_MOVE: "its tag did not move when its wheels were turned",
     Event.WRONG_TAG_MOVED: "its driver moves the tag of {other}",
     Event.WHEELS_SWAPPED: "its wheels are swapped",
+    Event.ENCODER_WRONG: "an encoder counts {detail:.2f} of what its wheel was asked to turn",
     Event.LEFT_REVERSED: "its left wheel turns backwards",
     Event.RIGHT_REVERSED: "its right wheel turns backwards",
     Event.BOTH_REVERSED: "both its wheels turn backwards",
@@ -176,6 +178,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.DID_NOT_MOVE:         (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WRONG_TAG_MOVED:      (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WHEELS_SWAPPED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.ENCODER_WRONG:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.LEFT_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.RIGHT_REVERSED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.BOTH_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
@@ -216,7 +219,7 @@ class RunStatus(NamedTuple):
 def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     """Return an event in words; ``robots`` are the ids in the group's order."""
     event, robot, detail = happening
-    other = robots[int(detail)] if 0 <= detail < len(robots) else "nobody"
+    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
     cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other)
     return f"{robots[robot]}: {cause}" if robot < len(robots) else cause
 
