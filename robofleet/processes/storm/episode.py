@@ -27,6 +27,7 @@ from robofleet.safety.supervisor import Event, Phase
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
+_STAY_S = 0.3  # in which it does not stop once more
 _LOOK_S = 0.05  # the operator's eye
 _ROOM_M = 0.06  # what the wheels' trial before a start may ask for
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
@@ -106,13 +107,13 @@ class _Player:
         turned: set[str] = set()
         while lockstep.clock.now_ns() / S < end_s:
             self._look()
-            lockstep.advance(_LOOK_S)
-            if lockstep.status.phase is Phase.RUNNING:
-                turned |= self._ledger.turning()
-                if len(turned) == len(self._config.platoon):
-                    return
-            else:
+            everybody = len(turned) == len(self._config.platoon)
+            lockstep.advance(_STAY_S if everybody else _LOOK_S)
+            if lockstep.status.phase is not Phase.RUNNING:
                 turned.clear()
+            elif everybody:
+                return
+            turned |= self._ledger.turning()
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
             words = lockstep.status.describe(self._config.groups[0].robots)
