@@ -1,6 +1,6 @@
 """The simulated robot's driver: at rest until told, the same however often it is asked, stalls when it must."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +9,11 @@ import pytest
 from drivers.simulated import SimulatedRobot
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import (
-    STOP,
+    BodyTrouble,
     DriverContext,
     Imperfections,
     SimulatedDriver,
     Simulation,
-    Stall,
     WheelSpeeds,
 )
 
@@ -47,9 +46,9 @@ IDEAL = replace(WORN, motor_lag=0.0, speed_quantum=0.0, deadband=0.0, breakaway=
 class Bench:
     """A robot and the clock that it is given."""
 
-    def __init__(self, imperfections: Imperfections = WORN, stalls: tuple[Stall, ...] = ()) -> None:
+    def __init__(self, imperfections: Imperfections = WORN, trouble: Callable[[], BodyTrouble] | None = None) -> None:
         self.now_ns = 5 * S
-        simulation = Simulation(DRIVE, imperfections, START, stalls, np.random.default_rng(4))
+        simulation = Simulation(DRIVE, imperfections, START, trouble, np.random.default_rng(4))
         self.robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: self.now_ns))
 
     def wait(self, ns: int, asked_every: int | None = None) -> None:
@@ -120,22 +119,27 @@ def travelled(bench: Bench, ns: int) -> float:
     return bench.robot.read().left_angle - before
 
 
-def test_a_stall_counts_from_the_first_motion_command() -> None:
-    bench = Bench(IDEAL, (Stall(0.5, 1.2),))
-    bench.robot.write(STOP)
-    bench.wait(3 * S)  # standing about does not count
+def test_stuck_motors_stand_still_whatever_they_are_told() -> None:
+    trouble = BodyTrouble()
+    bench = Bench(IDEAL, lambda: trouble)
     bench.robot.write(WheelSpeeds(5.0, 5.0))
-    assert travelled(bench, 500 * MS) == pytest.approx(2.5)
-    assert travelled(bench, 700 * MS) == 0.0
+    assert travelled(bench, 100 * MS) == pytest.approx(0.5)
+    trouble = BodyTrouble(stuck=True)
+    bench.robot.write(WheelSpeeds(5.0, 5.0))
+    assert travelled(bench, 150 * MS) == 0.0
     assert bench.robot.truth()[3:] == (0.0, 0.0)
-    assert travelled(bench, 300 * MS) == pytest.approx(1.5)
-
-
-def test_stalls_may_be_many() -> None:
-    bench = Bench(IDEAL, (Stall(0.1, 0.2), Stall(0.4, 0.6)))
+    trouble = BodyTrouble()
     bench.robot.write(WheelSpeeds(5.0, 5.0))
-    moved = [travelled(bench, ms * MS) for ms in (100, 100, 200, 200, 100)]
-    assert moved == pytest.approx([0.5, 0.0, 1.0, 0.0, 0.5])
+    assert travelled(bench, 100 * MS) == pytest.approx(0.5)
+
+
+def test_a_robot_that_hears_nothing_for_200_ms_stops() -> None:
+    bench = Bench(IDEAL)
+    bench.robot.write(WheelSpeeds(5.0, 5.0))
+    assert travelled(bench, S) == pytest.approx(5.0 * 0.2)
+    for _ in range(10):
+        bench.robot.write(WheelSpeeds(5.0, 5.0))
+        assert travelled(bench, 100 * MS) == pytest.approx(0.5)
 
 
 def test_it_knows_the_truth() -> None:
