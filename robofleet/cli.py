@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robofleet.clock import WallClock, utc_now
+from robofleet.clock import S, WallClock, utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -133,6 +133,30 @@ def paper(
 
 
 @app.command()
+def storm(
+    config: ConfigFile,
+    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
+    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
+    pixels: Annotated[bool, typer.Option(help="Render the camera's images: slower.")] = False,
+) -> None:
+    """Hit a simulated fleet with random faults, in lockstep, and check what must always hold.
+
+    robofleet storm configs/platoon.yaml --seeds 50
+    """
+    source = "camera" if pixels else "truth"
+    with _bad_input():
+        tree = _checked(config, [f"tracker.source={source}"], None, lockstep=True)
+    from robofleet.processes.storm import report, workers  # noqa: PLC0415
+
+    replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
+    started_ns = WallClock().now_ns()
+    with report.progress(seeds, replay) as watch:
+        tally = workers.storm(tree, range(first, first + seeds), watch)
+    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
+        raise typer.Exit(1)
+
+
+@app.command()
 def stop(arena: ArenaName = None) -> None:
     """Emergency stop of a running arena: every robot stands at once, and its gate stays latched."""
     from robofleet.processes import operator  # noqa: PLC0415
@@ -203,8 +227,17 @@ def _process(name: str) -> None:
     app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
 
 
-for _name in ("router", "tracker", "supervisor"):
+for _name in ("router", "tracker"):
     _process(_name)
+
+
+@app.command()
+def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The supervisor of a run, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    child.supervisor(_for_one_process(config), Lifeline(lifeline), config.parent)
 
 
 @app.command()

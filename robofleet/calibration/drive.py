@@ -26,7 +26,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import ArenaBusyError, claimed
 from robofleet.processes.check import load_checked
-from robofleet.processes.controller import excitation
+from robofleet.processes.fleet import excitation
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.terminal import Terminal

@@ -19,8 +19,10 @@ class TickFollower:
     def __init__(self, bus: Bus, period_ns: int, wake: Wake) -> None:
         self._period_ns = period_ns
         self._ticks = bus.newest(TICK, wake=wake)
+        self._run_tick = -1
         self._origins: deque[int] = deque(maxlen=_WINDOW)
         self.newest = 0  # number of the newest tick known; 0: none yet
+        self.began_ns = 0  # when the newest run began, on the same clock; 0: none has
         self.newest_stamp_ns = 0  # its instant on the CONTROLLER's clock: a simulated trigger line, on one host
 
     def update(self) -> None:
@@ -29,10 +31,14 @@ class TickFollower:
         head = None if payload is None else TICK_RECORD.decode_head(payload)
         if head is None:
             return
-        _, _, tick, _, stamp_ns, *_ = head
+        _, _, tick, run_tick, stamp_ns, *_ = head
         if tick < self.newest:
             self._origins.clear()  # another controller
         self.newest, self.newest_stamp_ns = tick, stamp_ns
+        if run_tick >= 0:
+            if run_tick < self._run_tick or not self.began_ns:
+                self.began_ns = stamp_ns - run_tick * self._period_ns
+            self._run_tick = run_tick
         self._origins.append(self._ticks.arrival_ns - tick * self._period_ns)
 
     def instant(self, tick: int) -> int:

@@ -28,7 +28,7 @@ class Cable(Model):
     points_px: Annotated[tuple[Vector2, ...], Field(min_length=2, strict=False)]
     width_px: Annotated[int, Field(ge=1, le=100)] = 2
     gray: Gray = 40
-    at_s: NonNegative = 0.0  # from then on; time counts from the first image
+    at_s: NonNegative = 0.0  # from then on; time counts from the start of the run; 0: before the checks, too
 
 
 class Glare(Model):
@@ -40,7 +40,10 @@ class Glare(Model):
 
 
 class Outage(Model):
-    """The camera sends the same picture again and again, or none. Time counts from its first image."""
+    """The camera sends the same picture again and again, or none.
+
+    Time counts from the start of the run; 0: before the checks, too.
+    """
 
     kind: Literal["frozen", "stalled"]
     at_s: NonNegative
@@ -50,7 +53,7 @@ class Outage(Model):
 class Knock(Model):
     """The camera is turned about its own axes, shifted and zoomed, at once or slowly, as one that warms up.
 
-    Time counts from its first image.
+    Time counts from the start of the run; 0: before the checks, too.
     """
 
     at_s: NonNegative
@@ -61,7 +64,7 @@ class Knock(Model):
 
 
 class Cover(Model):
-    """A sheet of plain paper on a robot's tag. Time counts from the first image."""
+    """A sheet of plain paper on a robot's tag. Time counts from the start of the run; 0: before the checks, too."""
 
     robot: Name
     at_s: NonNegative = 0.0
@@ -69,7 +72,7 @@ class Cover(Model):
 
 
 class Swap(Model):
-    """Two robots' tags are exchanged. Time counts from the first image."""
+    """Two robots' tags are exchanged. Time counts from the start of the run; 0: before the checks, too."""
 
     robots: Annotated[tuple[Name, Name], Field(strict=False)]
     at_s: NonNegative

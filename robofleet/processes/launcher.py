@@ -12,8 +12,8 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
+from robofleet.processes.children import Children, RunError
 from robofleet.processes.estop import emergency_stop
-from robofleet.processes.fleet import Fleet, RunError
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
@@ -79,7 +79,7 @@ class Launcher:
         config_file.write_text(resolved_yaml(self._config))
         logs = self._folder / "log"
         logs.mkdir()
-        fleet = Fleet(logs, config_file)
+        fleet = Children(logs, config_file)
         with interrupts() as self._counted:
             try:
                 self._start(fleet)
@@ -91,7 +91,7 @@ class Launcher:
             finally:
                 fleet.reap(self._clock)
 
-    def _start(self, fleet: Fleet) -> None:
+    def _start(self, fleet: Children) -> None:
         self._watch(self.recording, "compiling")
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
@@ -105,7 +105,7 @@ class Launcher:
             fleet.start(f"driver-{robot.id}", "driver", "--robots", robot.id)
         fleet.wait_ready(self._clock, self._heed)
 
-    def _drive(self, fleet: Fleet) -> Outcome:
+    def _drive(self, fleet: Children) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         self._bus, self._fleet = bus, fleet
         try:

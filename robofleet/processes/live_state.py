@@ -7,8 +7,9 @@ from rich.text import Text
 from robofleet.comms.messages import RunState
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.causes import run_cause
-from robofleet.safety.arming import STROKES, Stage
+from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Phase
+from robofleet.safety.wiggle import STROKES
 
 _STAGES = {
     Stage.CHECKS: "is everything there, fresh and at rest?",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
 
 Image = NDArray[np.uint8]
-Effect = Callable[[Image, float], None]  # image (H, W), time since the first one [s]
+Effect = Callable[[Image, float], None]  # image (H, W), time since the run began [s]
 
 _PATCH_PX = 90  # of the projector's pattern
 _PATTERN_SPEED_PX = 120.0  # at which it moves [px/s]

@@ -1,4 +1,4 @@
-"""The scene of a configuration, and what happens in it while the camera looks. Time: since the first image [s]."""
+"""The scene of a configuration, and what happens in it while the camera looks. Time: since the run began [s]."""
 
 import math
 

@@ -65,7 +65,6 @@ class SimulatedCamera:
         self._play = ScenePlay(config)
         self._renderer = scene_renderer(config, context.rng)
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
-        self._first_ns: int | None = None
         self._image: NDArray[np.uint8] | None = None
 
     def ready_ns(self) -> int | None:
@@ -74,7 +73,7 @@ class SimulatedCamera:
         Images of a camera that has stalled are skipped.
         """
         exposure_ns = self._trigger.next_ns()
-        while exposure_ns is not None and (stalled_s := self._play.stalled_for(self._since_first(exposure_ns))):
+        while exposure_ns is not None and (stalled_s := self._play.stalled_for(self._since_start(exposure_ns))):
             self._trigger.fire(exposure_ns + round(stalled_s * S))
             exposure_ns = self._trigger.next_ns()
         return None if exposure_ns is None else exposure_ns + self._after_ns
@@ -88,7 +87,7 @@ class SimulatedCamera:
         exposure_ns = ready_ns - self._after_ns
         self._trigger.fire(self._clock.now_ns())
         self._world.update()
-        t = self._since_first(exposure_ns)
+        t = self._since_start(exposure_ns)
         if self._image is None or not self._play.frozen(t):
             self._image = self._picture(exposure_ns, t)
         return Frame(self._image, exposure_ns)
@@ -96,11 +95,10 @@ class SimulatedCamera:
     def close(self) -> None:
         """Nothing to let go of."""
 
-    def _since_first(self, exposure_ns: int) -> float:
-        """Return seconds since the first exposure."""
-        if self._first_ns is None:
-            self._first_ns = exposure_ns
-        return (exposure_ns - self._first_ns) / S
+    def _since_start(self, exposure_ns: int) -> float:
+        """Return seconds since the run began; 0 before."""
+        began_ns = self._ticks.began_ns
+        return max(0.0, (exposure_ns - began_ns) / S) if began_ns else 0.0
 
     def _picture(self, exposure_ns: int, t: float) -> NDArray[np.uint8]:
         geometry = self._play.camera(t)

@@ -11,6 +11,7 @@ class Ticks(Protocol):
 
     newest: int
     newest_stamp_ns: int
+    began_ns: int  # the run's first tick; 0: none yet
 
 
 class Trigger:

@@ -17,7 +17,7 @@ MakeBus = Callable[[int], MemoryBus]
 
 def record(tick: int) -> bytes:
     stamp = OTHER_CLOCK + tick * PERIOD  # of a clock that has nothing to do with this one
-    return TICK_RECORD.encode(TickRecord(1, tick, 0, stamp, 0, 0, 2, 0, 0, 0, ()))
+    return TICK_RECORD.encode(TickRecord(1, 1, tick, 0, stamp, 0, 0, 2, 0, 0, 0, ()))
 
 
 @pytest.fixture
@@ -85,3 +85,20 @@ def test_another_controller_starts_another_grid(follower: Follower, clock: Simul
     ticks.update()
     assert ticks.newest == 1
     assert ticks.instant(1) == later
+
+
+def test_a_run_begins_where_its_first_tick_was(follower: Follower) -> None:
+    """Whichever of its records comes first; a hold does not begin it anew, another run does."""
+    ticks, publish, _ = follower
+
+    def say(tick: int, run_tick: int) -> int:
+        stamp_ns = OTHER_CLOCK + tick * PERIOD
+        publish(TICK_RECORD.encode(TickRecord(1, 1, tick, run_tick, stamp_ns, 0, 0, 2, 0, 0, 0, ())))
+        ticks.update()
+        return (ticks.began_ns - OTHER_CLOCK) // PERIOD if ticks.began_ns else 0
+
+    assert say(10, -1) == 0
+    assert say(23, 2) == 21
+    assert say(24, -1) == 21
+    assert say(60, 3) == 21
+    assert say(90, 0) == 90

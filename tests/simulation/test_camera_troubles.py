@@ -3,6 +3,7 @@
 import math
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ class Stage:
         self.clock.advance_to(S)
         bus: Any = MemoryBus("platoon", self.clock, 0)
         self._publish = [bus.publisher(TRUTH, robot.id) for robot in self.config.robots]
-        ticks: Any = None  # a free camera has none
+        ticks: Any = SimpleNamespace(began_ns=S + PERIOD_NS)  # at its first image
         context = CameraContext(self.config, self.clock, bus, ticks, np.random.default_rng(1), 0)
         self.camera = SimulatedCamera(context)
         self.eye = CameraGeometry.from_model(self.config.camera.model)

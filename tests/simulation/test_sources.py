@@ -29,6 +29,7 @@ class Ticks:
 
     newest = 0
     newest_stamp_ns = 0
+    began_ns = 0
 
     def update(self) -> None:
         """Nothing comes by itself."""
