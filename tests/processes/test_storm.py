@@ -2,20 +2,15 @@
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
 from robofleet.config.tree import Config
-from robofleet.processes.storm import episode, workers
+from robofleet.processes.storm import workers
 from robofleet.processes.storm.episode import play
 from robofleet.processes.storm.schedule import KINDS, WINDOW_S, plan
 from robofleet.processes.storm.tally import Tally
-from robofleet.safety import gate, monitor
-from robofleet.safety.supervisor import Event
 
 
 @pytest.fixture(scope="module")
