@@ -20,13 +20,14 @@ from robofleet.processes.controller import Controller, compile_kernels
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.node import Node
-from robofleet.processes.readiness import missing
+from robofleet.processes.readiness import why
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
 
-_READY_WITHIN_NS = 5 * S
+_ANSWER_WITHIN_NS = S  # to the request for a start
+_ARMED_WITHIN_NS = 600 * S  # the supervisor gives up before
 _REST_NS = S  # after the stop: wheels come to rest
 
 
@@ -99,7 +100,8 @@ class Lockstep:
         gc.disable()
         try:
             self.bus.ask(REQUEST, "supervisor", b"start")
-            self._run_until(lambda: self._status.phase is Phase.RUNNING, _READY_WITHIN_NS)
+            self._run_until(lambda: self._status.phase is not Phase.IDLE, _ANSWER_WITHIN_NS)
+            self._run_until(lambda: self._status.phase is not Phase.ARMED, _ARMED_WITHIN_NS)
             outcome = self._lap(watch)
             self.bus.ask(REQUEST, "supervisor", b"stop")
             self._run_until(lambda: False, _REST_NS)
@@ -119,8 +121,7 @@ class Lockstep:
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
         if self._status.phase is not Phase.RUNNING:
-            why = missing(self.recording)
-            return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s: {why}"
+            return "fault", f"the fleet was not ready: {why(self.recording, self._status)}"
         while self._run_tick < last_tick:
             self._run_until(lambda: self._status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
             watch(self.recording, "running")
