@@ -17,7 +17,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.load import load_config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.arming import Stage
-from robofleet.safety.supervisor import Phase
+from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import DriverContext, DriverReading, WheelSpeeds
 from tests.processes.conftest import PLATOON
 
@@ -73,6 +73,15 @@ def test_a_healthy_fleet_is_armed_in_time_robot_by_robot(change: str, within_s: 
     assert list(dict.fromkeys(state.probed for state in wiggled if state.probed < 4)) == [0, 1, 2, 3]
     ticks = [TICK_RECORD.decode(payload) for payload in run.recording.messages[key("platoon", TICK)]]
     assert 0.033 * sum(tick.phase == Phase.ARMED for tick in ticks) <= 0.4 + 4 * within_s
+
+
+@pytest.mark.parametrize("change", ["max_wheel_speed_rad_s=4.0", "max_speed_m_s=0.06"])
+def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
+    run = armed(f"robots.0.vehicle.{change}")
+    assert states(run)[-1].cause == Event.STOP_REQUESTED
+    statuses, others = (run.recording.rows(key("platoon", STATUS, robot), ROBOT_STATUS) for robot in ("r1", "r2"))
+    assert statuses["rejected"][-1] == others["rejected"][-1]  # no command for the speed that it asks for
+    assert 3.5 < statuses["left_output_rad_s"].max() <= 4.7
 
 
 def test_a_fleet_that_was_armed_stands_about_where_it_stood() -> None:
