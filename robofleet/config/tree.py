@@ -26,6 +26,7 @@ from robofleet.config.model import (
     Positive,
     Vector2,
 )
+from robofleet.config.troubles import Fault
 from robofleet.vehicles.interface import Wiring
 
 
@@ -136,6 +137,15 @@ class FilterSettings(Model):
     lost_after_s: Positive = 0.5  # without a measurement for so long, a robot is lost and stands still
 
 
+class BarrierSettings(Model):
+    """The barrier between robots: distances follow from these, the bodies and what is believed of the drives."""
+
+    gap_m: NonNegative = 0.01  # that two bodies keep at the worst
+    age_s: NonNegative = 0.133  # of the newest image at a tick, at most: 100 ms of delay, and a tick
+    rate_per_s: Positive = 10.0  # gamma: how fast a distance may be used up
+    ahead_m: Positive = 0.01  # of the axle: the point that is kept apart
+
+
 class ControllerSettings(Model):
     """The NR flow and its tick."""
 
@@ -147,6 +157,7 @@ class ControllerSettings(Model):
     disturbance: Literal["estimated", "none"] = "none"  # what the law knows of wheels that do not do as asked
     command_delay_s: NonNegative = 0.002  # from the tick to the moment when its commands act
     filter: FilterSettings = FilterSettings()
+    barrier: BarrierSettings = BarrierSettings()
 
 
 class TruthSettings(Model):
@@ -176,15 +187,6 @@ class LockstepSettings(Model):
     tracker_delay_s: NonNegative = 0.004
 
 
-class Fault(Model):
-    """A timed fault of a simulated robot. Time counts from its first motion command."""
-
-    robot: Name
-    kind: Literal["motor_stuck"]
-    at_s: NonNegative
-    duration_s: Positive
-
-
 class RunSettings(Model):
     """One run."""
 
@@ -208,6 +210,11 @@ class Config(Model):
     run: RunSettings
     lockstep: LockstepSettings = LockstepSettings()
     faults: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """The processes of a run, by name."""
+        return "router", "supervisor", "tracker", "controller", *(f"driver-{robot.id}" for robot in self.robots)
 
     def robot(self, robot_id: str) -> Robot:
         """Return a robot by its id; KeyError if there is none."""

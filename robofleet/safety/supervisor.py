@@ -34,7 +34,8 @@ class Event(IntEnum):
     ESTOP_REQUESTED = 6
     RESET = 7  # requested, and every robot at rest, every e-stop acknowledged, no input that still asks for one
     OPERATOR_LOST = 8  # the dead man's terminal is gone
-    # other processes
+    # the processes
+    SUPERVISOR_STALLED = 9  # the supervisor itself stood still, or its clock jumped
     DRIVER_SILENT = 10
     DRIVER_RESTARTED = 11
     CONTROLLER_SILENT = 12
@@ -89,6 +90,7 @@ CAUSES = {
     Event.ESTOP_REQUESTED: "emergency stop requested",
     Event.RESET: "reset",
     Event.OPERATOR_LOST: "the operator's terminal is gone",
+    Event.SUPERVISOR_STALLED: "the supervisor stood still",
     Event.DRIVER_SILENT: "the driver went silent",
     Event.DRIVER_RESTARTED: "the driver was restarted",
     Event.CONTROLLER_SILENT: "the controller went silent",
@@ -125,7 +127,7 @@ CAUSES = {
     Event.RIGHT_REVERSED: "its right wheel turns backwards",
     Event.BOTH_REVERSED: "both its wheels turn backwards",
     Event.WRONG_GAIN: "it travels {detail:.2f} of what its wheels should give: check wheel_radius_m",
-    Event.ARMED_TOO_LONG: "it was not ready in time",
+    Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
 }
 
@@ -144,6 +146,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.ESTOP_REQUESTED:      (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.RESET:                (_SAME, _SAME, _SAME, _SAME, _I,    _I),
     Event.OPERATOR_LOST:        (_SAME, _E,    _E,    _E,    _SAME, _SAME),
+    Event.SUPERVISOR_STALLED:   (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.DRIVER_SILENT:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.DRIVER_RESTARTED:     (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CONTROLLER_SILENT:    (_SAME, _F,    _F,    _F,    _SAME, _SAME),

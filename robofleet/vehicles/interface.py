@@ -5,11 +5,12 @@ A driver knows its robot and nothing of the bus; the process around it knows the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
+
+if TYPE_CHECKING:  # the gate's own types stand here, and `robofleet stop` must not wait for numpy
+    import numpy as np
 
 Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both_reversed"]
 
@@ -66,11 +67,11 @@ class Imperfections:
     actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
 
 
-class Stall(NamedTuple):
-    """Motors of a simulated robot blocked for a while; time counts from its first motion command [s]."""
+class BodyTrouble(NamedTuple):
+    """What is wrong with a simulated robot now."""
 
-    start: float
-    end: float
+    stuck: bool = False  # motors stand still, whatever they are told
+    slip: float = 0.0  # share of the wheels' travel that is lost
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ class Simulation:
     drive: DifferentialDrive  # the kind of robot that it is one of
     imperfections: Imperfections
     start: tuple[float, float, float]  # x, y [m], psi [rad]; world
-    stalls: tuple[Stall, ...]
-    rng: np.random.Generator
+    trouble: Callable[[], BodyTrouble] | None  # None: never any
+    rng: "np.random.Generator"
 
 
 @dataclass(frozen=True)

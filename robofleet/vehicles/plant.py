@@ -82,8 +82,11 @@ class Plant:
         self._used = 0.0  # battery time [s]
         self._noise: list[float] = []
 
-    def step(self, command: WheelSpeeds, duration: float, *, blocked: bool = False) -> None:
-        """Advance by ``duration`` > 0 [s] with constant commands; ``blocked`` motors stand still whatever is asked."""
+    def step(self, command: WheelSpeeds, duration: float, *, blocked: bool = False, slip: float = 0.0) -> None:
+        """Advance by ``duration`` > 0 [s] with constant commands.
+
+        ``blocked`` motors stand still whatever is asked; ``slip`` is the share of the wheels' travel that is lost.
+        """
         self._used += duration
         if blocked:
             self._left.block()
@@ -100,9 +103,10 @@ class Plant:
             return
         radius = self._drive.wheel_radius
         if self._p.slip:
-            slip = self._p.slip * abs(body_from_wheels(left, right, radius, self._base)[1])
-            left *= 1.0 - slip * self._slip_factor()
-            right *= 1.0 - slip * self._slip_factor()
+            turning = self._p.slip * abs(body_from_wheels(left, right, radius, self._base)[1])
+            left *= 1.0 - turning * self._slip_factor()
+            right *= 1.0 - turning * self._slip_factor()
+        left, right = (1.0 - slip) * left, (1.0 - slip) * right
         v, omega = self._body = body_from_wheels(left, right, radius, self._base)
         self._pose = arc(*self._pose, v, omega, duration)
 
