@@ -39,6 +39,7 @@ _CHECKED = 1e-6  # of the answer [m/s]
 _INSIDE = 1.0 - 1e-9  # a wheel stays inside its limit whatever is rounded later
 _WANTED = 0.02  # slower than this nobody is held [m/s]
 _GRANTED = 0.1  # of what was wanted; with less a robot does not get on
+_WITHDRAWING = 0.5  # of its top speed, at most
 _AROUND_S = 0.5  # held for so long, a robot turns aside
 _COS, _SIN = math.cos(math.radians(80.0)), math.sin(math.radians(80.0))  # by so much; less does not pass a crowd
 _BLOCKED_S = 3.0
@@ -137,11 +138,12 @@ def _filter(
         if not driving[i]:
             held[i] = 0
             continue
-        first = _edges(rows, _limits(rows, bodies[i], l), stops[i], half, bodies[i, 5] + grown[i], rate)
+        back = -_WITHDRAWING * bodies[i, 4]
+        first = _edges(rows, _limits(rows, bodies[i], l), stops[i], half, bodies[i, 5] + grown[i], rate, back)
         count = first
         for j in range(n):
             if j != i and unseen[j] < np.inf:
-                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate)
+                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate, back)
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
         x, y = v, l * omega
         met = _excess(x, y, rows[first:count]) > _TOLERANCE
@@ -189,16 +191,16 @@ def _limits(rows: Array, body: Array, l: float) -> int:
 
 
 @kernel
-def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rate: float) -> int:
+def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rate: float, back: float) -> int:
     for out_x, out_y in _WALLS:
         left = abs(out_x) * half[0] + abs(out_y) * half[1] - margin - out_x * stop[0] - out_y * stop[1]
         along, across = out_x * stop[2] + out_y * stop[3], out_x * stop[4] + out_y * stop[5]
-        count = _add(rows, count, along, across, rate * left)
+        count = _add(rows, count, along, across, max(rate * left, back))
     return count
 
 
 @kernel
-def _pair(rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float) -> int:
+def _pair(rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float, back: float) -> int:
     x, y = other[0] - stop[0], other[1] - stop[1]
     distance = np.hypot(x, y)
     if distance == 0.0:
@@ -206,7 +208,7 @@ def _pair(rows: Array, count: int, stop: Array, other: Array, apart: float, rate
     towards_x, towards_y = x / distance, y / distance
     along = towards_x * stop[2] + towards_y * stop[3]
     across = towards_x * stop[4] + towards_y * stop[5]
-    return _add(rows, count, along, across, rate * (distance - apart) / 2.0)
+    return _add(rows, count, along, across, max(rate * (distance - apart) / 2.0, back))
 
 
 @kernel
