@@ -131,7 +131,7 @@ def _filter(
     n = len(poses)
     stops, grown = np.empty((n, 6)), np.empty(n)
     for i in range(n):
-        stops[i] = _stop(poses[i], turning[i], bodies[i], ahead, l)
+        _stop(poses[i], turning[i], bodies[i], ahead, l, stops[i])
         grown[i] = bodies[i, 4] * min(max(unseen[i] - age, 0.0), lost_after)
     rows = np.empty((10 + n, 3))
     for i in range(n):
@@ -156,37 +156,37 @@ def _filter(
         elif wanted > _WANTED * _WANTED and granted < _GRANTED * wanted:
             held[i] += 1
         if how[i] != LEFT_ALONE:
-            wheels[i] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
+            wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-            u[i] = c * along - s * across, s * along + c * across
+            u[i, 0], u[i, 1] = c * along - s * across, s * along + c * across
 
 
 @kernel
-def _stop(
-    pose: Array, turning: Array, body: Array, ahead: float, l: float
-) -> tuple[float, float, float, float, float, float]:
-    """Return q of the pose where a robot comes to rest [m], and its velocity by one of v, and by one of l omega."""
+def _stop(pose: Array, turning: Array, body: Array, ahead: float, l: float, stop: Array) -> None:
+    """Write q of the pose where a robot comes to rest [m], and its velocity by one of v, and by one of l omega."""
     lag = body[2]
     v, omega = _body_from_wheels(turning[0], turning[1], body[0], body[1])
     x, y, psi = _arc(pose[0], pose[1], pose[2], v, omega, lag)
     half = omega * lag / 2.0
-    chord, slope = (np.sin(half) / half, (np.cos(half) - np.sin(half) / half) / half) if abs(half) > 1e-4 else (
-        1.0 - half * half / 6.0, -half / 3.0)  # fmt: skip
+    chord, slope = 1.0 - half * half / 6.0, -half / 3.0  # sin(half) / half, and its derivative
+    if abs(half) > 1e-4:
+        chord = np.sin(half) / half
+        slope = (np.cos(half) - chord) / half
     along, c, s = v * lag / 2.0, np.cos(pose[2] + half), np.sin(pose[2] + half)
-    e_x, e_y = ahead * np.cos(psi), ahead * np.sin(psi)
-    turn_x, turn_y = along * (slope * c - chord * s) - e_y, along * (slope * s + chord * c) + e_x
-    return x + e_x, y + e_y, chord * c, chord * s, turn_x / l, turn_y / l
+    ahead_x, ahead_y = ahead * np.cos(psi), ahead * np.sin(psi)
+    stop[0], stop[1], stop[2], stop[3] = x + ahead_x, y + ahead_y, chord * c, chord * s
+    stop[4] = (along * (slope * c - chord * s) - ahead_y) / l
+    stop[5] = (along * (slope * s + chord * c) + ahead_x) / l
 
 
 @kernel
 def _limits(rows: Array, body: Array, l: float) -> int:
     """Write the rows of the wheels and of the body: what the robot can do."""
-    radius, base, _, max_wheel_speed, max_speed, _ = body
-    turn, fastest, count = base / (2.0 * l), radius * max_wheel_speed * _INSIDE, 0
+    turn, fastest, count = body[1] / (2.0 * l), body[0] * body[3] * _INSIDE, 0
     for sign in (1.0, -1.0):
         count = _add(rows, count, sign, sign * turn, fastest)
         count = _add(rows, count, sign, -sign * turn, fastest)
-        count = _add(rows, count, sign, 0.0, max_speed * _INSIDE)
+        count = _add(rows, count, sign, 0.0, body[4] * _INSIDE)
     return count
 
 
@@ -217,20 +217,22 @@ def _add(rows: Array, count: int, along: float, across: float, limit: float) -> 
     size = np.hypot(along, across)
     if size < _TOLERANCE:
         return count  # nothing that the robot does changes it
-    rows[count] = along / size, across / size, limit / size
+    rows[count, 0], rows[count, 1], rows[count, 2] = along / size, across / size, limit / size
     return count + 1
 
 
 @kernel
 def _nearest(x: float, y: float, rows: Array) -> tuple[int, float, float]:
     """Return how, and the point nearest to (x, y) that keeps all rows."""
-    if not np.isfinite(x + y + rows.sum()):
+    excess = _excess(x, y, rows)
+    if not np.isfinite(excess):
         return NO_ANSWER, 0.0, 0.0
-    if _excess(x, y, rows) <= _TOLERANCE:
+    if excess <= _TOLERANCE:
         return LEFT_ALONE, x, y
     along, across = _project(x, y, rows)
     if not _excess(along, across, rows) <= _CHECKED:  # it cannot withdraw from all: not nearer to any
-        rows[:, 2] = np.maximum(rows[:, 2], 0.0)
+        for k in range(len(rows)):
+            rows[k, 2] = max(rows[k, 2], 0.0)
         along, across = _project(x, y, rows)
         if not _excess(along, across, rows) <= _CHECKED:
             return NO_ANSWER, 0.0, 0.0
@@ -239,11 +241,12 @@ def _nearest(x: float, y: float, rows: Array) -> tuple[int, float, float]:
 
 @kernel
 def _excess(x: float, y: float, rows: Array) -> float:
-    """Return by how much the worst row is broken; NaN for a point that is none."""
-    worst = x * 0.0 + y * 0.0
-    for a, b, limit in rows:
-        worst = max(worst, a * x + b * y - limit)
-    return worst
+    """Return by how much the worst row is broken; NaN where anything is not finite."""
+    worst, finite = 0.0, 0.0
+    for k in range(len(rows)):
+        over = rows[k, 0] * x + rows[k, 1] * y - rows[k, 2]
+        worst, finite = max(worst, over), finite + 0.0 * over
+    return worst + finite
 
 
 @kernel
@@ -254,7 +257,7 @@ def _project(x0: float, y0: float, rows: Array) -> tuple[float, float]:
     """
     x, y = x0, y0
     for k in range(len(rows)):
-        a, b, limit = rows[k]
+        a, b, limit = rows[k, 0], rows[k, 1], rows[k, 2]
         if a * x + b * y <= limit + _TOLERANCE:
             continue
         over = a * x0 + b * y0 - limit
