@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import bench_barrier
 import bench_tracker
 import cv2
 import numba
@@ -46,7 +47,14 @@ def main() -> None:
     as_json = parser.parse_args().json
     cv2.setNumThreads(1)
     config = load_config(ROOT / "configs" / "platoon.yaml")
-    rows = [*bench_tracker.rows(), *nearest_points(config), *bicycle_updates(), *closed_curve(), *lockstep()]
+    rows = [
+        *bench_tracker.rows(),
+        *nearest_points(config),
+        *bicycle_updates(),
+        *bench_barrier.rows(),
+        *closed_curve(),
+        *lockstep(),
+    ]
     if as_json:
         print(json.dumps({"rows": rows}))
         return

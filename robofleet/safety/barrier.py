@@ -84,6 +84,13 @@ def from_edge(keepout: Keepout, body: Body) -> float:
     return body.radius + keepout.ahead + keepout.pose_error
 
 
+def _fastest(keepout: Keepout, body: Body) -> float:
+    """Return what no point q of such a robot exceeds [m/s]."""
+    d = body.drive
+    omega = 2 * d.wheel_radius * d.max_wheel_speed / d.wheel_base
+    return d.max_speed + omega * (keepout.ahead + d.max_speed * d.motor_lag)
+
+
 class Barrier:
     """The barrier of a group of robots. It remembers for how long it has held each of them."""
 
@@ -92,7 +99,7 @@ class Barrier:
         self._bodies = np.array(
             [
                 (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
-                 b.drive.max_speed, from_edge(keepout, b))
+                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b))
                 for b in bodies
             ]
         )  # fmt: skip
@@ -143,19 +150,22 @@ def _filter(
         count = first
         for j in range(n):
             if j != i and unseen[j] < np.inf:
-                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate, back)
+                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate, bodies[i], back)
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
         x, y = v, l * omega
         met = _excess(x, y, rows[first:count]) > _TOLERANCE
         if met and held[i] >= around:
             x, y = _COS * x + _SIN * y, _COS * y - _SIN * x
-        how[i], along, across = _nearest(x, y, rows[:count])
+        along, across = _nearest(x, y, rows[:count])
         wanted, granted = v * v + l * omega * l * omega, v * along + l * omega * across
         if not met:
             held[i] = max(0, held[i] - 1)
         elif wanted > _WANTED * _WANTED and granted < _GRANTED * wanted:
             held[i] += 1
-        if how[i] != LEFT_ALONE:
+        if along != v or across != l * omega:
+            how[i] = CHANGED
+            if not np.isfinite(along + across):
+                how[i], along, across = NO_ANSWER, 0.0, 0.0
             wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             u[i, 0], u[i, 1] = c * along - s * across, s * along + c * across
@@ -200,11 +210,14 @@ def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rat
 
 
 @kernel
-def _pair(rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float, back: float) -> int:
-    x, y = other[0] - stop[0], other[1] - stop[1]
-    distance = np.hypot(x, y)
-    if distance == 0.0:
-        return count  # no direction is away from it
+def _pair(
+    rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float, body: Array, back: float
+) -> int:  # fmt: skip
+    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * body[6] / rate
+    squared = x * x + y * y
+    if squared == 0.0 or squared > reach * reach:
+        return count  # no direction is away from it; or nothing that the robot can do breaks the row
+    distance = np.sqrt(squared)
     towards_x, towards_y = x / distance, y / distance
     along = towards_x * stop[2] + towards_y * stop[3]
     across = towards_x * stop[4] + towards_y * stop[5]
@@ -222,21 +235,18 @@ def _add(rows: Array, count: int, along: float, across: float, limit: float) -> 
 
 
 @kernel
-def _nearest(x: float, y: float, rows: Array) -> tuple[int, float, float]:
-    """Return how, and the point nearest to (x, y) that keeps all rows."""
-    excess = _excess(x, y, rows)
-    if not np.isfinite(excess):
-        return NO_ANSWER, 0.0, 0.0
-    if excess <= _TOLERANCE:
-        return LEFT_ALONE, x, y
+def _nearest(x: float, y: float, rows: Array) -> tuple[float, float]:
+    """Return the point nearest to (x, y) that keeps all rows, and has been checked to; NaN if there is none."""
+    if _excess(x, y, rows) <= _TOLERANCE:
+        return x, y
     along, across = _project(x, y, rows)
     if not _excess(along, across, rows) <= _CHECKED:  # it cannot withdraw from all: not nearer to any
         for k in range(len(rows)):
             rows[k, 2] = max(rows[k, 2], 0.0)
         along, across = _project(x, y, rows)
         if not _excess(along, across, rows) <= _CHECKED:
-            return NO_ANSWER, 0.0, 0.0
-    return CHANGED, along, across
+            return np.nan, np.nan
+    return along, across
 
 
 @kernel

@@ -194,6 +194,18 @@ def test_the_wheels_keep_their_limits_and_u_is_what_they_do(seed: int) -> None:
     assert got.u == pytest.approx(velocities(s.poses, got.wheels), abs=1e-9)
 
 
+@settings(deadline=None, derandomize=True, max_examples=40)
+@given(st.integers(0, 10**6))
+def test_who_turns_aside_keeps_all_rows_too(seed: int) -> None:
+    s = scene(seed, reach=0.25)
+    barrier = Barrier(KEEPOUT, (BODY,) * s.n)
+    for _ in range(40):
+        got = answer(s, barrier)
+    for i in range(s.n):
+        r, (v, omega) = rows(s, i), body(got.wheels[i])
+        assert (r.a @ (v, L * omega) <= np.maximum(r.b, 0.0) + 1e-4).all()
+
+
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(st.integers(0, 10**6))
 def test_a_mirrored_scene_has_the_mirrored_answer(seed: int) -> None:
