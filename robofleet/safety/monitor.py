@@ -160,8 +160,8 @@ def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Ha
     elif robot.unseen_ns >= LATE_NS or robot.lost:
         yield Happening(Event.TAG_LATE, row)
     else:
-        radius = settings.body_radius[row]
-        if any(abs(at) + radius > side / 2 for at, side in zip(robot.pose, settings.arena, strict=False)):
+        (x, y, _), (length, width), radius = robot.pose, settings.arena, settings.body_radius[row]
+        if abs(x) + radius > length / 2 or abs(y) + radius > width / 2:
             yield Happening(Event.OUTSIDE_ARENA, row)
 
 
