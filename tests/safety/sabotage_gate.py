@@ -9,8 +9,10 @@ from itertools import product
 from typing import Any
 
 from robofleet.safety import gate
-from tests.safety import test_gate
+from tests.safety import test_gate, test_gate_latches, test_gate_stopping
 from tests.safety.gated import Step
+
+_TESTS = (test_gate, test_gate_stopping, test_gate_latches)
 
 # What is taken out: a piece of the gate's source, and what stands there instead.
 SABOTAGES: dict[str, tuple[str, str]] = {
@@ -149,7 +151,8 @@ def sabotaged(old: str, new: str) -> Step:
 
 def cases() -> Iterator[tuple[str, Callable[[Step], None]]]:
     """Yield the name of every test of the gate, with each of its parameters, and what runs it."""
-    for name, function in vars(test_gate).items():
+    functions = [item for module in _TESTS for item in vars(module).items()]
+    for name, function in functions:
         if not name.startswith("test_") or "step" not in inspect.signature(function).parameters:
             continue
         marks = [mark.args for mark in getattr(function, "pytestmark", [])]
