@@ -57,11 +57,12 @@ class Supervisor:
         robots = config.platoon
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
+        speeds = tuple(drive.max_speed for drive in drives)
         build, arena = slices.build(config), config.arena.size_m
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = tuple(robot.id for robot in robots)
         self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
-        self._monitoring = MonitorSettings(build, radii, arena, attended)
+        self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
         self._arming = ArmingSettings(
             build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
         )
