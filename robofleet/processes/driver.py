@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from robofleet.clock import MS, Clock
+from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Inbox, Publish, Wake
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
 from robofleet.comms.messages import (
@@ -45,6 +45,10 @@ from robofleet.vehicles.interface import (
 )
 
 _LOOP_NS = 10 * MS
+# In health what holds a gate open echoes a nonce of up to 60 ms: a status a 20 ms, an enable a 40 ms.
+_BAD_LINK_NS = 70 * MS
+_NO_LINK_NS = S // 2  # it is not a bad one
+_HURRY_NS = 60 * S
 _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
 _LATCHES = tuple(Latch)
 _ACTIONS = tuple(LeaseAction)
@@ -91,7 +95,13 @@ class GatedRobot:
         self._deadline_ns: int | None = 0
         self._applied = _Applied()
         self._seq = 0
+        self._hurry_until_ns = 0
         self._closed = False
+
+    @property
+    def hurries(self) -> bool:
+        """Whether its link was bad a short while ago: then its status goes out in every loop."""
+        return self._gate.at_ns < self._hurry_until_ns
 
     def pass_on(self, now_ns: int, *, due: bool) -> int | None:
         """Let the gate decide on what arrived, write the wheels, and return the gate's own deadline [ns]."""
@@ -107,11 +117,13 @@ class GatedRobot:
             Latch.WIRED_STOP if self._reading.faults & WIRED_STOP else Latch.NONE,
             max(abs(self._reading.left_speed), abs(self._reading.right_speed)) > _TURNING_RAD_S,
         )
+        if _BAD_LINK_NS < now_ns - min(self._gate.command_nonce, self._gate.enabled[0]) < _NO_LINK_NS:
+            self._hurry_until_ns = now_ns + _HURRY_NS
         self._gate, output = gate.step(self._gate, self._drive, inputs, now_ns)
         if output.output != self._written or command is not None:
             self._driver.write(output.output)
             self._written = output.output
-        if output.applied and command is not None:
+        if output.applied and command is not None and command.exposure_ns != self._applied.exposure_ns:
             self._applied = _Applied(command.exposure_ns, now_ns)
         if output.keep:
             self._keeping.save(self._robot, kept(self._gate))
@@ -150,8 +162,8 @@ class GatedRobot:
         return RobotStatus(
             state.epoch, self._seq, self._build, state.session, state.boot_id, now_ns, now_ns,
             self._applied.exposure_ns, self._applied.at_ns, rejected, self._status, state.latch, state.latch_id,
-            reading.faults, state.target_after_ns, state.output_after_ns, reading.left_angle, reading.right_angle,
-            reading.left_speed, reading.right_speed, *state.output, battery,
+            int(self.hurries), reading.faults, state.target_after_ns, state.output_after_ns,
+            reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output, battery,
         )  # fmt: skip
 
 
@@ -216,7 +228,7 @@ class DriverProcess:
             if deadline_ns is not None and deadline_ns < next_ns:
                 next_ns = deadline_ns
             if due:
-                robot.publish(now_ns, status=self._loops % 2 == 1)
+                robot.publish(now_ns, status=self._loops % 2 == 1 or robot.hurries)
         return next_ns
 
     def close(self) -> None:

@@ -4,18 +4,17 @@ import numpy as np
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import ENABLE, REQUEST, STATE, STATUS, TICK
+from robofleet.comms.keys import ENABLE, REQUEST, STATE, TICK
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
 from robofleet.comms.messages import (
-    ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     Enable,
     RobotState,
-    RobotStatus,
     RunState,
     TickRecord,
 )
+from robofleet.comms.statuses import HURRY_NS, Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.safety import supervisor
@@ -44,13 +43,12 @@ class Supervisor:
         self._epoch = slices.drawn_id(rng, 32)
         self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
         now_ns = clock.now_ns()
-        self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
+        self._statuses = Statuses(bus, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
         self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
         self._publish_state = bus.publisher(STATE)
         self._request = bus.serve(REQUEST, "supervisor")
         self._status = RunStatus()
-        self._newest: list[RobotStatus | None] = [None] * len(robots)
         self._heard_ns = [0] * len(robots)
         self._seen_ns = [now_ns] * len(robots)
         self._tick: TickRecord | None = None
@@ -66,18 +64,19 @@ class Supervisor:
             self._status = supervisor.step(self._status, Happening(event, robot))
         if now_ns >= self._next_ns or self._status != before:
             self._publish()
+        else:
+            for row in self._statuses.hurried():
+                self._enable(row)
         if now_ns >= self._next_ns:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
-        return self._next_ns
+        return min(self._next_ns, now_ns + HURRY_NS) if self._statuses.hurried() else self._next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when enables cease."""
 
     def _listen(self, now_ns: int) -> None:
-        for row, inbox in enumerate(self._statuses):
-            if (status := inbox.take()) is not None:
-                self._newest[row] = status
-                self._heard_ns[row] = now_ns
+        for row in self._statuses.take():
+            self._heard_ns[row] = now_ns
         if (record := self._ticks.take()) is not None:
             self._tick, self._tick_ns = record, now_ns
             for row, robot in enumerate(record.robots[: len(self._seen_ns)]):
@@ -106,13 +105,17 @@ class Supervisor:
         self._seq += 1
         phase, cause, robot, detail = self._status
         running = phase is Phase.RUNNING
-        robots = tuple(RobotState(int(running), 0, Event.NOTHING) for _ in self._newest)
+        robots = tuple(RobotState(int(running), 0, Event.NOTHING) for _ in self._limits)
         state = RunState(self._epoch, self._seq, phase, cause, robot, detail, Stage.CHECKS, NOBODY, 0, robots)
         self._publish_state(RUN_STATE.encode(state))
-        latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else Latch.NONE
-        for publish, status, limit in zip(self._enables, self._newest, self._limits, strict=True):
-            if status is not None:
-                enable = Enable(
-                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, 0, limit if running else 0.0
-                )
-                publish(ENABLE_LAYOUT.encode(enable))
+        for row in range(len(self._limits)):
+            self._enable(row)
+
+    def _enable(self, row: int) -> None:
+        status, phase = self._statuses.newest[row], self._status.phase
+        if status is not None:
+            self._seq += 1
+            latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else Latch.NONE
+            limit = self._limits[row] if phase is Phase.RUNNING else 0.0
+            enable = Enable(status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, 0, limit)
+            self._enables[row](ENABLE_LAYOUT.encode(enable))
