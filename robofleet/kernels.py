@@ -17,7 +17,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _PACKAGE = Path(__file__).parent
-_ROOMS = ("vehicles", "control", "tracking", "simulation")
+_ROOMS = ("vehicles", "control", "safety", "tracking", "simulation")
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:

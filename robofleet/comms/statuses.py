@@ -17,18 +17,16 @@ class Statuses:
         self._inboxes = [Inbox(bus.newest(STATUS, robot), ROBOT_STATUS) for robot in robots]
         self.newest: list[RobotStatus | None] = [None] * len(robots)
 
-    def take(self) -> list[int]:
-        """Take what came; returns of which robots there is a newer status."""
-        rows = []
+    def take(self) -> list[tuple[int, RobotStatus]]:
+        """Take what came; returns the robots of which there is a newer status, and it."""
+        newer = []
         for row, inbox in enumerate(self._inboxes):
             status, known = inbox.take(), self.newest[row]
-            if status is None or (
-                known is not None and known.boot_id == status.boot_id and status.nonce <= known.nonce
-            ):
+            if status is None or (known and known.boot_id == status.boot_id and status.nonce <= known.nonce):
                 continue
             self.newest[row] = status
-            rows.append(row)
-        return rows
+            newer.append((row, status))
+        return newer
 
     def hurried(self) -> list[int]:
         """Return whose link is bad: what is said to these is said every HURRY_NS."""

@@ -60,6 +60,7 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
         top_speed_sag=p.top_speed_sag,
         battery_life=p.battery_life_s,
         wheel_gain_error=p.wheel_gain_error,
+        wiring=p.wiring,
         actuation_delay=p.actuation_delay_s,
     )
 

@@ -27,6 +27,7 @@ from robofleet.config.model import (
     Vector2,
 )
 from robofleet.config.troubles import Fault
+from robofleet.vehicles.interface import Wiring
 
 
 class Arena(Model):
@@ -52,6 +53,7 @@ class PlantErrors(Model):
     breakaway_rad_s: NonNegative
     actuation_delay_s: NonNegative = 0.0  # from a command's arrival to the moment when the wheels begin to follow it
     wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # of both wheels' travel, relative
+    wiring: Wiring = "straight"  # of motors and encoders together
     wheel_gain_spread: Fraction
     wheel_base_spread: Fraction
     slip_s_per_rad: NonNegative
@@ -135,6 +137,15 @@ class FilterSettings(Model):
     lost_after_s: Positive = 0.5  # without a measurement for so long, a robot is lost and stands still
 
 
+class BarrierSettings(Model):
+    """The barrier between robots: distances follow from these, the bodies and what is believed of the drives."""
+
+    gap_m: NonNegative = 0.01  # that two bodies keep at the worst
+    age_s: NonNegative = 0.133  # of the newest image at a tick, at most: 100 ms of delay, and a tick
+    rate_per_s: Positive = 10.0  # gamma: how fast a distance may be used up
+    ahead_m: Positive = 0.01  # of the axle: the point that is kept apart
+
+
 class ControllerSettings(Model):
     """The NR flow and its tick."""
 
@@ -146,6 +157,7 @@ class ControllerSettings(Model):
     disturbance: Literal["estimated", "none"] = "none"  # what the law knows of wheels that do not do as asked
     command_delay_s: NonNegative = 0.002  # from the tick to the moment when its commands act
     filter: FilterSettings = FilterSettings()
+    barrier: BarrierSettings = BarrierSettings()
 
 
 class TruthSettings(Model):

@@ -89,6 +89,9 @@ class Excitation:
     def carried(self, robot: int) -> None:
         """Nothing is remembered of where a robot was."""
 
+    def changed(self, u: Array) -> None:
+        """Nothing is remembered of what was asked for."""
+
     def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
         """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.
 

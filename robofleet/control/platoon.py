@@ -65,6 +65,7 @@ class Column(IntEnum):
     SATURATED = 10  # 1 where the wheels could not do all of it
 
 
+INPUTS = slice(Column.U_X, Column.U_Y + 1)
 WHEELS = slice(Column.LEFT, Column.RIGHT + 1)
 
 
@@ -98,6 +99,10 @@ class Platoon:
     def carried(self, robot: int) -> None:
         """Forget where a robot was along the path: it was put somewhere else."""
         self._nearest_parameter[robot] = np.nan
+
+    def changed(self, u: Array) -> None:
+        """Remember what the robots are asked for instead: u (N, 2) [m/s]."""
+        self.u[:] = u
 
     def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
         """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.

@@ -16,6 +16,8 @@ from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
+from robofleet.processes import fleet
+from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
 from robofleet.vehicles.interface import SimulatedDriver
@@ -142,6 +144,9 @@ def _controller(config: Config) -> Iterator[Bound]:
         mend = f"lower alpha below {2 / controller.tick_s:.3g}, or take the exact integrator"
         gain = controller.alpha * controller.tick_s
         yield Bound("controller.alpha", "Euler's gain, alpha * tick_s,", gain, 2.0, "", mend, strict=True)
+    mend = f"lower it below {1 / controller.tick_s:.3g}, or a distance is used up within a tick"
+    used = controller.barrier.rate_per_s * controller.tick_s
+    yield Bound("controller.barrier.rate_per_s", "rate_per_s * tick_s", used, 1.0, "", mend, strict=True)
     mend = "a command is valid for 120 ms and at each tick up to 30 ms old, so the gates would close between two ticks"
     yield Bound("controller.tick_s", "tick_s", controller.tick_s, _LONGEST_TICK_S, "s", mend)
     yield Bound(
@@ -169,12 +174,14 @@ def _path(config: Config) -> Iterator[Bound]:
 
 def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
     radius = max(robot.vehicle.body_radius_m for robot in config.platoon)
+    keepout = fleet.keepout(config)
+    margin = max(from_edge(keepout, fleet.body(config, robot)) for robot in config.platoon) - radius
     for axis, name in enumerate("xy"):
         reach = np.abs(lap.position[:, axis])
         k = int(reach.argmax())
         mend = f"the path leaves the arena at parameter {lap.sigma[k]:.2f}, so move its knots inwards"
         what = f"the path's reach in {name} with a body's radius"
-        yield Bound("groups.0.path", what, float(reach[k]) + radius, config.arena.size_m[axis] / 2, "m", mend)
+        yield Bound("groups.0.path", what, float(reach[k]) + radius, config.arena.size_m[axis] / 2 - margin, "m", mend)
 
 
 def _wheels(config: Config, lap: Lap) -> Iterator[Bound]:
@@ -205,10 +212,12 @@ def _spacing(config: Config, path: Path, lap: Lap) -> Iterator[Bound]:
     mend = f"a spacing of {_rounded_down(length / len(robots)):g} fits"
     what = "the platoon with a gap behind it, spacing_m a robot,"
     yield Bound("groups.0.spacing_m", what, len(robots) * spacing, length, "m", mend, strict=True)
+    keepout = fleet.keepout(config)
     for one, other in itertools.pairwise(robots):
-        bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
-        mend = f"{one.id} and {other.id} would touch, so raise it"
-        yield Bound("groups.0.spacing_m", "spacing_m", spacing, bodies, "m", mend, at_least=True)
+        fastest = min(float(np.abs(lap.v).max()), other.vehicle.max_speed_m_s)
+        near = apart(keepout, fleet.body(config, one), fleet.body(config, other)) + 2 * fastest / keepout.rate
+        mend = f"the barrier would hold {other.id} back from {one.id}, so raise it"
+        yield Bound("groups.0.spacing_m", "spacing_m", spacing, near, "m", mend, at_least=True)
 
 
 def _start(config: Config) -> Iterator[Bound]:

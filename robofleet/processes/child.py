@@ -3,8 +3,11 @@
 A driver process loads neither numba nor OpenCV: each process imports what it is made of when it starts.
 """
 
+import shutil
+import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.bus import Bus
@@ -35,15 +38,15 @@ def router(config: Config, lifeline: Lifeline) -> None:
         session.close()  # type: ignore[no-untyped-call]
 
 
-def controller(config: Config, lifeline: Lifeline) -> None:
+def controller(config: Config, lifeline: Lifeline, *, take_over: bool) -> None:
     """The controller at its tick."""
     from robofleet.processes.controller import Controller, compile_kernels  # noqa: PLC0415
 
     compile_kernels(config)
     _run(
         "controller", config, lifeline,
-        lambda c, bus, clock, *_: Controller(c, bus, clock, entropy(c.run.seed, "controller")), _CONTROLLER_PRIORITY,
-        precise=True,
+        lambda c, bus, clock, *_: Controller(c, bus, clock, entropy(c.run.seed, "controller"), take_over=take_over),
+        _CONTROLLER_PRIORITY, precise=True,
     )  # fmt: skip
 
 
@@ -79,14 +82,20 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
     _run("driver-" + "-".join(robots), config, lifeline, make, _DRIVER_PRIORITY)
 
 
-def supervisor(config: Config, lifeline: Lifeline) -> None:
-    """The supervisor."""
+def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:
+    """The supervisor; ``folder`` is where the run is recorded."""
     from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
 
-    _run(
-        "supervisor", config, lifeline,
-        lambda c, bus, clock, *_: Supervisor(c, bus, clock, entropy(c.run.seed, "supervisor")), _SUPERVISOR_PRIORITY,
-    )  # fmt: skip
+    def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> Supervisor:
+        def free_bytes() -> int:
+            return 0 if faults is not None and faults.disk_is_full() else shutil.disk_usage(folder).free
+
+        return Supervisor(
+            config, bus, clock, waker, entropy(config.run.seed, "supervisor"), free_bytes=free_bytes,
+            attended=config.run.attended, say=lambda line: print(line, file=sys.stderr, flush=True),
+        )  # fmt: skip
+
+    _run("supervisor", config, lifeline, make, _SUPERVISOR_PRIORITY)
 
 
 def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:

@@ -1,7 +1,6 @@
 """The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,14 +22,12 @@ from robofleet.comms.messages import (
 from robofleet.comms.statuses import HURRY_NS, Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
-from robofleet.control.excitation import Excitation, ExcitationSettings
-from robofleet.control.path import Path
-from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
-from robofleet.safety.arming import PROBE_RAD_S, STROKES
+from robofleet.control.platoon import INPUTS, WHEELS
+from robofleet.processes import fleet
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import NOBODY, Phase
-from robofleet.tracking.estimator import CARRIED, UNUSED, FilterNoise, FleetFilter
-from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
+from robofleet.tracking.estimator import CARRIED, UNUSED
 
 _UNSEEN = [math.nan] * 3
 _PHASES = tuple(Phase)
@@ -50,18 +47,20 @@ class _Timing:
 class Controller:
     """All robots of the group, in platoon order."""
 
-    def __init__(self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator) -> None:
+    def __init__(
+        self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False
+    ) -> None:
         robots, c = config.platoon, config.controller
         self._clock = clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
-        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64))
+        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64), take_over=take_over)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._first_delay_s = slices.delay_ns(config, robots[0]) / S
         self._lost_after_ns = round(c.filter.lost_after_s * S)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
-        self._behaviour = _BEHAVIOURS[config.groups[0].behaviour](config)
-        self._filter = _filter(config)
+        self._behaviour = fleet.behaviour(config)
+        self._filter, self._barrier = fleet.fleet_filter(config), fleet.barrier(config)
         self._statuses = Statuses(bus, [robot.id for robot in robots])
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._state = Inbox(bus.newest(STATE), RUN_STATE)
@@ -107,10 +106,11 @@ class Controller:
         running = self._phase is Phase.RUNNING
         self._run_tick += running
         driving = ~lost & self._permitted & running
-        here, there = self._filter.predict(tick_ns)
+        here, there, turning = self._filter.predict(tick_ns)
         t = max(0, self._run_tick) * self._tick_s + self._first_delay_s
         w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else None
         decisions = self._behaviour.tick(t, there, driving, w)
+        self._keep_apart(tick_ns, there, turning, driving, decisions)
         self._try_wheels(decisions)
         self._filter.command(tick_ns, decisions[:, WHEELS])
         self._wheels = decisions[:, WHEELS].tolist()
@@ -119,6 +119,16 @@ class Controller:
         for row in range(len(self._wheels)):
             self._command(row)
         self._publish_record(tick_ns, here, measured, lost, decisions)
+
+    def _keep_apart(
+        self, tick_ns: int, there: np.ndarray, turning: np.ndarray, driving: np.ndarray, decisions: np.ndarray
+    ) -> None:
+        """Change what is not safe, and let the behaviour know what is done instead."""
+        measured_ns = self._filter.measured_ns
+        unseen = np.where(measured_ns > 0, (tick_ns - measured_ns) / S, np.inf)
+        u, wheels = decisions[:, INPUTS], decisions[:, WHEELS]
+        self._record[:, 16], self._record[:, 17] = self._barrier.filter(there, turning, unseen, driving, wheels, u)
+        self._behaviour.changed(u)
 
     def _read_state(self) -> None:
         state = self._state.take()
@@ -197,11 +207,14 @@ class Controller:
 
 
 class Leases:
-    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one."""
+    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one.
 
-    def __init__(self, bus: Bus, robots: list[str], session: int) -> None:
+    ``take_over``: each is taken once also from a controller that is alive; who loses it then does not take it back.
+    """
+
+    def __init__(self, bus: Bus, robots: list[str], session: int, *, take_over: bool = False) -> None:
         self._bus, self._robots, self.session = bus, robots, session
-        self._request = LEASE_REQUEST.encode(LeaseRequest(session, LeaseAction.ACQUIRE))
+        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(robots)
         self._asked: list[Answer | None] = [None] * len(robots)
         self._again = [0] * len(robots)
         self.refused = False  # somebody else holds the lease of a robot
@@ -210,65 +223,27 @@ class Leases:
         """Ask every driver that is there and is not ours, every few ticks."""
         self.refused = any(status is not None and status.session not in (0, self.session) for status in newest)
         for row, status in enumerate(newest):
-            if status is None or status.session == self.session:
+            if status is None:
+                continue
+            if status.session == self.session:
+                self._actions[row] = LeaseAction.ACQUIRE
                 continue
             self._again[row] -= 1
             if self._again[row] < 0:
                 self._again[row] = _ASK_AGAIN_TICKS
-                self._asked[row] = self._bus.ask(LEASE, self._robots[row], self._request)
+                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[row]))
+                self._asked[row] = self._bus.ask(LEASE, self._robots[row], request)
 
 
 def compile_kernels(config: Config) -> None:
     """Compile every numba kernel of the control path, or load it from the cache, before the first tick."""
-    behaviour, fleet_filter = _BEHAVIOURS[config.groups[0].behaviour](config), _filter(config)
+    behaviour, fleet_filter, barrier = fleet.behaviour(config), fleet.fleet_filter(config), fleet.barrier(config)
     n = len(config.platoon)
+    driving = np.ones(n, dtype=np.bool_)
     for instant_ns in (S, 2 * S):
         fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, 3)))
-        _, there = fleet_filter.predict(instant_ns + 1)
+        _, there, turning = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
-        decisions = behaviour.tick(0.0, there, np.ones(n, dtype=np.bool_), w)
+        decisions = behaviour.tick(0.0, there, driving, w)
+        barrier.filter(there, turning, np.zeros(n), driving, decisions[:, WHEELS], decisions[:, INPUTS])
         fleet_filter.command(instant_ns, decisions[:, WHEELS])
-
-
-def _platoon(config: Config) -> Platoon:
-    group, c = config.groups[0], config.controller
-    settings = PlatoonSettings(
-        c.alpha,
-        c.horizon_s,
-        c.point_ahead_m,
-        group.spacing_m,
-        group.path_rate,
-        c.tick_s,
-        c.integrator,
-        group.track,
-    )
-    return Platoon(Path.hermite(*slices.knots(group)), settings, _drives(config))
-
-
-def excitation(config: Config) -> Excitation:
-    """Return the calibrating drive of the group: the same one for the same seed."""
-    c, robots = config.controller, config.platoon
-    radii = tuple(robot.vehicle.body_radius_m for robot in robots)
-    settings = ExcitationSettings(c.tick_s, c.point_ahead_m, config.arena.size_m, radii)
-    return Excitation(settings, _drives(config), slices.generator(config.run.seed, "excitation"))
-
-
-_BEHAVIOURS: dict[str, Callable[[Config], Platoon | Excitation]] = {"platoon": _platoon, "excitation": excitation}
-
-
-def _drives(config: Config) -> tuple[DifferentialDrive, ...]:
-    return tuple(slices.drive(robot) for robot in config.platoon)
-
-
-def _filter(config: Config) -> FleetFilter:
-    f = config.controller.filter
-    noise = FilterNoise(
-        f.position_noise_m,
-        f.heading_noise_rad,
-        f.position_drift_m,
-        f.heading_drift_rad,
-        f.gate_sigma,
-        f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0,
-        f.efficiency_time_s,
-    )
-    return FleetFilter(_drives(config), tuple(slices.delay_ns(config, robot) for robot in config.platoon), noise)

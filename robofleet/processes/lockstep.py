@@ -18,8 +18,9 @@ from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
-from robofleet.processes.driver import DriverProcess, Witness
+from robofleet.processes.driver import DriverProcess
 from robofleet.processes.event_queue import SECOND_CONTROLLER, EventQueue, ProcessFaults, Slot
+from robofleet.processes.gated_robot import Witness
 from robofleet.processes.keeping import FaultyKeeping, Keeping, MemoryKeeping
 from robofleet.processes.node import Node
 from robofleet.processes.readiness import missing
@@ -30,7 +31,9 @@ from robofleet.safety.supervisor import Event, Phase, RunStatus
 from robofleet.simulation.faults import Schedule, SteppedClock
 from robofleet.simulation.faulty_bus import FaultyBus
 
-_READY_WITHIN_NS = 5 * S
+_READY_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
+_DECIDED = (Phase.RUNNING, Phase.FAULT, Phase.ESTOP)  # that the checks were passed, or not
+_PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
 _REST_NS = S  # after the stop: wheels come to rest
 
 
@@ -67,7 +70,7 @@ class Lockstep:
         for robot in config.robots:
             queue.add(f"driver-{robot.id}", partial(self._driver, robot.id))
         queue.add("tracker", self._made_tracker).timed = True
-        queue.add("supervisor", lambda slot: Supervisor(config, *self._edges(slot), self._rng(slot)))
+        queue.add("supervisor", self._made_supervisor)
         queue.add("controller", self._made_controller).timed = True
         if faults is not None and faults.of("second_controller"):
             queue.add(SECOND_CONTROLLER, self._made_controller).kill()
@@ -84,6 +87,15 @@ class Lockstep:
         charge_ns = round(self._config.lockstep.tracker_delay_s * S)
         bus, clock = self._edges(slot)
         return Tracker(self._config, bus, clock, slot, self._rng(slot), charge_ns=charge_ns, faults=self.faults)
+
+    def _made_supervisor(self, slot: Slot) -> Supervisor:
+        def free_bytes() -> int:
+            return 0 if self.faults is not None and self.faults.disk_is_full() else _PLENTY
+
+        bus, clock = self._edges(slot)
+        return Supervisor(
+            self._config, bus, clock, slot, self._rng(slot), free_bytes=free_bytes, attended=False, say=lambda _: None
+        )
 
     def _made_controller(self, slot: Slot) -> Controller:
         return Controller(self._config, *self._edges(slot), self._rng(slot))
@@ -120,6 +132,7 @@ class Lockstep:
         """Close every process."""
         for node in self.nodes.values():
             node.close()
+        self.recording.trace_hash = self._hash.hexdigest()
 
     def run(self, watch: Watch = lambda _recording, _phase: None) -> tuple[str, str | None]:
         """Arm, run for the configured time, stop, and let the robots come to rest; returns (outcome, cause)."""
@@ -128,7 +141,7 @@ class Lockstep:
         gc.disable()
         try:
             self.request(b"start")
-            self._run_until(lambda: self.status.phase is Phase.RUNNING, _READY_WITHIN_NS)
+            self._run_until(lambda: self.status.phase in _DECIDED, _READY_WITHIN_NS)
             outcome = self._lap(watch)
             self.request(b"stop")
             self._run_until(lambda: False, _REST_NS)
@@ -141,11 +154,12 @@ class Lockstep:
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
         self.recording.tick_durations_ns = self._queue.slots["controller"].durations_ns
         self.recording.tracker_durations_ns = self._queue.slots["tracker"].durations_ns
-        self.recording.trace_hash = self._hash.hexdigest()
         return outcome
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
+        if self.status.phase in (Phase.FAULT, Phase.ESTOP):
+            return "fault", self.status.describe(self._config.groups[0].robots)
         if self.status.phase is not Phase.RUNNING:
             why = missing(self.recording)
             return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s: {why}"
@@ -168,10 +182,10 @@ class Lockstep:
 
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
-        update, messages = self._hash.update, self.recording.messages
+        update, add = self._hash.update, self.recording.add
         for full, payload in self._said:
             update(full.encode() + payload)
-            messages[full].append(payload)
+            add(full, payload)
             if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
                 self._run_tick = head[3]
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:

@@ -89,8 +89,9 @@ class FleetFilter:
         )  # fmt: skip
         return used
 
-    def predict(self, tick_ns: int) -> tuple[Array, Array]:
-        """Return the poses (N, 3) at a tick, and at the moment when each robot's command of that tick acts."""
+    def predict(self, tick_ns: int) -> tuple[Array, Array, Array]:
+        """Return the poses (N, 3) at a tick; and at the moment when each robot's command of that tick acts, with the
+        wheels' speeds (N, 2) then, as modelled [rad/s]."""
         return reckoning.predict(
             self._state, self._wheels, self._instants_ns, tick_ns, self._ticks_ns, self._delays_ns, self._commands,
             self._motion,

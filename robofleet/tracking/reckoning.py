@@ -54,9 +54,10 @@ def advance(
 def predict(
     state: Array, wheels: Array, instants_ns: Instants, tick_ns: int, ticks_ns: Instants, delays_ns: Instants,
     commands: Array, motion: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return the poses (N, 3) at a tick, and at the moment when each robot's command of that tick acts."""
-    here, there = np.empty((len(state), 3)), np.empty((len(state), 3))
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Return the poses (N, 3) at a tick; and at the moment when each robot's command of that tick acts, with the
+    wheels' speeds (N, 2) then, as modelled [rad/s]."""
+    here, there, then = np.empty((len(state), 3)), np.empty((len(state), 3)), np.empty((len(state), 2))
     travel = np.zeros(2)
     for i in range(len(state)):
         x, turning, start_ns = state[i].copy(), wheels[i].copy(), instants_ns[i]
@@ -67,8 +68,8 @@ def predict(
         if start_ns > 0:
             then_ns = max(start_ns, tick_ns)
             advance(x, turning, travel, then_ns, acts_ns, ticks_ns, delays_ns[i], commands[:, i], motion[i])
-        there[i] = x[:3]
-    return here, there
+        there[i], then[i] = x[:3], turning
+    return here, there, then
 
 
 @kernel

@@ -5,11 +5,14 @@ A driver knows its robot and nothing of the bus; the process around it knows the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
+
+if TYPE_CHECKING:  # the gate's own types stand here, and `robofleet stop` must not wait for numpy
+    import numpy as np
+
+Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both_reversed"]
 
 
 class WheelSpeeds(NamedTuple):
@@ -60,6 +63,7 @@ class Imperfections:
     top_speed_sag: float  # fraction of the top speed lost when the battery is empty
     battery_life: float  # [s]
     wheel_gain_error: float = 0.0  # of both wheels' travel, relative
+    wiring: Wiring = "straight"  # of motors and encoders together
     actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
 
 
@@ -78,7 +82,7 @@ class Simulation:
     imperfections: Imperfections
     start: tuple[float, float, float]  # x, y [m], psi [rad]; world
     trouble: Callable[[], BodyTrouble] | None  # None: never any
-    rng: np.random.Generator
+    rng: "np.random.Generator"
 
 
 @dataclass(frozen=True)

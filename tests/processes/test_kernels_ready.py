@@ -9,9 +9,15 @@ from numba.core.dispatcher import Dispatcher
 from robofleet.config.tree import Config
 from robofleet.control import platoon
 from robofleet.processes.lockstep import Lockstep
+from robofleet.safety import barrier
 from robofleet.tracking import estimator
 
-KERNELS = [value for module in (platoon, estimator) for value in vars(module).values() if isinstance(value, Dispatcher)]
+KERNELS = [
+    value
+    for module in (platoon, estimator, barrier)
+    for value in vars(module).values()
+    if isinstance(value, Dispatcher)
+]
 
 
 @pytest.mark.parametrize("disturbance", ["none", "estimated"])

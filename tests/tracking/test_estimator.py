@@ -73,7 +73,7 @@ class Lab:
         self.run_to(self.tick_ns)
         poses = np.array([image if seen else [np.nan] * 3])
         used = int(self.filter.observe(np.array([self.exposed_ns]), poses)[0])
-        here, _ = self.filter.predict(self.tick_ns)
+        here, _, _ = self.filter.predict(self.tick_ns)
         self.error = apart(here[0], self.pose())
         self._next = wheels
         self.filter.command(self.tick_ns, np.array([wheels]))
@@ -106,7 +106,7 @@ def test_it_predicts_the_instant_when_the_next_command_acts() -> None:
     for k in range(60):
         lab.tick(weaving(k))
         if k > 30:
-            _, there = lab.filter.predict(lab.tick_ns)
+            _, there, _ = lab.filter.predict(lab.tick_ns)
             lab.run_to(lab.tick_ns + DELAY)
             assert apart(there[0], lab.pose())[0] < 0.0005
 
@@ -162,10 +162,10 @@ def test_an_image_that_is_not_newer_is_not_used() -> None:
     lab = Lab()
     for k in range(30):
         lab.tick(weaving(k))
-    before, _ = lab.filter.predict(lab.tick_ns)
+    before, _, _ = lab.filter.predict(lab.tick_ns)
     for exposed_ns in (lab.exposed_ns, lab.exposed_ns - MS, 1):
         assert lab.filter.observe(np.array([exposed_ns]), np.zeros((1, 3))).tolist() == [UNUSED]
-    after, _ = lab.filter.predict(lab.tick_ns)
+    after, _, _ = lab.filter.predict(lab.tick_ns)
     assert np.array_equal(before, after)
     assert lab.filter.measured_ns[0] == lab.exposed_ns
 
@@ -186,7 +186,7 @@ def test_the_heading_wraps_at_pi(spin: float) -> None:
     lab = Lab(start=(0.0, 0.0, math.copysign(3.0, spin)))
     for k in range(120):
         assert lab.tick(WheelSpeeds(-spin, spin)) == (USED if k else CARRIED)
-        here, there = lab.filter.predict(lab.tick_ns + 5 * TICK)
+        here, there, _ = lab.filter.predict(lab.tick_ns + 5 * TICK)
         assert (-math.pi < np.array([here[0, 2], there[0, 2]])).all()
         assert (np.array([here[0, 2], there[0, 2]]) <= math.pi).all()
         if k > 30:
@@ -209,7 +209,7 @@ def test_before_the_first_image_it_knows_nothing_and_takes_no_time() -> None:
     month_ns = 30 * 24 * 3600 * S
     for k in range(100):
         fleet.command(month_ns + k * TICK, np.full((4, 2), 5.0))
-        here, there = fleet.predict(month_ns + k * TICK)
+        here, there, _ = fleet.predict(month_ns + k * TICK)
         assert not here.any()
         assert not there.any()
     assert not fleet.measured_ns.any()

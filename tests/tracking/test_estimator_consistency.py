@@ -78,7 +78,7 @@ def test_it_is_the_textbooks_filter_and_its_innovations_are_chi_square() -> None
     nis, errors = [], []
     for k, instant in enumerate(instants()):
         used = fleet.observe(np.full(ROBOTS, instant), images[k])
-        here, _ = fleet.predict(instant)
+        here, _, _ = fleet.predict(instant)
         if k:
             assert (used == USED).all()
             nis += [b.observe(image, w) for b, image, w in zip(books, images[k], WHEELS, strict=True)]

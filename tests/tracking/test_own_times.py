@@ -77,7 +77,7 @@ class Fleet:
                 ages = [before_ns // TICK for before_ns in self.before_ns]  # in ticks
                 poses = np.array([images[-1 - age] for images, age in zip(self.images, ages, strict=True)])
                 self.filter.observe(tick_ns - np.array(self.before_ns), poses)
-            here, _ = self.filter.predict(tick_ns)
+            here, _, _ = self.filter.predict(tick_ns)
             true = np.array([robot.truth()[:3] for robot in self.robots])
             if k > 60:
                 errors.append(here - true)
@@ -113,7 +113,7 @@ def test_a_command_is_predicted_to_act_when_its_robot_does() -> None:
     fleet = FleetFilter((replace(DRIVE, motor_lag=0.0),) * 2, (10 * MS, 60 * MS), NOISE)
     fleet.observe(np.full(2, S), np.zeros((2, 3)))
     fleet.command(S + 10 * MS, np.full((2, 2), 10.0))
-    here, there = fleet.predict(S + 50 * MS)
+    here, there, _ = fleet.predict(S + 50 * MS)
     assert here[:, 0] == pytest.approx([0.16 * 0.030, 0.0], abs=1e-9)  # 30 ms of 10 rad/s; nothing yet
     assert there[:, 0] == pytest.approx([0.16 * 0.040, 0.16 * 0.040], abs=1e-9)  # at 60 ms, and at 110 ms
 
