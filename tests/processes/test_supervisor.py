@@ -10,9 +10,10 @@ from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
 from robofleet.comms.messages import FleetPoses, RobotTick, TagPose, TickRecord, TrackerNews
 from robofleet.safety import arming
-from robofleet.safety.arming import PROBE_RAD_S, ArmingState, Stage
+from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.wiggle import PROBE_RAD_S
 from robofleet.tracking.events import TrackerEvent
 from tests.processes.stand import ROBOTS, Stand
 
