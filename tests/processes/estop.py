@@ -24,8 +24,9 @@ from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.processes import controller, tracker
+from robofleet.processes.children import Children
 from robofleet.processes.estop import emergency_stop
-from robofleet.processes.fleet import Fleet
 from robofleet.safety.supervisor import Phase
 from tests.processes.realrun import PLATOON
 
@@ -78,7 +79,9 @@ def measure(folder: Path, times: int) -> tuple[list[float], list[float]]:
     endpoint = bind_endpoint("tcp/127.0.0.1:0")
     config = load_config(PLATOON, ["tracker.source=truth", f"bus.endpoint={endpoint}"])
     (folder / "config.yaml").write_text(resolved_yaml(config))
-    fleet = Fleet(folder, folder / "config.yaml")
+    controller.compile_kernels(config)
+    tracker.compile_kernels(config)
+    fleet = Children(folder, folder / "config.yaml")
     issued: list[float] = []
     asked_ms: list[float] = []
     try:
