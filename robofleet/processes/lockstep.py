@@ -120,6 +120,11 @@ class Lockstep:
         """The processes by their names: supervisor, tracker, controller, driver-r1, ..."""
         return {name: slot.node for name, slot in self._queue.slots.items() if slot.node is not None}
 
+    @property
+    def backlog(self) -> int:
+        """Steps that are queued."""
+        return len(self._queue.heap)
+
     def request(self, payload: bytes) -> Answer:
         """Ask the supervisor for something, as an operator does; take the answer after some milliseconds."""
         return self.bus.ask(REQUEST, "supervisor", payload)
