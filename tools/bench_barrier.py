@@ -47,7 +47,8 @@ def _crossing(count: int) -> list[Row]:
             if np.hypot(*u[i]) < 0.05:
                 goals[i] = cells[rng.integers(len(cells))]
             u[i] *= drive.max_speed / np.hypot(*u[i])
-            asked = wheels_from_body(*body_from_point(*u[i].tolist(), psi, l), drive.wheel_radius, drive.wheel_base)
+            v, omega = body_from_point(float(u[i, 0]), float(u[i, 1]), psi, l)
+            asked = wheels_from_body(v, omega, drive.wheel_radius, drive.wheel_base)
             ratio = feasible_ratio(*asked, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
             u[i], wheels[i] = ratio * u[i], ratio * np.array(asked)
         if k % _PEER_EVERY == 0:
@@ -55,7 +56,8 @@ def _crossing(count: int) -> list[Row]:
         times["robofleet"].append(timed(barrier.filter, poses, turning, unseen, driving, wheels, u)[0])
         for i, (left, right) in enumerate(wheels.tolist()):
             v, omega = drive.wheel_radius * (left + right) / 2, drive.wheel_radius * (right - left) / drive.wheel_base
-            poses[i] = arc(*poses[i].tolist(), v, omega, keepout.tick)
+            x, y, psi = poses[i].tolist()
+            poses[i] = arc(x, y, psi, v, omega, keepout.tick)
     return percentiles(f"barrier, a tick of {count} robots", times)
 
 
