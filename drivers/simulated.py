@@ -2,10 +2,12 @@
 
 from collections import deque
 
-from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, TruePose, WheelSpeeds
+from robofleet.vehicles.interface import STOP, BodyTrouble, DriverContext, DriverReading, TruePose, WheelSpeeds
 from robofleet.vehicles.plant import Plant
 
 _NS = 1e-9
+_HEALTHY = BodyTrouble()
+_SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
 
 
 class SimulatedRobot:
@@ -16,19 +18,18 @@ class SimulatedRobot:
         self._now_ns = context.now_ns
         self._plant = Plant(sim.drive, sim.imperfections, sim.start, sim.rng)
         self._longest_step_ns = round(sim.imperfections.loop_period / _NS)
-        self._stalls = sim.stalls
+        self._trouble = sim.trouble
         self._delay_ns = round(sim.imperfections.actuation_delay / _NS)
         self._command = STOP
         self._coming: deque[tuple[int, WheelSpeeds]] = deque()  # commands that do not act yet, and when they will
         self._reached_ns = context.now_ns()
-        self._first_motion_ns: int | None = None
+        self._off_ns = self._reached_ns
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels from now on [rad/s]."""
         self._advance()
         self._coming.append((self._reached_ns + self._delay_ns, wheels))
-        if self._first_motion_ns is None and wheels != STOP:
-            self._first_motion_ns = self._reached_ns
+        self._off_ns = self._reached_ns + _SILENT_NS
 
     def read(self) -> DriverReading:
         """Return encoders and battery now."""
@@ -46,18 +47,14 @@ class SimulatedRobot:
 
     def _advance(self) -> None:
         now_ns = self._now_ns()
+        stuck, slip = _HEALTHY if self._trouble is None else self._trouble()
         while self._reached_ns < now_ns:
             while self._coming and self._coming[0][0] <= self._reached_ns:
                 _, self._command = self._coming.popleft()
             step_ns = min(now_ns - self._reached_ns, self._longest_step_ns)
             if self._coming:
                 step_ns = min(step_ns, self._coming[0][0] - self._reached_ns)
-            blocked = bool(self._stalls) and self._blocked()
-            self._plant.step(self._command, step_ns * _NS, blocked=blocked)
+            elif self._reached_ns >= self._off_ns:
+                self._command = STOP
+            self._plant.step(self._command, step_ns * _NS, blocked=stuck, slip=slip)
             self._reached_ns += step_ns
-
-    def _blocked(self) -> bool:
-        if self._first_motion_ns is None:
-            return False
-        elapsed_s = (self._reached_ns - self._first_motion_ns) * _NS
-        return any(stall.start <= elapsed_s < stall.end for stall in self._stalls)

@@ -2,19 +2,19 @@
 
 import json
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robofleet.clock import WallClock, utc_now
-from robofleet.config.load import ConfigError, load_config
+from robofleet.clock import S, WallClock, utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robofleet.config.tree import Config
+    from robofleet.processes.arena_file import ArenaFile
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
@@ -23,6 +23,7 @@ Overrides = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
 ]
+ArenaName = Annotated[str | None, typer.Argument(metavar="[ARENA]", help="Which one, where several have a run.")]
 LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
 
 
@@ -38,6 +39,8 @@ def run(
     seed: Annotated[int | None, typer.Option(metavar="N", help="Default: run.seed.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer copies it
     faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults of simulated robots.")] = None,
+    reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
+    takeover: Annotated[bool, typer.Option("--takeover", help="Take robots that another controller has.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
     quiet: Annotated[bool, typer.Option(help="No live view.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
@@ -53,16 +56,16 @@ def run(
         changes.append(f"run.duration_s={duration}")
     if seed is not None:
         changes.append(f"run.seed={seed}")
-    with _bad_input():
-        tree = _checked(config, changes, faults, lockstep=lockstep)
-        if not lockstep:
-            tree = _settled(tree)
-        folder = _new_folder(out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}")
-    try:
-        summary = _run(tree, config.stem, folder, lockstep=lockstep, quiet=quiet)
-    except OSError as error:
-        print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)
-        raise typer.Exit(1) from error
+    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
+    with ExitStack() as held:
+        with _bad_input():
+            tree = _checked(config, changes, faults, lockstep=lockstep)
+            if not lockstep:
+                _refuse_unattended(tree)
+                tree = _settled(tree)
+                held.enter_context(_claimed(tree, folder))
+            _new_folder(folder)
+        summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, reset=reset, take_over=takeover)
     try:
         (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     except OSError as error:
@@ -116,7 +119,8 @@ def paper(
         except ValueError as error:
             raise RefusedError(str(error)) from error
         parameters = {name: experiments.parameters_of(name) for name in names}
-        folder = _new_folder(out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-paper")
+        folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-paper"
+        _new_folder(folder)
     try:
         contents = {name: experiments.report(name, parameters[name], folder, quiet=as_json) for name in names}
     except experiments.ExperimentError as error:
@@ -128,21 +132,125 @@ def paper(
         print(folder)
 
 
+@app.command()
+def storm(
+    config: ConfigFile,
+    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
+    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
+    pixels: Annotated[bool, typer.Option(help="Render the camera's images: slower.")] = False,
+) -> None:
+    """Hit a simulated fleet with random faults, in lockstep, and check what must always hold.
+
+    robofleet storm configs/platoon.yaml --seeds 50
+    """
+    source = "camera" if pixels else "truth"
+    with _bad_input():
+        tree = _checked(config, [f"tracker.source={source}"], None, lockstep=True)
+    from robofleet.processes.storm import report, workers  # noqa: PLC0415
+
+    replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
+    started_ns = WallClock().now_ns()
+    with report.progress(seeds, replay) as watch:
+        tally = workers.storm(tree, range(first, first + seeds), watch)
+    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
+        raise typer.Exit(1)
+
+
+@app.command()
+def stop(arena: ArenaName = None) -> None:
+    """Emergency stop of a running arena: every robot stands at once, and its gate stays latched."""
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    _told(*operator.stop(_running(arena)))
+
+
+def _asking(what: str, described: str) -> None:
+    def command(arena: ArenaName = None) -> None:
+        from robofleet.processes import operator  # noqa: PLC0415
+
+        _told(*operator.ask(_running(arena), what))
+
+    app.command(what, help=described)(command)
+
+
+_asking("hold", "Let every robot of a running arena stand until it is resumed.")
+_asking("resume", "Go on after a hold.")
+_asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
+
+
+@app.command()
+def status(
+    arena: ArenaName = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
+) -> None:
+    """What a running arena says of itself: its phase and the cause, each robot's gate, latch and battery."""
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    try:
+        found = operator.status(_running(arena))
+    except operator.UnreachableError as error:
+        _told(False, str(error))
+    if as_json:
+        print(json.dumps(found))
+    else:
+        from rich.console import Console  # noqa: PLC0415
+
+        from robofleet.recording.report import status_table  # noqa: PLC0415
+
+        Console().print(status_table(found))
+
+
+def _running(arena: str | None) -> "ArenaFile":
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    try:
+        return operator.chosen(arena)
+    except (operator.NoArenaError, PermissionError) as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
+
+
+def _told(done: bool, what: str) -> None:
+    """Print what came of a command: exit code 1 where it did not do what was asked."""
+    print(what, file=sys.stdout if done else sys.stderr)
+    if not done:
+        raise typer.Exit(1)
+
+
 def _process(name: str) -> None:
     def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
         from robofleet.processes import child  # noqa: PLC0415
         from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
-        with _bad_input():
-            tree = load_config(config)
-            _refuse_any_port(tree, config)
-        getattr(child, name)(tree, Lifeline(lifeline))
+        getattr(child, name)(_for_one_process(config), Lifeline(lifeline))
 
     app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
 
 
-for _name in ("router", "controller", "tracker", "supervisor"):
+for _name in ("router", "tracker"):
     _process(_name)
+
+
+@app.command()
+def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The supervisor of a run, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    child.supervisor(_for_one_process(config), Lifeline(lifeline), config.parent)
+
+
+@app.command()
+def controller(
+    config: ConfigFile,
+    takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
+    lifeline: LifelineFd = None,
+) -> None:
+    """The controller of a run, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    child.controller(_for_one_process(config), Lifeline(lifeline), take_over=takeover)
 
 
 @app.command()
@@ -155,13 +263,12 @@ def driver(
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
+    tree = _for_one_process(config)
     with _bad_input():
-        tree = load_config(config)
         names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
         known = [robot.id for robot in tree.robots]
         for unknown in (name for name in names if name not in known):
             raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
-        _refuse_any_port(tree, config)
     child.driver(tree, Lifeline(lifeline), names)
 
 
@@ -173,6 +280,8 @@ def main() -> None:
 @contextmanager
 def _bad_input() -> "Iterator[None]":
     """End with exit code 2 and one line a fault."""
+    from robofleet.config.load import ConfigError  # noqa: PLC0415
+
     try:
         yield
     except (ConfigError, RefusedError) as error:
@@ -186,13 +295,36 @@ def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockste
     return load_checked(config, overrides, faults, lockstep=lockstep)
 
 
-def _refuse_any_port(tree: "Config", config: Path) -> None:
-    """One process of a run finds the others by a port that is named."""
-    if tree.bus.endpoint.endswith(":0"):
-        raise RefusedError(
-            f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
-            "name one, for example tcp/127.0.0.1:7447"
-        )
+def _for_one_process(config: Path) -> "Config":
+    """Return the configuration of a run's process: it finds the others by a port that is named."""
+    from robofleet.config.load import load_config  # noqa: PLC0415
+
+    with _bad_input():
+        tree = load_config(config)
+        if tree.bus.endpoint.endswith(":0"):
+            raise RefusedError(
+                f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
+                "name one, for example tcp/127.0.0.1:7447"
+            )
+        return tree
+
+
+def _refuse_unattended(tree: "Config") -> None:
+    if tree.run.attended and not sys.stdin.isatty():
+        raise RefusedError("run.attended: stdin is no terminal: start the run in one, or set it to false")
+
+
+@contextmanager
+def _claimed(tree: "Config", folder: Path) -> "Iterator[None]":
+    """Let the run be reached by others, and refuse a second one on the same arena."""
+    from robofleet.processes.arena_file import ArenaBusyError, claimed  # noqa: PLC0415
+
+    with ExitStack() as held:
+        try:
+            held.enter_context(claimed(tree, folder, WallClock()))
+        except (ArenaBusyError, PermissionError) as error:
+            raise RefusedError(str(error)) from error
+        yield
 
 
 def _settled(tree: "Config") -> "Config":
@@ -209,32 +341,24 @@ def _settled(tree: "Config") -> "Config":
     return tree.model_copy(update={"bus": tree.bus.model_copy(update={"endpoint": endpoint})})
 
 
-def _new_folder(folder: Path) -> Path:
+def _new_folder(folder: Path) -> None:
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise RefusedError(f"--out: {folder} is there already and not empty: name another folder")
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RefusedError(f"--out: {folder} cannot be made: {error.strerror}") from error
-    return folder
 
 
-def _run(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool) -> dict[str, Any]:
-    from robofleet.processes.live import LiveView  # noqa: PLC0415
-    from robofleet.recording.metrics import summary  # noqa: PLC0415
+def _summary(
+    tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, reset: bool, take_over: bool
+) -> dict[str, Any]:
+    from robofleet.processes import run as runs  # noqa: PLC0415
 
-    with LiveView(tree, WallClock(), quiet=quiet) as view:
+    try:
         if lockstep:
-            from robofleet.processes.lockstep import Lockstep  # noqa: PLC0415
-
-            lockstep_run = Lockstep(tree)
-            outcome, cause = lockstep_run.run(view)
-            recording = lockstep_run.recording
-        else:
-            from robofleet.processes.launcher import Launcher  # noqa: PLC0415
-
-            launcher = Launcher(tree, folder, view)
-            outcome, cause = launcher.run()
-            recording = launcher.recording
-    mode = "lockstep" if lockstep else "realtime"
-    return summary(recording, name=name, mode=mode, outcome=outcome, cause=cause)
+            return runs.in_lockstep(tree, name, quiet=quiet)
+        return runs.in_real_time(tree, name, folder, quiet=quiet, reset=reset, take_over=take_over)
+    except OSError as error:
+        print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)
+        raise typer.Exit(1) from error

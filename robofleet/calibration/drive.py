@@ -18,17 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.store import CalibrationError
-from robofleet.clock import S
+from robofleet.clock import S, WallClock
 from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
+from robofleet.processes.arena_file import ArenaBusyError, claimed
 from robofleet.processes.check import load_checked
 from robofleet.processes.fleet import excitation
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.run import Recording
+from robofleet.processes.terminal import Terminal
+from robofleet.recording.run import Recording, Watch
 from robofleet.tracking.offset import tag_from_centre
 
 Array = NDArray[np.float64]
@@ -94,12 +96,20 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
             raise CalibrationError(
                 f"bus.endpoint: {config.bus.endpoint}: {error.strerror}: end the other run"
             ) from error
-        launcher = Launcher(config.model_copy(update={"bus": bus}), folder, watch)
-        outcome, cause = launcher.run()
-        recording = launcher.recording
+        config = config.model_copy(update={"bus": bus})
+        outcome, cause, recording = _with_processes(config, folder, watch)
     if outcome != "completed":
         raise CalibrationError(f"the drive did not come to its end: {cause}")
     return recording
+
+
+def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, str | None, Recording]:
+    try:
+        with claimed(config, folder, WallClock()), Terminal() as terminal:
+            launcher = Launcher(config, folder, watch, terminal)
+            return *launcher.run(), launcher.recording
+    except ArenaBusyError as error:
+        raise CalibrationError(str(error)) from error
 
 
 def extract(recording: Recording, count: int) -> list[RobotDrive]:

@@ -61,6 +61,9 @@ class Bus(Protocol):
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
         """Subscribe to a topic; ``wake`` is called, from any thread, when a message comes."""
 
+    def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
+        """Call ``put`` with (instant of arrival [ns], payload) of every message, from any thread."""
+
     def stream(self, expression: str, capacity: int) -> Stream:
         """Subscribe to everything that matches a key expression."""
 
@@ -98,7 +101,7 @@ class MemoryBus:
 
     def __init__(self, arena: str, clock: Clock, delay_ns: int) -> None:
         self._arena, self._clock, self._delay_ns = arena, clock, delay_ns
-        self._subscribers: dict[str, list[_MemoryQueue]] = {}
+        self._subscribers: dict[str, list[Callable[[int, bytes], None]]] = {}
         self._servers: dict[str, _MemoryServer] = {}
         self._taps: list[Callable[[tuple[str, bytes]], None]] = []
 
@@ -109,13 +112,13 @@ class MemoryBus:
     def publisher(self, topic: Topic, name: str = "") -> Publish:
         """Return the function that publishes on a topic."""
         full = key(self._arena, topic, name)
-        queues = self._subscribers.setdefault(full, [])
+        puts = self._subscribers.setdefault(full, [])
         clock, delay_ns, taps = self._clock, self._delay_ns, self._taps
 
         def publish(payload: bytes) -> None:
             arrival_ns = clock.now_ns() + delay_ns
-            for queue in queues:
-                queue.put(arrival_ns, payload)
+            for put in puts:
+                put(arrival_ns, payload)
             for observe in taps:
                 observe((full, payload))
 
@@ -124,6 +127,10 @@ class MemoryBus:
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
         """Subscribe to a topic."""
         return self._queue(key(self._arena, topic, name), 64, wake)
+
+    def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
+        """Call ``put`` of every message when it is published: its arrival is yet to come."""
+        self._subscribers.setdefault(key(self._arena, topic, name), []).append(put)
 
     def stream(self, expression: str, capacity: int) -> Stream:
         """Subscribe to one key (wildcards are the tap's)."""
@@ -150,7 +157,7 @@ class MemoryBus:
 
     def _queue(self, full: str, capacity: int, wake: Wake | None) -> "_MemoryQueue":
         queue = _MemoryQueue(full, self._clock, capacity, wake)
-        self._subscribers.setdefault(full, []).append(queue)
+        self._subscribers.setdefault(full, []).append(queue.put)
         return queue
 
 

@@ -1,14 +1,18 @@
 """Fixed little-endian layouts, version byte first, and what decoding refuses.
 
+numpy is imported where many messages are read at once, and not before: `robofleet stop` is in a hurry.
+
 ``decode`` checks length, version and finiteness and returns None for a message that fails; the caller counts it and
 does nothing else with it.
 """
 
 import math
+from functools import cached_property
 from struct import Struct
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 VERSION = 2
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
@@ -26,10 +30,17 @@ class Layout(Generic[M]):
 
     def __init__(self, make: type[M], fields: str, doubles: int) -> None:
         self._make = make
-        self._struct = Struct(f"<B{fields}{doubles}d")
+        self._fields = fields + "d" * doubles
+        self._struct = Struct(f"<B{self._fields}")
         self._doubles = doubles
         self.size = self._struct.size
-        self.dtype = np.dtype([("version", "u1"), *_columns(make, fields + "d" * doubles)])
+
+    @cached_property
+    def dtype(self) -> "np.dtype[Any]":
+        """The layout of a message, for reading many at once."""
+        import numpy as np  # noqa: PLC0415
+
+        return np.dtype([("version", "u1"), *_columns(self._make, self._fields)])
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -51,17 +62,28 @@ class ListLayout(Generic[M]):
     def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
         self._make, self._make_item = make, make_item
         self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
-        self.head_dtype = np.dtype([("version", "u1"), *_columns(make, head), ("count", "<u2")])
-        self.item_dtype = np.dtype(_columns(make_item, item))
+        self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
+        self._item_columns = _columns(make_item, item)
 
-    def dtype(self, count: int) -> np.dtype[Any]:
+    @cached_property
+    def head_dtype(self) -> "np.dtype[Any]":
+        """The layout of a head."""
+        import numpy as np  # noqa: PLC0415
+
+        return np.dtype(self._columns)
+
+    @cached_property
+    def item_dtype(self) -> "np.dtype[Any]":
+        """The layout of an item."""
+        import numpy as np  # noqa: PLC0415
+
+        return np.dtype(self._item_columns)
+
+    def dtype(self, count: int) -> "np.dtype[Any]":
         """Return the layout of a message of ``count`` items, for reading many at once."""
-        return np.dtype(
-            [
-                *((n, self.head_dtype[n]) for n in self.head_dtype.names or ()),
-                ("items", self.item_dtype, (count,)),
-            ]
-        )
+        import numpy as np  # noqa: PLC0415
+
+        return np.dtype([*self._columns, ("items", self.item_dtype, (count,))])
 
     def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
         """Return the head's fields alone, or None where length or version is wrong."""

@@ -1,5 +1,7 @@
 """What an operator asks of a process, and waits for."""
 
+from collections.abc import Callable
+
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus
 from robofleet.comms.keys import REQUEST
@@ -9,10 +11,13 @@ _AGAIN_NS = 200 * MS
 _POLL_NS = 2 * MS
 
 
-def asked(bus: Bus, clock: Clock, process: str, payload: bytes) -> bytes:
+def asked(
+    bus: Bus, clock: Clock, process: str, payload: bytes, meanwhile: Callable[[], object] = lambda: None
+) -> bytes:
     """Ask a process, again while no answer comes, and return its answer; TimeoutError after two seconds.
 
-    At first the router may not have heard of that process yet: then a request ends at once and without an answer.
+    ``meanwhile`` is called again and again, and may raise. At first the router may not have heard of that process yet:
+    then a request ends at once and without an answer.
     """
     deadline_ns = clock.now_ns() + _WITHIN_NS
     while clock.now_ns() < deadline_ns:
@@ -21,5 +26,6 @@ def asked(bus: Bus, clock: Clock, process: str, payload: bytes) -> bytes:
         while clock.now_ns() < again_ns:
             if (reply := answer.take()) is not None:
                 return reply
+            meanwhile()
             clock.sleep_until(clock.now_ns() + _POLL_NS)
     raise TimeoutError(f"the {process} does not answer")

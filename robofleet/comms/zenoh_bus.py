@@ -33,6 +33,7 @@ class ZenohBus:
         self._arena, self._clock = arena, clock
         self._closed = False
         self._queryables: list[Any] = []
+        self._listeners: list[Any] = []
         self._session = _open(
             {
                 "mode": "client",
@@ -70,6 +71,16 @@ class ZenohBus:
         if wake is not None:
             return _Slot(self._session, full, wake, self._clock)
         return _Ring(self._session.declare_subscriber(full, zenoh.handlers.RingChannel(1)))
+
+    def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
+        """Call ``put`` of every message, from Zenoh's own thread."""
+
+        def arrived(sample: zenoh.Sample) -> None:
+            put(self._clock.now_ns(), bytes(sample.payload))
+
+        full = key(self._arena, topic, name)
+        callback = zenoh.handlers.Callback(arrived, indirect=False)
+        self._listeners.append(self._session.declare_subscriber(full, callback))
 
     def stream(self, expression: str, capacity: int) -> Stream:
         """Subscribe to everything that matches a key expression."""

@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.model import ENDPOINT_PATTERN, NAME_PATTERN
 from robofleet.config.tree import Config
+from robofleet.config.troubles import ClockStep, IdSwap, Late
 
 Complaint = tuple[str, str]  # dotted path, message
 
@@ -44,6 +45,11 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
     kind, given, loc, context = error["type"], error["input"], error["loc"], error.get("ctx", {})
     if kind == "extra_forbidden":
         return f"unknown key: {did_you_mean(str(loc[-1]), _known_keys(loc[:-1], root))}"
+    if kind == "union_tag_not_found":
+        return "is missing"
+    if kind == "union_tag_invalid":
+        kinds = context["expected_tags"].replace("'", "").split(", ")
+        return f"there is no kind '{context['tag']}': {did_you_mean(context['tag'], kinds)}"
     if kind == "missing" or (given is None and loc):
         return "has too few values" if isinstance(loc[-1], int) and given is not None else "is missing"
     rule = _PATTERNS.get(context.get("pattern", "")) or _WORDS.get(kind, error["msg"]).format(**context)
@@ -57,6 +63,14 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
     return f"{rule}, not {given!r}{hint}"
 
 
+def place_of(error: ErrorDetails) -> tuple[str | int, ...]:
+    """Return the keys that lead to one of pydantic's errors: it also counts a fault's kind among them."""
+    loc = error["loc"]
+    if error["type"].startswith("union_tag"):
+        return (*loc, "kind")
+    return (*loc[:2], *loc[3:]) if loc[:1] == ("faults",) and len(loc) > 2 else loc
+
+
 def cross_checks(config: Config) -> list[Complaint]:
     """Return what is wrong between keys that are right by themselves."""
     camera, model = config.camera, config.camera.model
@@ -64,6 +78,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_repeated("id", [robot.id for robot in config.robots]),
         *_repeated("tag", [robot.tag for robot in config.robots]),
         *_members(config),
+        *_troubles(config),
         *_endpoint(config),
         *_camera_model(config),
         *_tag_sizes(config),
@@ -93,11 +108,21 @@ def meant(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
 def _known_keys(loc: Iterable[str | int], root: type[BaseModel] = Config) -> list[str]:
     """Return the keys that the mapping at ``loc`` may have."""
     kind = root
+    kinds: dict[str | int, type[BaseModel]] = {}
     for part in loc:
-        if isinstance(part, str):
+        if part in kinds:
+            kind = kinds[part]
+        elif isinstance(part, str):
             annotation = kind.model_fields[part].annotation
             kind = (get_args(annotation) or (annotation,))[0]
+            kinds = _kinds(kind)
     return list(kind.model_fields)
+
+
+def _kinds(union: object) -> dict[str | int, type[BaseModel]]:
+    """Return the models of a union by their kinds; none where it is no union."""
+    models = get_args(get_args(union)[0]) if get_args(union) else ()
+    return {name: model for model in models for name in get_args(model.model_fields["kind"].annotation)}
 
 
 def _is_number(text: str) -> bool:
@@ -180,7 +205,7 @@ def _calibrations(config: Config) -> Iterator[Complaint]:
 def _members(config: Config) -> Iterator[Complaint]:
     """What names no robot, and groups that name one twice."""
     known = [robot.id for robot in config.robots]
-    named = [(f"faults.{i}.robot", fault.robot) for i, fault in enumerate(config.faults)]
+    named: list[tuple[str, str]] = []
     simulated, path = config.camera.simulated, "camera.simulated"
     named += [(f"{path}.covers.{i}.robot", cover.robot) for i, cover in enumerate(simulated.covers)]
     named += [(f"{path}.tag_offsets.{i}.robot", offset.robot) for i, offset in enumerate(simulated.tag_offsets)]
@@ -195,6 +220,32 @@ def _members(config: Config) -> Iterator[Complaint]:
     for path, robot in named:
         if robot not in known:
             yield path, f"there is no robot '{robot}': {did_you_mean(robot, known)}"
+
+
+def _troubles(config: Config) -> Iterator[Complaint]:
+    """Timed faults of robots and processes that are not there, or that cannot be."""
+    robots, processes = [robot.id for robot in config.robots], config.processes
+    for i, fault in enumerate(config.faults):
+        robot, process = getattr(fault, "robot", None), getattr(fault, "process", None)
+        named = [] if robot is None else [("robot", "robot", robot)]
+        named += [] if process is None else [("process", "process", process)]
+        named += [(f"robots.{k}", "robot", name) for k, name in enumerate(getattr(fault, "robots", ()))]
+        named += [(f"processes.{k}", "process", name) for k, name in enumerate(getattr(fault, "processes", ()))]
+        for key, kind, name in named:
+            known = robots if kind == "robot" else processes
+            if name not in known:
+                yield f"faults.{i}.{key}", f"there is no {kind} '{name}': {did_you_mean(name, known)}"
+        if isinstance(fault, IdSwap) and fault.robots[0] == fault.robots[1]:
+            yield f"faults.{i}.robots.1", f"{fault.robots[1]} has its own tag: name two robots"
+        if isinstance(fault, Late) and fault.p99_s <= fault.median_s:
+            yield f"faults.{i}.p99_s", f"must be more than the median, {fault.median_s:g} s"
+        if isinstance(fault, ClockStep) and fault.process in ("tracker", "router"):
+            yield f"faults.{i}.process", f"a simulated camera has no other clock than the {fault.process}'s"
+        if fault.at_s is not None and fault.at_s >= config.run.duration_s:
+            yield f"faults.{i}.at_s", f"the run ends after {config.run.duration_s:g} s: nothing would happen"
+        topics = getattr(fault, "topics", ())
+        if robot is not None and (of_all := [t for t in topics if t in ("poses", "state", "tick")]):
+            yield f"faults.{i}.robot", f"{of_all[0]} is not said to one robot: leave robot out, or {of_all[0]}"
 
 
 def _endpoint(config: Config) -> Iterator[Complaint]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
-from robofleet.config.faults import Complaint, cross_checks, did_you_mean, meant, plain_words
+from robofleet.config.faults import Complaint, cross_checks, did_you_mean, meant, place_of, plain_words
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, parse_yaml, read_yaml
 
@@ -84,10 +84,9 @@ class ConfigFile:
             self.config = Config.model_validate(self._root.plain())
         except ValidationError as invalid:
             errors = invalid.errors(include_url=False)
-            locs = [error["loc"] for error in errors]
+            locs = [place_of(error) for error in errors]
             misspelt = {meant(error["loc"]) for error in errors if error["type"] == "extra_forbidden"}
-            for error in errors:
-                loc = error["loc"]
+            for error, loc in zip(errors, locs, strict=True):
                 # Pydantic leaves invalid items out of its count.
                 if error["type"] == "too_short" and any(loc == other[: len(loc)] for other in locs if other != loc):
                     continue

@@ -10,7 +10,7 @@ import numpy as np
 from robofleet.clock import S
 from robofleet.config.tree import Config, Group, Robot, Vehicle
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import Imperfections, Stall
+from robofleet.vehicles.interface import Imperfections
 
 
 def drive(robot: Robot) -> DifferentialDrive:
@@ -60,6 +60,7 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
         top_speed_sag=p.top_speed_sag,
         battery_life=p.battery_life_s,
         wheel_gain_error=p.wheel_gain_error,
+        wiring=p.wiring,
         actuation_delay=p.actuation_delay_s,
     )
 
@@ -72,11 +73,6 @@ def build(config: Config) -> int:
 def start_pose(robot: Robot) -> tuple[float, float, float]:
     """Return x, y [m], psi [rad] of a simulated robot at first."""
     return robot.start.x_m, robot.start.y_m, robot.start.psi
-
-
-def stalls(config: Config, robot_id: str) -> tuple[Stall, ...]:
-    """Return the stalls that the config's faults give to a robot."""
-    return tuple(Stall(f.at_s, f.at_s + f.duration_s) for f in config.faults if f.robot == robot_id)
 
 
 def knots(group: Group) -> tuple[np.ndarray, np.ndarray]:

@@ -26,6 +26,8 @@ from robofleet.config.model import (
     Positive,
     Vector2,
 )
+from robofleet.config.troubles import Fault
+from robofleet.vehicles.interface import Wiring
 
 
 class Arena(Model):
@@ -51,6 +53,7 @@ class PlantErrors(Model):
     breakaway_rad_s: NonNegative
     actuation_delay_s: NonNegative = 0.0  # from a command's arrival to the moment when the wheels begin to follow it
     wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # of both wheels' travel, relative
+    wiring: Wiring = "straight"  # of motors and encoders together
     wheel_gain_spread: Fraction
     wheel_base_spread: Fraction
     slip_s_per_rad: NonNegative
@@ -184,15 +187,6 @@ class LockstepSettings(Model):
     tracker_delay_s: NonNegative = 0.004
 
 
-class Fault(Model):
-    """A timed fault of a simulated robot. Time counts from its first motion command."""
-
-    robot: Name
-    kind: Literal["motor_stuck"]
-    at_s: NonNegative
-    duration_s: Positive
-
-
 class RunSettings(Model):
     """One run."""
 
@@ -216,6 +210,11 @@ class Config(Model):
     run: RunSettings
     lockstep: LockstepSettings = LockstepSettings()
     faults: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """The processes of a run, by name."""
+        return "router", "supervisor", "tracker", "controller", *(f"driver-{robot.id}" for robot in self.robots)
 
     def robot(self, robot_id: str) -> Robot:
         """Return a robot by its id; KeyError if there is none."""

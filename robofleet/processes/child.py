@@ -3,21 +3,27 @@
 A driver process loads neither numba nor OpenCV: each process imports what it is made of when it starts.
 """
 
+import shutil
+import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from robofleet.clock import Clock, WallClock
+from robofleet.comms.bus import Bus
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
 from robofleet.processes.node import Lifeline, Node, Waker, ahead_of_others, realtime_priority, run
+from robofleet.simulation.faults import Schedule
+from robofleet.simulation.faulty_bus import FaultyBus
 
 _CONTROLLER_PRIORITY = 20
 _DRIVER_PRIORITY = 15
 _SUPERVISOR_PRIORITY = 12
 _TRACKER_PRIORITY = 10
 
-Make = Callable[[Config, ZenohBus, Clock, Waker], Node]
+Make = Callable[[Config, Bus, Clock, Waker, Schedule | None], Node]
 
 
 def router(config: Config, lifeline: Lifeline) -> None:
@@ -32,15 +38,15 @@ def router(config: Config, lifeline: Lifeline) -> None:
         session.close()  # type: ignore[no-untyped-call]
 
 
-def controller(config: Config, lifeline: Lifeline) -> None:
+def controller(config: Config, lifeline: Lifeline, *, take_over: bool) -> None:
     """The controller at its tick."""
     from robofleet.processes.controller import Controller, compile_kernels  # noqa: PLC0415
 
     compile_kernels(config)
     _run(
         "controller", config, lifeline,
-        lambda c, bus, clock, _: Controller(c, bus, clock, entropy(c.run.seed, "controller")), _CONTROLLER_PRIORITY,
-        precise=True,
+        lambda c, bus, clock, *_: Controller(c, bus, clock, entropy(c.run.seed, "controller"), take_over=take_over),
+        _CONTROLLER_PRIORITY, precise=True,
     )  # fmt: skip
 
 
@@ -51,9 +57,9 @@ def tracker(config: Config, lifeline: Lifeline) -> None:
     from robofleet.processes.tracker import Tracker  # noqa: PLC0415
     from robofleet.tracking.sources import CameraError  # noqa: PLC0415
 
-    def make(config: Config, bus: ZenohBus, clock: Clock, waker: Waker) -> Tracker:
+    def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> Tracker:
         try:
-            return Tracker(config, bus, clock, waker, entropy(config.run.seed, "tracker"))
+            return Tracker(config, bus, clock, waker, entropy(config.run.seed, "tracker"), faults=faults)
         except CameraError as error:
             raise SystemExit(f"camera: {error}") from error
 
@@ -64,25 +70,32 @@ def tracker(config: Config, lifeline: Lifeline) -> None:
 def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
     """The drivers of some robots."""
     from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
-    from robofleet.processes.keeping import FileKeeping  # noqa: PLC0415
+    from robofleet.processes.keeping import FaultyKeeping, FileKeeping, Keeping  # noqa: PLC0415
 
-    _run(
-        "driver-" + "-".join(robots), config, lifeline,
-        lambda c, bus, clock, waker: DriverProcess(
-            c, robots, bus, clock, waker, entropy(c.run.seed, *robots), FileKeeping(c.arena.name)
-        ),
-        _DRIVER_PRIORITY,
-    )  # fmt: skip
+    def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> DriverProcess:
+        keeping: Keeping = FileKeeping(config.arena.name)
+        if faults is not None:
+            keeping = FaultyKeeping(keeping, faults)
+        rng = entropy(config.run.seed, *robots)
+        return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
+
+    _run("driver-" + "-".join(robots), config, lifeline, make, _DRIVER_PRIORITY)
 
 
-def supervisor(config: Config, lifeline: Lifeline) -> None:
-    """The supervisor."""
+def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:
+    """The supervisor; ``folder`` is where the run is recorded."""
     from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
 
-    _run(
-        "supervisor", config, lifeline,
-        lambda c, bus, clock, _: Supervisor(c, bus, clock, entropy(c.run.seed, "supervisor")), _SUPERVISOR_PRIORITY,
-    )  # fmt: skip
+    def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> Supervisor:
+        def free_bytes() -> int:
+            return 0 if faults is not None and faults.disk_is_full() else shutil.disk_usage(folder).free
+
+        return Supervisor(
+            config, bus, clock, waker, entropy(config.run.seed, "supervisor"), free_bytes=free_bytes,
+            attended=config.run.attended, say=lambda line: print(line, file=sys.stderr, flush=True),
+        )  # fmt: skip
+
+    _run("supervisor", config, lifeline, make, _SUPERVISOR_PRIORITY)
 
 
 def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:
@@ -90,7 +103,9 @@ def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: in
     ahead_of_others()
     bus = ZenohBus(config.arena.name, config.bus.endpoint, name, clock)
     try:
-        node = make(config, bus, clock, waker)
+        faults = Schedule(config, clock) if config.faults else None
+        seen: Bus = bus if faults is None else FaultyBus(bus, faults, name, clock)
+        node = make(config, seen, clock, waker, faults)
         realtime_priority(priority)
         run(node, clock, lifeline, waker, precise=precise)
     finally:

@@ -24,10 +24,11 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.platoon import INPUTS, WHEELS
 from robofleet.processes import fleet
-from robofleet.safety.arming import PROBE_RAD_S, STROKES
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import NOBODY, Phase
+from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
 from robofleet.tracking.estimator import CARRIED, UNUSED
+from robofleet.vehicles.differential_drive import feasible_ratio
 
 _UNSEEN = [math.nan] * 3
 _PHASES = tuple(Phase)
@@ -47,11 +48,13 @@ class _Timing:
 class Controller:
     """All robots of the group, in platoon order."""
 
-    def __init__(self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator) -> None:
+    def __init__(
+        self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False
+    ) -> None:
         robots, c = config.platoon, config.controller
         self._clock = clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
-        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64))
+        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64), take_over=take_over)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._first_delay_s = slices.delay_ns(config, robots[0]) / S
@@ -59,6 +62,7 @@ class Controller:
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._behaviour = fleet.behaviour(config)
         self._filter, self._barrier = fleet.fleet_filter(config), fleet.barrier(config)
+        self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
         self._newest: list[RobotStatus | None] = [None] * len(robots)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
@@ -103,6 +107,8 @@ class Controller:
         self._keep_apart(tick_ns, there, turning, driving, decisions)
         self._try_wheels(decisions)
         self._filter.command(tick_ns, decisions[:, WHEELS])
+        if self._leases.refused:
+            return  # somebody else drives these robots: not a word that could be taken for the other's
         self._publish_commands(decisions[:, WHEELS].tolist())
         self._publish_record(tick_ns, here, measured, lost, decisions)
 
@@ -134,7 +140,9 @@ class Controller:
         """Let the robot that is being tried do its stroke."""
         row, stroke = self._probe
         if row < len(decisions) and stroke < len(STROKES):
-            decisions[row, WHEELS] = PROBE_RAD_S * np.array(STROKES[stroke])
+            drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
+            ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
+            decisions[row, WHEELS] = ratio * left, ratio * right
 
     def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""
@@ -187,23 +195,32 @@ class Controller:
 
 
 class Leases:
-    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one."""
+    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one.
 
-    def __init__(self, bus: Bus, robots: list[str], session: int) -> None:
+    ``take_over``: each is taken once also from a controller that is alive; who loses it then does not take it back.
+    """
+
+    def __init__(self, bus: Bus, robots: list[str], session: int, *, take_over: bool = False) -> None:
         self._bus, self._robots, self.session = bus, robots, session
-        self._request = LEASE_REQUEST.encode(LeaseRequest(session, LeaseAction.ACQUIRE))
+        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(robots)
         self._asked: list[Answer | None] = [None] * len(robots)
         self._again = [0] * len(robots)
+        self.refused = False  # somebody else holds the lease of a robot
 
     def update(self, newest: list[RobotStatus | None]) -> None:
         """Ask every driver that is there and is not ours, every few ticks."""
+        self.refused = any(status is not None and status.session not in (0, self.session) for status in newest)
         for row, status in enumerate(newest):
-            if status is None or status.session == self.session:
+            if status is None:
+                continue
+            if status.session == self.session:
+                self._actions[row] = LeaseAction.ACQUIRE
                 continue
             self._again[row] -= 1
             if self._again[row] < 0:
                 self._again[row] = _ASK_AGAIN_TICKS
-                self._asked[row] = self._bus.ask(LEASE, self._robots[row], self._request)
+                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[row]))
+                self._asked[row] = self._bus.ask(LEASE, self._robots[row], request)
 
 
 def compile_kernels(config: Config) -> None:

@@ -1,254 +1,241 @@
 """Runs a platoon in real time: starts the processes, arms, runs, stops, and leaves nothing behind."""
 
-import os
-import select
-import signal
-import socket
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from robofleet.clock import Clock, S, WallClock
-from robofleet.comms.keys import STATE, STATUS, TICK, everything, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD
+from robofleet.clock import MS, S, WallClock
+from robofleet.comms.bus import Answer
+from robofleet.comms.keys import REQUEST, STATE, STATUS, TICK, everything, key
+from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
+from robofleet.processes.children import Children, RunError
+from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
+from robofleet.processes.terminal import Interrupts, Terminal, interrupts
+from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
-from robofleet.safety.supervisor import Event, Phase, RunStatus
+from robofleet.safety.supervisor import Event, Phase
 
-_READY_WITHIN_S = 30.0
-_ARMED_WITHIN_S = 5.0
-_REST_WITHIN_S = 1.0
-_EXIT_WITHIN_S = 1.2
-_POLL_S = 0.05
+_REST_WITHIN_NS = S
+_SILENT_NS = 2 * S
+_POLL_NS = 50 * MS
+_ATTENDED_NS = 200 * MS
 _STREAM = 65536  # messages; a minute of a fleet of four
 _AT_REST_RAD_S = 0.01
-_LAST_LINES = 5
-_CHILD_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+_PHASES = {Phase.ARMED: "arming", Phase.RUNNING: "running", Phase.HOLD: "held"}
+_EMERGENCY = "emergency stop"
+_TWICE = 2
+_ASKED_BY_KEY = {"h": b"hold", "r": b"resume"}
 
-
-class RunError(Exception):
-    """The run ended by a fault; the message is its cause."""
+Outcome = tuple[str, str | None]
 
 
 class InterruptedRunError(Exception):
-    """The operator asked for the end; ``at_once`` when asked twice."""
+    """The operator asked for the end: a controlled stop."""
 
 
-@dataclass
-class Child:
-    """One process, and this end of its lifeline."""
-
-    name: str
-    process: "subprocess.Popen[bytes]"
-    lifeline: socket.socket
-    log: Path
-    ready: bool = False
-
-    def last_lines(self) -> str:
-        """Return the end of what it wrote."""
-        lines = self.log.read_text(errors="replace").strip().splitlines()[-_LAST_LINES:]
-        return "".join(f"\n    {line}" for line in lines)
-
-
-@dataclass
-class Fleet:
-    """The processes of a run, in the order of their start."""
-
-    folder: Path
-    config_file: Path
-    children: list[Child] = field(default_factory=list)
-
-    def start(self, name: str, *arguments: str) -> None:
-        """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
-        ours, theirs = socket.socketpair()
-        log = self.folder / f"{name}.log"
-        with theirs, log.open("wb") as output:
-            command = [sys.executable, "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
-            process = subprocess.Popen(
-                [*command, "--lifeline", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                start_new_session=True,
-                env=os.environ | _CHILD_ENVIRONMENT,
-            )
-        self.children.append(Child(name, process, ours, log))
-
-    def wait_ready(self, clock: Clock, interrupts: "_Interrupts") -> None:
-        """Return when every child has said that it is ready."""
-        deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
-        while waiting := [child for child in self.children if not child.ready]:
-            self.check()
-            if interrupts.count:
-                raise InterruptedRunError
-            if clock.now_ns() > deadline_ns:
-                names = ", ".join(child.name for child in waiting)
-                raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s")
-            readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
-            for child in waiting:
-                if child.lifeline in readable and child.lifeline.recv(64):
-                    child.ready = True
-
-    def check(self) -> None:
-        """Raise RunError with its name and last lines if a child has died."""
-        for child in self.children:
-            code = child.process.poll()
-            if code is not None:
-                how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-                raise RunError(f"the {child.name} was {how}{child.last_lines()}")
-
-    def reap(self, clock: Clock) -> None:
-        """End every child: the router last, so that the others can take their leave; kill what does not answer."""
-        others, routers = self.children[1:], self.children[:1]
-        for group in (others, routers):
-            for child in group:
-                child.lifeline.close()
-            deadline_ns = clock.now_ns() + round(_EXIT_WITHIN_S * S)
-            for child in group:
-                try:
-                    child.process.wait(max(0.0, (deadline_ns - clock.now_ns()) / S))
-                except subprocess.TimeoutExpired:
-                    child.process.kill()
-                    child.process.wait()
-        self.children.clear()
-
-
-class _Interrupts:
-    """Ctrl-C, SIGTERM, a closed terminal and Ctrl-Z (a stopped launcher would leave the robots driving), counted."""
-
-    count = 0
-
-    def __call__(self, _number: int, _frame: object) -> None:
-        self.count += 1
-
-
-@contextmanager
-def _interrupts() -> Iterator[_Interrupts]:
-    interrupts = _Interrupts()
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
-    before = {number: signal.signal(number, interrupts) for number in signals}
-    try:
-        yield interrupts
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+class EmergencyError(Exception):
+    """The operator asked for the emergency stop, or is gone; the message says how that was seen."""
 
 
 class Launcher:
-    """One run in real time. ``run`` returns (outcome, cause); the messages are in ``recording``."""
+    """One run in real time. ``run`` returns (outcome, cause); the messages are in ``recording``.
 
-    def __init__(self, config: Config, folder: Path, watch: Watch) -> None:
-        self._config, self._folder, self._watch = config, folder, watch
+    ``reset`` clears the latches that an earlier run left; ``take_over`` takes the robots from a controller that still
+    has them, if they stand.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        folder: Path,
+        watch: Watch,
+        terminal: Terminal,
+        *,
+        reset: bool = False,
+        take_over: bool = False,
+    ) -> None:
+        self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
+        self._reset, self._take_over = reset, take_over
         self._clock = WallClock()
         self.recording = Recording(config)
-        arena = config.arena.name
-        self._state_key, self._tick_key = key(arena, STATE), key(arena, TICK)
-        self._status_keys = [key(arena, STATUS, robot.id) for robot in config.platoon]
+        self._arena, self._robots = config.arena.name, config.groups[0].robots
+        self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
+        self._status_keys = [key(self._arena, STATUS, robot) for robot in self._robots]
         self._phase = "starting"
+        self._ending = False
+        self._attended_ns = 0  # when the supervisor was told last that the operator is there
+        self._heard_ns = 0  # when the supervisor was heard last
+        self._answer: Answer | None = None  # to what a key asked
+        self._counted = Interrupts()
 
-    def run(self) -> tuple[str, str | None]:
+    def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
         config_file = self._folder / "config.yaml"
         config_file.write_text(resolved_yaml(self._config))
         logs = self._folder / "log"
         logs.mkdir()
-        fleet = Fleet(logs, config_file)
-        with _interrupts() as interrupts:
+        fleet = Children(logs, config_file)
+        with interrupts() as self._counted:
             try:
-                self._start(fleet, interrupts)
-                return self._drive(fleet, interrupts)
+                self._start(fleet)
+                return self._drive(fleet)
             except RunError as error:
                 return "fault", str(error)
-            except InterruptedRunError:
-                return "stopped", "the operator interrupted"
+            except (InterruptedRunError, EmergencyError) as why:
+                return "stopped", str(why)
             finally:
                 fleet.reap(self._clock)
 
-    def _start(self, fleet: Fleet, interrupts: _Interrupts) -> None:
+    def _start(self, fleet: Children) -> None:
         self._watch(self.recording, "compiling")
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
         fleet.start("router", "router")
-        fleet.wait_ready(self._clock, interrupts)
-        for name in ("supervisor", "tracker", "controller"):
+        fleet.wait_ready(self._clock, self._heed)
+        for name in ("supervisor", "tracker"):
             fleet.start(name, name)
+        fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
         for robot in self._config.robots:
             fleet.start(f"driver-{robot.id}", "driver", "--robots", robot.id)
-        fleet.wait_ready(self._clock, interrupts)
+        fleet.wait_ready(self._clock, self._heed)
 
-    def _drive(self, fleet: Fleet, interrupts: _Interrupts) -> tuple[str, str | None]:
-        bus = ZenohBus(self._config.arena.name, self._config.bus.endpoint, "launcher", self._clock)
+    def _drive(self, fleet: Children) -> Outcome:
+        bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
+        self._bus, self._fleet = bus, fleet
         try:
-            self._stream = bus.stream(everything(self._config.arena.name), _STREAM)
-            self._phase = "arming"
+            self._stream = bus.stream(everything(self._arena), _STREAM)
+            self._heard_ns = self._clock.now_ns()
             try:
-                asked(bus, self._clock, "supervisor", b"start")
-            except TimeoutError as error:
-                raise RunError(str(error)) from error
-            self._arm(fleet, interrupts)
-            started_ns = self._clock.now_ns()
-            outcome, cause = self._lap(fleet, interrupts)
-            self.recording.elapsed_s = (self._clock.now_ns() - started_ns) / S
-            self._phase = "stopping"
-            if interrupts.count < 2:  # asked twice: the lifelines are cut at once, and every driver stops its wheels
-                self._stop(bus, fleet)
-            return outcome, cause
+                return self._ended(*self._follow())
+            except InterruptedRunError as why:
+                return self._ended("stopped", str(why))
+        except EmergencyError as why:
+            return self._emergency(str(why))
         finally:
+            fleet.reap(self._clock)  # before the bus is left: that may take seconds when the router is stopped
             bus.close()
 
-    def _arm(self, fleet: Fleet, interrupts: _Interrupts) -> None:
-        deadline_ns = self._clock.now_ns() + round(_ARMED_WITHIN_S * S)
-        while (state := self._newest(self._state_key, RUN_STATE)) is None or state.phase != Phase.RUNNING:
-            self._poll(fleet)
-            if interrupts.count:
-                raise InterruptedRunError
-            if self._clock.now_ns() > deadline_ns:
-                raise RunError(f"the fleet was not ready after {_ARMED_WITHIN_S:.0f} s: {missing(self.recording)}")
-
-    def _lap(self, fleet: Fleet, interrupts: _Interrupts) -> tuple[str, str | None]:
-        """Watch the run until its time is over, the operator interrupts, or the supervisor stops it."""
+    def _follow(self) -> Outcome:
+        """See the run through its checks and its laps; returns how it ended."""
+        self._phase = "arming"
+        if self._reset:
+            self._ask(b"reset")
+        self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        self._phase = "running"
-        while True:
-            self._poll(fleet)
-            if interrupts.count:
-                return "stopped", "the operator interrupted"
-            state = self._newest(self._state_key, RUN_STATE)
-            if state.phase != Phase.RUNNING:
-                status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
-                outcome = "fault" if status.phase is Phase.FAULT else "stopped"
-                return outcome, status.describe(self._config.groups[0].robots)
-            tick = self._newest(self._tick_key, TICK_RECORD)
-            if tick is not None and tick.run_tick >= last_tick:
-                return "completed", None
-
-    def _stop(self, bus: ZenohBus, fleet: Fleet) -> None:
-        """Ask for the stop and wait until every wheel is at rest."""
+        phases, began_ns = {Phase.IDLE: "arming", **_PHASES}, 0  # IDLE: it was asked to start and has not said so yet
         try:
-            asked(bus, self._clock, "supervisor", b"stop")
-        except TimeoutError:
-            return
-        deadline_ns = self._clock.now_ns() + round(_REST_WITHIN_S * S)
-        while self._clock.now_ns() < deadline_ns and not self._at_rest():
-            self._poll(fleet)
+            while (state := self._polled()) is None or state.phase in phases:
+                if state is not None and state.phase != Phase.IDLE:
+                    self._enter(_PHASES[Phase(state.phase)])
+                    phases = _PHASES
+                if self._phase == "running":
+                    began_ns = began_ns or self._clock.now_ns()
+                    tick = self._newest(self._tick_key, TICK_RECORD)
+                    if tick is not None and tick.run_tick >= last_tick:
+                        return "completed", None
+        finally:
+            self.recording.elapsed_s = (self._clock.now_ns() - began_ns) / S if began_ns else 0.0
+        return self._outcome(state)
 
-    def _poll(self, fleet: Fleet) -> None:
-        self._clock.sleep_until(self._clock.now_ns() + round(_POLL_S * S))
+    def _enter(self, phase: str) -> None:
+        if phase != self._phase:
+            self._phase, self._terminal.note = phase, ""
+
+    def _outcome(self, state: RunState) -> Outcome:
+        cause = run_cause(state, self._robots)
+        if state.phase == Phase.ESTOP:
+            raise EmergencyError(cause)
+        if state.cause == Event.ARMED_TOO_LONG:
+            cause = f"{cause}: {missing(self.recording)}"
+        return ("stopped" if state.phase == Phase.IDLE else "fault"), cause
+
+    def _ended(self, outcome: str, cause: str | None) -> Outcome:
+        """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
+        self._phase, self._ending = "stopping", True
+        try:
+            asked(self._bus, self._clock, "supervisor", b"stop", self._heed)
+            self._rest()
+        except TimeoutError:  # then nobody renews the permissions, and the gates close
+            pass
+        return outcome, cause
+
+    def _emergency(self, why: str) -> Outcome:
+        """Latch every gate; a robot that does not say so is named, and its lifeline is cut at once."""
+        self._phase = _EMERGENCY
+        self._watch(self.recording, self._phase)
+        stopped = emergency_stop(self._bus, self._clock, self._arena, self._robots)
+        if not stopped.silent:
+            self._rest()
+        return "stopped", f"emergency stop ({why}); {stopped.describe()}"
+
+    def _rest(self) -> None:
+        deadline_ns = self._clock.now_ns() + _REST_WITHIN_NS
+        while self._clock.now_ns() < deadline_ns and not self._at_rest():
+            self._polled()
+
+    def _ask(self, what: bytes) -> None:
+        try:
+            answer = asked(self._bus, self._clock, "supervisor", what, self._polled)
+        except TimeoutError as error:
+            raise RunError(str(error)) from error
+        if not answer.startswith(b"ok"):
+            latched = any((status := self._newest(k, ROBOT_STATUS)) and status.latch for k in self._status_keys)
+            way_out = ": `robofleet run --reset` does it" if latched and what == b"start" else ""
+            why = answer.decode(errors="replace").removeprefix("refused: ")
+            raise RunError(f"{what.decode()} was refused: {why}{way_out}")
+
+    def _polled(self) -> RunState | None:
+        """Take what came, do what the operator asks, show it; returns the run's newest state."""
+        keys = self._terminal.keys(self._clock, self._clock.now_ns() + _POLL_NS)
+        if self._phase != _EMERGENCY:
+            self._obey(keys)
+            self._heed()
+            self._attend()
         for full, payload in self._stream.drain():
             self.recording.add(full, payload)
-        fleet.check()
+            if full == self._state_key:
+                self._heard_ns = self._clock.now_ns()
+        self._fleet.check()
+        if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
+            raise RunError("the supervisor went silent")
         self._watch(self.recording, self._phase)
+        state: RunState | None = self._newest(self._state_key, RUN_STATE)
+        return state
+
+    def _heed(self) -> None:
+        """Raise what the terminal's signals ask for."""
+        counted, attended = self._counted, self._config.run.attended
+        if attended and (counted.hung_up or self._terminal.lost):
+            raise EmergencyError("the operator's terminal is gone")
+        if counted.count >= _TWICE:
+            raise EmergencyError("interrupted twice")
+        if counted.count and not self._ending:
+            raise InterruptedRunError("the operator interrupted")
+
+    def _obey(self, keys: str) -> None:
+        """Do what the keys ask for."""
+        if "e" in keys or " " in keys:
+            raise EmergencyError("by key")
+        if "q" in keys and not self._ending:
+            raise InterruptedRunError("the operator ended it")
+        for pressed in keys:
+            if pressed in _ASKED_BY_KEY:
+                self._answer = self._bus.ask(REQUEST, "supervisor", _ASKED_BY_KEY[pressed])
+        if self._answer is not None and (answer := self._answer.take()) is not None:
+            self._terminal.note, self._answer = answer.decode(errors="replace"), None
+
+    def _attend(self) -> None:
+        """Tell the supervisor that the operator is there: the dead man's handle."""
+        now_ns = self._clock.now_ns()
+        if self._config.run.attended and self._terminal.present and now_ns - self._attended_ns >= _ATTENDED_NS:
+            self._attended_ns = now_ns
+            self._bus.ask(REQUEST, "supervisor", b"attended")
 
     def _newest(self, full: str, layout: Any) -> Any:
         messages = self.recording.messages.get(full)

@@ -12,35 +12,42 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.clock import Clock, S
-from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import (
     FLEET_POSES,
     ROBOT_STATUS,
+    RUN_STATE,
     TICK_RECORD,
     TRACKER_NEWS,
     FleetPoses,
     RobotTick,
+    RunState,
     TickRecord,
 )
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.processes.live_state import arming, banner, foot
+from robofleet.processes.terminal import Terminal
+from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.recording.run import Recording
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.gate import GateStatus, Latch
 from robofleet.tracking.events import describe
 
 _REFRESH_NS = S // 5
 _PLAIN_NS = 10 * S
 _SHOWN_NS = 5 * S  # how long the tracker's news stay
+_COLOURS = {"running": "bold green", "emergency stop": "bold red"}
 _WINDOW = 300  # ticks, for the percentiles
 
 
 class LiveView:
     """Call it with what came so far; it draws five times a second, or writes lines where stderr is no terminal."""
 
-    def __init__(self, config: Config, clock: Clock, *, quiet: bool) -> None:
-        self._config, self._clock, self._quiet = config, clock, quiet
+    def __init__(self, config: Config, clock: Clock, terminal: Terminal, *, quiet: bool) -> None:
+        self._config, self._clock, self._terminal, self._quiet = config, clock, terminal, quiet
+        self._ids = config.groups[0].robots
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._path = Path.hermite(*slices.knots(config.groups[0]))
@@ -76,6 +83,9 @@ class LiveView:
 
     def _line(self, recording: Recording) -> str:
         tick = self._newest(recording, TICK, TICK_RECORD)
+        state = self._newest(recording, STATE, RUN_STATE)
+        if self._phase == "held" and state is not None:
+            return f"held: {run_cause(state, self._ids)}: `robofleet resume` goes on, Ctrl-C ends the run"
         if self._phase != "running" or tick is None:
             return self._phase
         errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
@@ -86,23 +96,29 @@ class LiveView:
         duration_s = self._config.run.duration_s
         if tick is not None and tick.run_tick >= 0:
             self._reached_s = min(self._time(tick), duration_s)
-        head = Text(f"{self._phase:<10}", "bold green" if self._phase == "running" else "bold yellow")
-        head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default")
+        state = self._newest(recording, STATE, RUN_STATE)
+        head = Text(f"{self._phase:<10}", _COLOURS.get(self._phase, "bold yellow"))
+        head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default not bold")
         line = Table.grid()
-        line.add_row(head, ProgressBar(duration_s, self._reached_s, width=50))
-        if tick is None:
-            return Group(line)
-        return Group(line, "", self._robots(recording, tick), "", self._health(recording, tick))
+        checks = Text(arming(state, self._ids), "cyan") if self._phase == "arming" and state is not None else None
+        line.add_row(head, checks or ProgressBar(duration_s, self._reached_s, width=50))
+        parts: list[Any] = [line]
+        if state is not None and (seen := banner(state, self._ids, self._terminal.present)) is not None:
+            parts += ["", seen]
+        if tick is not None:
+            parts += ["", self._robots(recording, tick, state), "", self._health(recording, tick)]
+        return Group(*parts, "", foot(self._terminal))
 
-    def _robots(self, recording: Recording, tick: TickRecord) -> Table:
+    def _robots(self, recording: Recording, tick: TickRecord, state: RunState | None) -> Table:
         table = Table("robot", box=None, padding=(0, 2, 0, 0), header_style="bold")
-        for column in ("control mm", "path mm", "timed mm", "spacing mm", "wheels rad/s", "gate"):
+        for column in ("control mm", "path mm", "timed mm", "spacing mm", "wheels rad/s"):
             table.add_column(column, justify="right")
+        table.add_column("gate")
         points, true = self._points(recording, tick)
         for row, (robot, item) in enumerate(zip(self._config.platoon, tick.robots, strict=True)):
             cells = self._cells(row, points, item, tick) if tick.run_tick >= 0 else ["-"] * 4
             wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
-            table.add_row(robot.id, *cells, wheels, self._gate(recording, robot.id))
+            table.add_row(robot.id, *cells, wheels, self._gate(recording, row, state))
         if not true:
             table.caption = "estimated: no truth is known"
         return table
@@ -153,12 +169,16 @@ class LiveView:
             )
         return poses, True
 
-    def _gate(self, recording: Recording, robot: str) -> Text:
-        status = self._newest(recording, STATUS, ROBOT_STATUS, robot)
+    def _gate(self, recording: Recording, row: int, state: RunState | None) -> Text:
+        """Why a robot may move, or why not: its latch, its own halt, else its gate."""
+        status = self._newest(recording, STATUS, ROBOT_STATUS, self._ids[row])
         if status is None:
             return Text("silent", "red")
-        name = GateStatus(status.gate).name.lower().replace("_", " ")
-        return Text(name, "green" if status.gate == GateStatus.OPEN else "yellow")
+        if status.latch:
+            return Text(named(Latch, status.latch), "bold red")
+        if state is not None and (own := halt_cause(state, row)):
+            return Text(own, "yellow")
+        return Text(named(GateStatus, status.gate), "green" if status.gate == GateStatus.OPEN else "yellow")
 
     def _overruns(self, tick: TickRecord) -> int:
         """Return the ticks missed since the run started: what the start of all processes cost does not count."""

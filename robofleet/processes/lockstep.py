@@ -6,66 +6,45 @@ fixed order. Same seed, config, machine and versions: same bytes on the bus.
 
 import gc
 import hashlib
-import heapq
 from collections.abc import Callable
 from functools import partial
 
-from robofleet.clock import S, SimulatedClock, stopwatch_ns
-from robofleet.comms.bus import MemoryBus
+import numpy as np
+
+from robofleet.clock import Clock, S, SimulatedClock, stopwatch_ns
+from robofleet.comms.bus import Answer, Bus, MemoryBus
 from robofleet.comms.keys import REQUEST, STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller, compile_kernels
 from robofleet.processes.driver import DriverProcess
-from robofleet.processes.keeping import MemoryKeeping
+from robofleet.processes.event_queue import SECOND_CONTROLLER, EventQueue, ProcessFaults, Slot
+from robofleet.processes.gated_robot import Witness
+from robofleet.processes.keeping import FaultyKeeping, Keeping, MemoryKeeping
 from robofleet.processes.node import Node
-from robofleet.processes.readiness import missing
+from robofleet.processes.readiness import why
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
+from robofleet.simulation.faults import Schedule, SteppedClock
+from robofleet.simulation.faulty_bus import FaultyBus
 
-_READY_WITHIN_NS = 5 * S
+_ANSWER_WITHIN_NS = S  # to the request for a start
+_ARMED_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
+_PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
 _REST_NS = S  # after the stop: wheels come to rest
 
 
-class _Slot:
-    """A process in the queue. Called with an instant it wakes the process then, beside its own schedule."""
-
-    def __init__(self, order: int, queue: "list[tuple[int, int, bool, _Slot]]") -> None:
-        self.order, self._queue = order, queue
-        self.node: Node
-        self.next_ns = 0
-        self.timed = False
-        self.durations_ns: list[int] = []
-
-    def __call__(self, instant_ns: int) -> None:
-        """Wake the process at an instant."""
-        heapq.heappush(self._queue, (instant_ns, self.order, True, self))
-
-    def schedule(self, instant_ns: int) -> None:
-        """Set the process's own next instant; an entry that was queued for another one is passed over."""
-        self.next_ns = instant_ns
-        heapq.heappush(self._queue, (instant_ns, self.order, False, self))
-
-    def step(self, instant_ns: int) -> None:
-        """Step the process and queue what it asks for."""
-        scheduled = self.next_ns == instant_ns
-        if self.timed:
-            started_ns = stopwatch_ns()
-            next_ns = self.node.step(instant_ns)
-            self.durations_ns.append(stopwatch_ns() - started_ns)
-        else:
-            next_ns = self.node.step(instant_ns)
-        if scheduled or next_ns != self.next_ns:
-            self.schedule(max(next_ns, instant_ns + 1))
-
-
 class Lockstep:
-    """One run: build it, ``run`` it, read its ``recording``."""
+    """One run: build it, ``run`` it, read its ``recording``.
 
-    def __init__(self, config: Config) -> None:
+    Or drive it: ``request`` and ``advance`` as often as you like, look at ``status`` and ``nodes``, ``close`` it.
+    """
+
+    def __init__(self, config: Config, witness: Witness | None = None) -> None:
+        """Build every process; ``witness`` is told what each gate decides."""
         compile_kernels(config)
         self._config = config
         self.clock = SimulatedClock()
@@ -76,21 +55,89 @@ class Lockstep:
         self._hash = hashlib.blake2b(digest_size=16)
         self._said: list[tuple[str, bytes]] = []  # by the step that is under way
         self.bus.tap(self._said.append)
-        self._queue: list[tuple[int, int, bool, _Slot]] = []
-        self._slots: list[_Slot] = []
-        seed, clock, bus = config.run.seed, self.clock, self.bus
-        for robot in config.robots:
-            rng = generator(seed, "driver", robot.id)
-            self._add(partial(DriverProcess, config, (robot.id,), bus, clock, rng=rng, keeping=self.keeping))
-        charge_ns, rng = round(config.lockstep.tracker_delay_s * S), generator(seed, "tracker")
-        self._tracker = self._add(partial(Tracker, config, bus, clock, rng=rng, charge_ns=charge_ns))
-        self._add(lambda _: Supervisor(config, bus, clock, generator(seed, "supervisor")))
-        self._tracker.timed = True
-        self._controller = self._add(lambda _: Controller(config, bus, clock, generator(seed, "controller")))
-        self._controller.timed = True
+        self.faults = Schedule(config, self.clock) if config.faults else None
+        self._queue = EventQueue(self.clock)
+        self._witness = witness
+        self._add_processes()
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
-        self._status = RunStatus()
+        self.status = RunStatus()  # as the supervisor said it last
+
+    def _add_processes(self) -> None:
+        config, queue, faults = self._config, self._queue, self.faults
+        if faults is not None:
+            queue.add("faults", lambda _: ProcessFaults(faults, queue, self.bus))
+        for robot in config.robots:
+            queue.add(f"driver-{robot.id}", partial(self._driver, robot.id))
+        queue.add("tracker", self._made_tracker).timed = True
+        queue.add("supervisor", self._made_supervisor)
+        queue.add("controller", self._made_controller).timed = True
+        if faults is not None and faults.of("second_controller"):
+            queue.add(SECOND_CONTROLLER, self._made_controller).kill()
+
+    def _driver(self, robot: str, slot: Slot) -> DriverProcess:
+        keeping: Keeping = self.keeping if self.faults is None else FaultyKeeping(self.keeping, self.faults)
+        rng = self._rng(slot, "driver", robot)
+        bus, clock = self._edges(slot)
+        return DriverProcess(
+            self._config, (robot,), bus, clock, slot, rng, keeping, witness=self._witness, faults=self.faults
+        )
+
+    def _made_tracker(self, slot: Slot) -> Tracker:
+        charge_ns = round(self._config.lockstep.tracker_delay_s * S)
+        bus, clock = self._edges(slot)
+        return Tracker(self._config, bus, clock, slot, self._rng(slot), charge_ns=charge_ns, faults=self.faults)
+
+    def _made_supervisor(self, slot: Slot) -> Supervisor:
+        def free_bytes() -> int:
+            return 0 if self.faults is not None and self.faults.disk_is_full() else _PLENTY
+
+        bus, clock = self._edges(slot)
+        return Supervisor(
+            self._config, bus, clock, slot, self._rng(slot), free_bytes=free_bytes, attended=False, say=lambda _: None
+        )
+
+    def _made_controller(self, slot: Slot) -> Controller:
+        return Controller(self._config, *self._edges(slot), self._rng(slot))
+
+    def _edges(self, slot: Slot) -> tuple[Bus, Clock]:
+        """Return a process's bus and clock."""
+        if self.faults is None:
+            return self.bus, self.clock
+        clock: Clock = self.clock
+        if self.faults.of("clock_step", process=slot.name):
+            clock = slot.clock = SteppedClock(self.clock, self.faults, slot.name)
+        slot.bus = FaultyBus(self.bus, self.faults, slot.name, clock, simulated_router=True)
+        return slot.bus, clock
+
+    def _rng(self, slot: Slot, *key: str) -> np.random.Generator:
+        """Return a process's randomness: another one for every start."""
+        again = (f"start-{slot.starts}",) if slot.starts else ()
+        return generator(self._config.run.seed, *(key or (slot.name,)), *again)
+
+    @property
+    def nodes(self) -> dict[str, Node]:
+        """The processes by their names: supervisor, tracker, controller, driver-r1, ..."""
+        return {name: slot.node for name, slot in self._queue.slots.items() if slot.node is not None}
+
+    @property
+    def backlog(self) -> int:
+        """Steps that are queued."""
+        return len(self._queue.heap)
+
+    def request(self, payload: bytes) -> Answer:
+        """Ask the supervisor for something, as an operator does; take the answer after some milliseconds."""
+        return self.bus.ask(REQUEST, "supervisor", payload)
+
+    def advance(self, duration_s: float, done: Callable[[], bool] = lambda: False) -> bool:
+        """Let simulated time pass, or until something is true; returns whether it became true."""
+        return self._run_until(done, round(duration_s * S))
+
+    def close(self) -> None:
+        """Close every process."""
+        for node in self.nodes.values():
+            node.close()
+        self.recording.trace_hash = self._hash.hexdigest()
 
     def run(self, watch: Watch = lambda _recording, _phase: None) -> tuple[str, str | None]:
         """Arm, run for the configured time, stop, and let the robots come to rest; returns (outcome, cause)."""
@@ -98,66 +145,55 @@ class Lockstep:
         gc.freeze()
         gc.disable()
         try:
-            self.bus.ask(REQUEST, "supervisor", b"start")
-            self._run_until(lambda: self._status.phase is Phase.RUNNING, _READY_WITHIN_NS)
+            self.request(b"start")
+            self._run_until(lambda: self.status.phase is not Phase.IDLE, _ANSWER_WITHIN_NS)
+            self._run_until(lambda: self.status.phase is not Phase.ARMED, _ARMED_WITHIN_NS)
             outcome = self._lap(watch)
-            self.bus.ask(REQUEST, "supervisor", b"stop")
+            self.request(b"stop")
             self._run_until(lambda: False, _REST_NS)
         except KeyboardInterrupt:
             outcome = "stopped", "the operator interrupted"
         finally:
-            for slot in self._slots:
-                slot.node.close()
+            self.close()
             gc.enable()
             gc.unfreeze()
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
-        self.recording.tick_durations_ns = self._controller.durations_ns
-        self.recording.tracker_durations_ns = self._tracker.durations_ns
-        self.recording.trace_hash = self._hash.hexdigest()
+        self.recording.tick_durations_ns = self._queue.slots["controller"].durations_ns
+        self.recording.tracker_durations_ns = self._queue.slots["tracker"].durations_ns
         return outcome
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        if self._status.phase is not Phase.RUNNING:
-            why = missing(self.recording)
-            return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s: {why}"
+        if self.status.phase is not Phase.RUNNING:
+            return "fault", why(self.recording, self.status)
         while self._run_tick < last_tick:
-            self._run_until(lambda: self._status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
+            self._run_until(lambda: self.status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
             watch(self.recording, "running")
-            if self._status.phase is not Phase.RUNNING:
-                return "fault", self._status.describe(self._config.groups[0].robots)
+            if self.status.phase is not Phase.RUNNING:
+                return "fault", self.status.describe(self._config.groups[0].robots)
         return "completed", None
 
-    def _run_until(self, done: Callable[[], bool], within_ns: int) -> None:
-        """Step whatever is due next, until something is true or simulated time has passed."""
-        queue, clock = self._queue, self.clock
-        end_ns = clock.now_ns() + within_ns
+    def _run_until(self, done: Callable[[], bool], within_ns: int) -> bool:
+        """Step whatever is due next, until something is true or simulated time has passed; returns which."""
+        step, end_ns = self._queue.step, self.clock.now_ns() + within_ns
         while not done():
-            if queue[0][0] > end_ns:
-                clock.advance_to(end_ns)
-                return
-            instant_ns, _, woken, slot = heapq.heappop(queue)
-            if woken or instant_ns == slot.next_ns:
-                clock.advance_to(instant_ns)
-                slot.step(instant_ns)
-                if self._said:
-                    self._observe()
-
-    def _add(self, make: Callable[[_Slot], Node]) -> _Slot:
-        slot = _Slot(len(self._slots), self._queue)
-        self._slots.append(slot)
-        slot.node = make(slot)
-        slot.schedule(self.clock.now_ns())
-        return slot
+            if not step(end_ns):
+                return False
+            if self._said:
+                self._observe()
+        return True
 
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
-        update, messages = self._hash.update, self.recording.messages
+        update, add = self._hash.update, self.recording.add
         for full, payload in self._said:
             update(full.encode() + payload)
-            messages[full].append(payload)
+            add(full, payload)
             if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
                 self._run_tick = head[3]
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
-                self._status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
+                self.status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
+                if self.faults is not None and not self.faults.begun and self.status.phase is Phase.RUNNING:
+                    self.faults.begin(self.clock.now_ns())
+                    self._queue.slots["faults"].schedule(self.clock.now_ns())
         self._said.clear()

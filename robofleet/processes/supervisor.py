@@ -1,31 +1,29 @@
 """The supervisor: it owns the run's state and says every 40 ms to every driver whether its wheels may move."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import ENABLE, REQUEST, STATE, STATUS, TICK
+from robofleet.clock import MS, Clock
+from robofleet.comms.bus import Bus, Request, Wake
+from robofleet.comms.keys import ENABLE, REQUEST, STATE
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import (
-    ROBOT_STATUS,
-    RUN_STATE,
-    TICK_RECORD,
-    Enable,
-    RobotState,
-    RobotStatus,
-    RunState,
-    TickRecord,
-)
+from robofleet.comms.messages import RUN_STATE, Enable, RobotState, RunState
 from robofleet.config import slices
 from robofleet.config.tree import Config
-from robofleet.safety import supervisor
-from robofleet.safety.arming import Stage
+from robofleet.processes.fleet_view import FleetListener
+from robofleet.safety import arming, monitor, supervisor
+from robofleet.safety.arming import ArmingSettings, ArmingState
 from robofleet.safety.gate import Latch
-from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase, RunStatus
+from robofleet.safety.monitor import Memory, MonitorSettings
+from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
+from robofleet.safety.supervisor import Event, Happening, Phase, RunStatus, describe
+from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.safety.wiggle import PROBE_RAD_S
 
 _PERIOD_NS = 40 * MS
-_SILENT_NS = S // 2
-_LOST_NS = 2 * S
+_ACKNOWLEDGED_WITHIN_NS = 200 * MS
+_CLEARED_WITHIN_NS = 500 * MS  # some enables and statuses; a latch that is still there was made anew
 
 _REQUESTS = {
     b"start": Event.START_REQUESTED,
@@ -33,86 +31,213 @@ _REQUESTS = {
     b"hold": Event.HOLD_REQUESTED,
     b"resume": Event.RESUME_REQUESTED,
     b"estop": Event.ESTOP_REQUESTED,
+    b"reset": Event.RESET,
 }
 
 
 class Supervisor:
-    """Requests of the operator and the fleet's health drive one transition table."""
+    """Requests of the operator and what is seen of the fleet drive one transition table.
 
-    def __init__(self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator) -> None:
+    ``free_bytes`` returns the room left where the run is recorded, ``attended`` asks for signs of the operator's life,
+    and ``say`` is given a line for each change of the run and for each robot that is stopped.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        bus: Bus,
+        clock: Clock,
+        wake: Wake,
+        rng: np.random.Generator,
+        *,
+        free_bytes: Callable[[], int],
+        attended: bool,
+        say: Callable[[str], None],
+    ) -> None:
         robots = config.platoon
+        drives = [slices.drive(robot) for robot in robots]
+        radii = tuple(robot.vehicle.body_radius_m for robot in robots)
+        build, arena = slices.build(config), config.arena.size_m
         self._epoch = slices.drawn_id(rng, 32)
+        self._ids = tuple(robot.id for robot in robots)
         self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
-        now_ns = clock.now_ns()
-        self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
-        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
+        self._monitoring = MonitorSettings(build, radii, arena, attended)
+        self._arming = ArmingSettings(
+            build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
+        )
+        self._say = say
+        self._listener = FleetListener(config, bus, free_bytes)
         self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
         self._publish_state = bus.publisher(STATE)
-        self._request = bus.serve(REQUEST, "supervisor")
+        self._request = bus.serve(REQUEST, "supervisor", wake)
         self._status = RunStatus()
-        self._newest: list[RobotStatus | None] = [None] * len(robots)
-        self._heard_ns = [0] * len(robots)
-        self._seen_ns = [now_ns] * len(robots)
-        self._tick: TickRecord | None = None
-        self._tick_ns = 0
-        self._next_ns = now_ns
+        self._view = FleetView(clock.now_ns(), tuple(RobotView() for _ in robots))
+        self._memory = Memory()
+        self._standing: tuple[Happening, ...] = ()  # of the newest view
+        self._checks: ArmingState | None = None  # while ARMED
+        self._robots = tuple(RobotState(0, 0, Event.NOTHING) for _ in robots)  # as published last
+        self._permitted = [0.0] * len(robots)  # fastest wheel [rad/s]
+        self._operator_ns = NEVER
+        self._naming_ns: int | None = None  # when who has not answered the emergency stop will be named
+        self._clear = [0] * len(robots)  # latches that a reset clears, by their ids; 0: none
+        self._resets: list[Request] = []  # that wait for the gates to be clear
+        self._resets_end_ns = 0  # when they have waited long enough
+        self._next_ns = clock.now_ns()
         self._seq = 0
 
     def step(self, now_ns: int) -> int:
-        """Listen, decide, and publish when due or when the state changed."""
-        before = self._status
-        self._listen(now_ns)
-        for event, robot in self._events(now_ns):
-            self._status = supervisor.step(self._status, Happening(event, robot))
-        if now_ns >= self._next_ns or self._status != before:
+        """Listen, decide, and publish when due or when something changed."""
+        before = (self._status, self._checks, self._robots, self._clear)
+        self._view = self._listener.look(now_ns, self._operator_ns)
+        self._memory, self._standing = monitor.watch(self._memory, self._monitoring, self._status.phase, self._view)
+        for happening in self._standing:
+            self._happen(happening)
+        while (request := self._request()) is not None:
+            self._serve(request)
+        self._arm()
+        self._finish_resets()
+        self._judge_robots()
+        if now_ns >= self._next_ns or (self._status, self._checks, self._robots, self._clear) != before:
             self._publish()
-        if now_ns >= self._next_ns:
+        if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
         return self._next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when enables cease."""
 
-    def _listen(self, now_ns: int) -> None:
-        for row, inbox in enumerate(self._statuses):
-            if (status := inbox.take()) is not None:
-                self._newest[row] = status
-                self._heard_ns[row] = now_ns
-        if (record := self._ticks.take()) is not None:
-            self._tick, self._tick_ns = record, now_ns
-            for row, robot in enumerate(record.robots[: len(self._seen_ns)]):
-                if not robot.lost:
-                    self._seen_ns[row] = now_ns
+    def _happen(self, happening: Happening) -> None:
+        before, self._status = self._status, supervisor.step(self._status, happening)
+        if self._status.phase is not before.phase:
+            self._say(f"{before.phase.name} -> {self._status.phase.name}: {self._status.describe(self._ids)}")
+            self._naming_ns = None
+            if self._status.phase is Phase.ESTOP:
+                self._naming_ns = self._view.now_ns + _ACKNOWLEDGED_WITHIN_NS
 
-    def _events(self, now_ns: int) -> list[tuple[Event, int]]:
-        events = []
-        while (request := self._request()) is not None:
-            event = _REQUESTS.get(request.payload)
-            request.reply(b"ok" if event is not None else b"unknown request " + request.payload)
-            if event is not None:
-                events.append((event, NOBODY))
-        silent = [row for row, heard in enumerate(self._heard_ns) if now_ns - heard > _SILENT_NS]
-        lost = [row for row, seen in enumerate(self._seen_ns) if now_ns - seen > _LOST_NS]
-        controlled = self._tick is not None and now_ns - self._tick_ns <= _SILENT_NS
-        if not controlled:
-            events.append((Event.CONTROLLER_SILENT, NOBODY))
-        events += [(Event.DRIVER_SILENT, row) for row in silent]
-        events += [(Event.TAG_LOST, row) for row in lost]
-        if self._tick is not None and controlled and not silent and not any(r.lost for r in self._tick.robots):
-            events.append((Event.PROVED, NOBODY))
-        return events
+    def _arm(self) -> None:
+        """Go on with the checks before a start."""
+        if self._status.phase is Phase.ARMED:
+            checks = self._checks or arming.begin(self._view.now_ns)
+            self._checks, happening = arming.step(checks, self._arming, self._view)
+            if happening is not None:
+                self._happen(happening)
+        if self._status.phase is not Phase.ARMED:
+            self._checks = None
+
+    def _serve(self, request: Request) -> None:
+        """Do what an operator asks for, or say why not."""
+        if request.payload == b"status":
+            request.reply(f"ok: {self._describe()}".encode())
+        elif request.payload == b"attended":
+            self._operator_ns = self._view.now_ns
+            request.reply(b"ok")
+        elif (event := _REQUESTS.get(request.payload)) is None:
+            known = ", ".join(name.decode() for name in (*_REQUESTS, b"status"))
+            request.reply(f"refused: {request.payload!r} is not one of {known}".encode())
+        elif (why := refusal(event, self._status, self._standing, self._view, self._ids)) is not None:
+            request.reply(f"refused: {why}".encode())
+        elif event is Event.RESET:
+            self._reset(request)
+        else:
+            if event is Event.START_REQUESTED:
+                self._operator_ns = self._view.now_ns
+            self._happen(Happening(event))
+            request.reply(b"ok")
+
+    def _reset(self, request: Request) -> None:
+        """Clear every latch that is there now; the answer waits until the gates say so."""
+        self._clear = [seen.latch_id if seen.latch else 0 for seen in self._view.robots]
+        if not self._resets:
+            self._resets_end_ns = self._view.now_ns + _CLEARED_WITHIN_NS
+        self._resets.append(request)
+        self._happen(Happening(Event.RESET))
+
+    def _finish_resets(self) -> None:
+        if not self._resets:
+            return
+        phase, held = self._status.phase, latched(self._view, self._ids)
+        if phase is Phase.IDLE and held and self._view.now_ns < self._resets_end_ns:
+            return
+        answer = f"refused: {', '.join(held)}: the gate stays latched: look at the robot, then reset" if held else "ok"
+        for request in self._resets:
+            request.reply((answer if phase is Phase.IDLE else f"refused: {WAY_OUT[phase]}").encode())
+        self._resets, self._clear = [], [0] * len(self._ids)
+
+    def _describe(self) -> str:
+        """Return where the run is, what led there, and what holds whom, in a line."""
+        parts = [f"{self._status.phase.name}: {self._status.describe(self._ids)}"]
+        parts += dict.fromkeys(describe(happening, self._ids) for happening in self._standing)
+        if unanswered := self._unanswered():
+            parts.append(f"not acknowledged by {', '.join(unanswered)}")
+        return "; ".join(parts)
+
+    def _unanswered(self) -> list[str]:
+        """Return who has not acknowledged the emergency stop."""
+        if self._status.phase is not Phase.ESTOP:
+            return []
+        return [robot for robot, state in zip(self._ids, self._robots, strict=True) if not state.acknowledged]
+
+    def _judge_robots(self) -> None:
+        """Find out who may move; say who must stand, and who keeps its gate open in an emergency stop."""
+        causes: dict[int, Happening] = {}
+        for happening in self._standing:
+            causes.setdefault(happening.robot, happening)
+        emergency = self._status.phase is Phase.ESTOP
+        self._permitted = [0.0 if row in causes else self._limit(row) for row in range(len(self._ids))]
+        before = self._robots
+        self._robots = tuple(
+            RobotState(
+                int(self._permitted[row] > 0.0),
+                int(emergency and acknowledged(seen)),
+                causes[row].event if row in causes else Event.NOTHING,
+            )
+            for row, seen in enumerate(self._view.robots)
+        )
+        for row, (old, new) in enumerate(zip(before, self._robots, strict=True)):
+            if new.cause not in (old.cause, Event.NOTHING) and self._status.phase is Phase.RUNNING:
+                self._say(f"stands: {describe(causes[row], self._ids)}")
+        if self._naming_ns is not None and self._view.now_ns >= self._naming_ns:
+            self._naming_ns = None
+            if unanswered := self._unanswered():
+                self._say(f"the emergency stop is not acknowledged by {', '.join(unanswered)}")
+
+    def _limit(self, row: int) -> float:
+        """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""
+        if self._status.phase is Phase.RUNNING:
+            return self._limits[row]
+        if self._checks is not None and self._checks.probed == row:
+            return min(PROBE_RAD_S, self._limits[row])
+        return 0.0
 
     def _publish(self) -> None:
         self._seq += 1
         phase, cause, robot, detail = self._status
-        running = phase is Phase.RUNNING
-        robots = tuple(RobotState(int(running), 0, Event.NOTHING) for _ in self._newest)
-        state = RunState(self._epoch, self._seq, phase, cause, robot, detail, Stage.CHECKS, NOBODY, 0, robots)
+        checks = self._checks or ArmingState()
+        state = RunState(
+            self._epoch,
+            self._seq,
+            phase,
+            cause,
+            robot,
+            detail,
+            checks.stage,
+            checks.probed,
+            checks.stroke,
+            self._robots,
+        )
         self._publish_state(RUN_STATE.encode(state))
-        latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else Latch.NONE
-        for publish, status, limit in zip(self._enables, self._newest, self._limits, strict=True):
+        latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else checks.latch
+        for row, (publish, status) in enumerate(zip(self._enables, self._listener.statuses, strict=True)):
             if status is not None:
                 enable = Enable(
-                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, 0, limit if running else 0.0
-                )
+                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
+                    self._permitted[row],
+                )  # fmt: skip
                 publish(ENABLE_LAYOUT.encode(enable))
+
+    def _cleared(self, row: int) -> int:
+        """Return the id of the latch that a robot's gate may clear; a drill's needs no reset, it was no incident."""
+        seen = self._view.robots[row]
+        if seen.latch == Latch.DRILL and (self._checks is None or self._checks.clear):
+            return seen.latch_id
+        return self._clear[row]

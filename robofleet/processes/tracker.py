@@ -2,7 +2,6 @@
 
 import sys
 from functools import partial
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,6 +13,8 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
+from robofleet.simulation.faults import Schedule
+from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses
 from robofleet.simulation.sources import TruthSource
 from robofleet.tracking.events import Happening
 from robofleet.tracking.sight import FleetSight
@@ -21,37 +22,16 @@ from robofleet.tracking.sources import (
     CameraContext,
     CameraPoller,
     CameraReader,
+    Feed,
     Lost,
+    Observation,
+    PoseSource,
     ReopenedCamera,
     ScheduledCamera,
 )
 from robofleet.tracking.watch import CameraWatch
 
 _IDLE_NS = 100 * MS
-
-
-class Observation(NamedTuple):
-    """What one image says."""
-
-    exposure_ns: int  # mid-exposure [this host's clock]
-    poses: tuple[TagPose, ...]
-    refused: int
-
-
-class PoseSource(Protocol):
-    """Gives observations as they become ready."""
-
-    def next_ns(self) -> int | None:
-        """Return when the next one will be ready [ns]; None: a message or a camera will wake the process."""
-
-    def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
-
-    def news(self) -> tuple[Happening, ...]:
-        """Return what happened to the camera and to the tags since the last call, with an image or without one."""
-
-    def close(self) -> None:
-        """Let go of the device."""
 
 
 class Tracker:
@@ -66,6 +46,7 @@ class Tracker:
         rng: np.random.Generator,
         *,
         charge_ns: int = 0,
+        faults: Schedule | None = None,
     ) -> None:
         self._tick_ns = round(config.controller.tick_s * S)
         self._ticks = TickFollower(bus, self._tick_ns, wake)
@@ -75,7 +56,9 @@ class Tracker:
             self._source: PoseSource = _TruthPoses(TruthSource(config, bus, self._ticks, clock, rng))
         else:
             context = CameraContext(config, clock, bus, self._ticks, rng, charge_ns)
-            self._source = _CameraPoses(context, wake)
+            self._source = _CameraPoses(context, wake, faults)
+        if faults is not None:
+            self._source = FaultyPoses(self._source, faults, config)
         self._publish = bus.publisher(POSES, CAMERA)
         self._publish_news = bus.publisher(NEWS, CAMERA)
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
@@ -139,12 +122,14 @@ def compile_kernels(config: Config) -> None:
 class _CameraPoses:
     """A camera's images through the detector, those that can be believed."""
 
-    def __init__(self, context: CameraContext, wake: Wake) -> None:
+    def __init__(self, context: CameraContext, wake: Wake, faults: Schedule | None) -> None:
         config, camera = context.config, context.config.camera
         open_camera = partial(load("robofleet.cameras", camera.source), context)
         first = open_camera()
         device = ReopenedCamera(first, open_camera, camera.model.camera)
-        self._feed = CameraPoller(device) if isinstance(first, ScheduledCamera) else CameraReader(device, wake)
+        self._feed: Feed = CameraPoller(device) if isinstance(first, ScheduledCamera) else CameraReader(device, wake)
+        if faults is not None:
+            self._feed = FaultyFeed(self._feed, faults)
         self._ticks = context.ticks
         self._free = camera.trigger == "free"
         period_s = 1 / camera.rate_hz if self._free else config.controller.tick_s

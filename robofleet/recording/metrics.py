@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.control.path import Path
+from robofleet.recording.causes import named
 from robofleet.recording.run import Array, Recording, Run
-from robofleet.safety.gate import GateStatus
+from robofleet.recording.stops import stops
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 Figures = dict[str, Any]
@@ -45,10 +46,9 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "latency_ms": _latency(run),
         "saturated_fraction": _rounded(run.items["saturated"].mean()) if len(run.t) else None,
         "filtered_fraction": _rounded((run.items["filtered"] > 0).mean()) if len(run.t) else None,
-        "stops": _stops(run),
+        "stops": stops(run),
         "rejected": {
-            robot.id: int(status["rejected"][-1]) if len(status) else None
-            for robot, status in zip(config.platoon, run.statuses, strict=True)
+            robot.id: _rejected(run, status) for robot, status in zip(config.platoon, run.statuses, strict=True)
         },
     }
 
@@ -163,7 +163,7 @@ def _events(run: Run) -> list[Figures]:
     return [
         {
             "t_s": _rounded((int(row["stamp_ns"]) - start_ns) / 1e9),
-            "event": TrackerEvent(row["event"]).name.lower(),
+            "event": named(TrackerEvent, row["event"]).replace(" ", "_"),
             "tag": None if row["tag"] == NO_TAG else int(row["tag"]),
             "value": _rounded(row["value"]),
         }
@@ -210,23 +210,12 @@ def _latency(run: Run) -> Figures | None:
     }
 
 
-def _stops(run: Run) -> list[Figures]:
-    """Times at which a robot was stopped while the run was on: its gate closed, or it was lost and stood still."""
-    stops: list[Figures] = []
-    if not len(run.ticks):
-        return stops
-    start, end = run.ticks["stamp_ns"][0], run.ticks["stamp_ns"][-1]
-    for robot, status in zip(run.config.platoon, run.statuses, strict=True):
-        closed = (status["gate"][1:] != GateStatus.OPEN) & (status["gate"][:-1] == GateStatus.OPEN)
-        for row in status[1:][closed]:
-            if start < row["stamp_ns"] <= end:
-                t_s = _rounded((int(row["stamp_ns"]) - int(start)) / 1e9)
-                cause = GateStatus(row["gate"]).name.lower().replace("_", " ")
-                stops.append({"t_s": t_s, "robot": robot.id, "cause": cause})
-    for robot, lost in zip(run.config.platoon, run.items["lost"].T, strict=True):
-        for k in np.flatnonzero(np.diff(lost, prepend=0.0) > 0):
-            stops.append({"t_s": _rounded(run.t[k]), "robot": robot.id, "cause": "not seen by the tracker"})
-    return sorted(stops, key=lambda stop: stop["t_s"])
+def _rejected(run: Run, status: NDArray[Any]) -> int | None:
+    """Messages that a driver refused since the run began: before, whoever held the lease last may still be heard."""
+    if not len(status) or not len(run.ticks):
+        return None
+    before = max(0, int(np.searchsorted(status["stamp_ns"], run.ticks["stamp_ns"][0])) - 1)
+    return int(status["rejected"][-1]) - int(status["rejected"][before])
 
 
 def _percentiles(values: Array, percents: tuple[int, ...]) -> Figures | None:

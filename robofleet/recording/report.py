@@ -10,6 +10,7 @@ Summary = dict[str, Any]
 
 PAPER_CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
 PAPER_SPACING_M = 0.25  # IV-C: d
+_SHOWN = 4  # stops
 
 
 def summary_table(summary: Summary) -> Table:
@@ -75,6 +76,35 @@ def _health(s: Summary) -> list[tuple[str, str, str, str]]:
         latency = s["latency_ms"]["exposure_to_wheel"]
         rows.append(("exposure to wheel, ms", f"{latency['p50']:.1f}, {latency['p99']:.1f}", "-", ""))
     if s["stops"]:
-        stops = "; ".join(f"{stop['robot']} at {stop['t_s']:.1f} s: {stop['cause']}" for stop in s["stops"][:4])
-        rows.append(("gates closed on the way", str(len(s["stops"])), "-", stops))
+        stops = "\n".join(map(_stop, s["stops"][:_SHOWN]))
+        rows.append(("robots stopped on the way", str(len(s["stops"])), "-", stops))
     return rows
+
+
+def _stop(stop: dict[str, Any]) -> str:
+    took = "" if stop["output_ms"] is None else f" (still after {stop['output_ms']:.0f} ms)"
+    return f"{stop['robot']} at {stop['t_s']:.1f} s: {stop['cause']}{took}"
+
+
+def status_table(status: dict[str, Any]) -> Table:
+    """Return what a running arena says of itself: ``processes.operator.status``."""
+    phase, cause = status["phase"] or "the supervisor is silent", status["cause"]
+    table = Table(
+        title=Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold"),
+        title_justify="left",
+        caption=f"{status['folder']}, since {status['started']}, process {status['pid']}",
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for column in ("robot", "gate", "latch", "battery", "heard", "halted"):
+        table.add_column(column)
+    for robot in status["robots"]:
+        if robot["gate"] is None:
+            table.add_row(robot["id"], Text("silent", "bold red"), "", "", "", robot["halted"])
+            continue
+        battery = "unknown" if robot["battery"] is None else f"{100 * robot['battery']:.0f} %"
+        gate = Text(robot["gate"], "green" if robot["gate"] == "open" else "yellow")
+        latch = Text(robot["latch"], "" if robot["latch"] == "none" else "bold red")
+        table.add_row(robot["id"], gate, latch, battery, f"{robot['age_ms']:.0f} ms ago", robot["halted"])
+    return table

@@ -1,16 +1,17 @@
 """What a run left: every message, and the columns that its figures are made from."""
 
+from array import array
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.layouts import Layout
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RunState
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
@@ -29,15 +30,23 @@ class Recording:
     trace_hash: str | None = None
     tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
     tracker_durations_ns: list[int] | None = None
+    _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
+    _count: int = 0
 
     def add(self, full: str, payload: bytes) -> None:
         """Keep a message."""
+        self._count += 1
         self.messages[full].append(payload)
+        self._places[full].append(self._count)
 
     def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
         """Return the messages of a key as a structured array; those of another size are left out."""
         payloads = [p for p in self.messages.get(full, ()) if len(p) == layout.size]
         return np.frombuffer(b"".join(payloads), dtype=layout.dtype)
+
+    def placed(self, full: str) -> Iterator[tuple[int, bytes]]:
+        """Yield the messages of a key, each with its place in the order of all messages."""
+        return zip(self._places.get(full, ()), self.messages.get(full, ()), strict=True)
 
 
 Watch = Callable[[Recording, str], None]  # called during a run with what came so far, and the phase's name
@@ -56,11 +65,16 @@ class Run:
         self.t = self.ticks["run_tick"] * config.controller.tick_s
         self.items = self.ticks["items"]
         self.statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
+        self.status_places = [
+            [place for place, p in recording.placed(key(arena, STATUS, r.id)) if len(p) == ROBOT_STATUS.size]
+            for r in robots
+        ]
         self.path = Path.hermite(*slices.knots(config.groups[0]))
         truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
         self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
         self.news = recording.rows(key(arena, NEWS, CAMERA), TRACKER_NEWS)
+        self.states = _changes(recording, key(arena, STATE))
         self.frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
@@ -83,3 +97,13 @@ class Run:
     def after(self, start_s: float) -> NDArray[np.bool_]:
         """Return which ticks count."""
         return np.asarray(self.t >= start_s)
+
+
+def _changes(recording: Recording, full: str) -> list[tuple[int, RunState]]:
+    """Return the run's states, each with its place in the order of all messages; repetitions are left out."""
+    changes: list[tuple[int, RunState]] = []
+    for place, payload in recording.placed(full):
+        state = RUN_STATE.decode(payload)
+        if state is not None and (not changes or state[2:] != changes[-1][1][2:]):
+            changes.append((place, state))
+    return changes

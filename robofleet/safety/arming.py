@@ -1,11 +1,28 @@
-"""What is proved on the live system before a fleet starts: the checks, the e-stop drill, the wiggle."""
+"""What is proved on the live system before a fleet starts: the checks, the e-stop drill, the wiggle.
 
+What is missing is waited for; what is wrong for good refuses the start at once. Either way the robot is named.
+"""
+
+import math
 from enum import IntEnum
+from itertools import combinations
 from typing import NamedTuple
 
+from robofleet.safety import wiggle
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Happening
-from robofleet.safety.view import FleetView
+from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.safety.wiggle import Wiggle
+from robofleet.vehicles.interface import WIRED_STOP
+
+_PATIENCE_NS = 5_000_000_000  # for what may still come: a lease, a tag, rest
+_SILENT_NS = 500_000_000  # a process that said nothing for so long is not there
+_FRESH_NS = 150_000_000  # four images of a 30 Hz camera
+_ANSWER_NS = 200_000_000  # from the e-stop to its acknowledgement
+_CLEAR_NS = 1_000_000_000
+_CHARGE = 0.2
+_FREE_BYTES = 200_000_000
+_MARGIN_M = 0.01  # between two bodies, and from a wall, wherever a wiggle may lead
 
 
 class Stage(IntEnum):
@@ -17,26 +34,24 @@ class Stage(IntEnum):
     DONE = 3
 
 
-class Stroke(NamedTuple):
-    """What a probed robot is asked to do: shares of the probing speed."""
-
-    left: float
-    right: float
-
-
-PROBE_RAD_S = 4.0
-STROKES = (Stroke(0.0, 0.0), Stroke(1.0, 0.0), Stroke(0.0, 1.0), Stroke(-1.0, -1.0))  # 0: stand
-
-
 class ArmingState(NamedTuple):
     """Where the checks are, and what they ask for now."""
 
     stage: Stage = Stage.CHECKS
     since_ns: int = 0  # when this stage began
     latch: Latch = Latch.NONE  # that every gate is to close by
-    clear: bool = False  # every gate's latch may be cleared
-    probed: int = NOBODY
-    stroke: int = 0
+    clear: bool = False  # every gate's drill may be cleared
+    wiggle: Wiggle = Wiggle()
+
+    @property
+    def probed(self) -> int:
+        """The robot whose wheels are tried, or NOBODY."""
+        return self.wiggle.robot
+
+    @property
+    def stroke(self) -> int:
+        """Index in STROKES of what it must do; 0: stand."""
+        return self.wiggle.stroke
 
 
 class ArmingSettings(NamedTuple):
@@ -56,6 +71,110 @@ def begin(now_ns: int) -> ArmingState:
 
 def step(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
     """Go on; a happening is Event.PROVED at the end, or why the fleet must not start."""
-    robots = view.robots
-    ready = view.controller_ns and view.tracker_ns and all(r.heard_ns and r.seen_ns and r.session for r in robots)
-    return (state._replace(stage=Stage.DONE), Happening(Event.PROVED)) if ready else (state, None)
+    wrong = _wrong(settings, view)
+    if wrong is not None:
+        return state, wrong
+    if state.stage is Stage.CHECKS:
+        return _check(state, settings, view)
+    if state.stage is Stage.DRILL:
+        return _drill(state, view)
+    if state.stage is Stage.WIGGLE:
+        going, happening = wiggle.step(state.wiggle, settings.wheel_radius, settings.wheel_base, view)
+        state = state._replace(wiggle=going)
+        if going.robot == len(view.robots):
+            return ArmingState(Stage.DONE, view.now_ns), Happening(Event.PROVED)
+        return state, happening
+    return state, None
+
+
+def _wrong(settings: ArmingSettings, view: FleetView) -> Happening | None:
+    """Return what waiting does not mend."""
+    for heard_ns, build in ((view.controller_ns, view.controller_build), (view.tracker_ns, view.tracker_build)):
+        if heard_ns != NEVER and build != settings.build:
+            return Happening(Event.OTHER_BUILD)
+    for row, robot in enumerate(view.robots):
+        if robot.heard_ns != NEVER and (unfit := _unfit(robot, settings.build)):
+            return Happening(unfit[0], row, unfit[1])
+    return Happening(Event.DISK_FULL) if view.free_bytes < _FREE_BYTES else None
+
+
+def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
+    if robot.build != build:
+        fault: tuple[Event, float] | None = (Event.OTHER_BUILD, 0.0)
+    elif robot.faults & WIRED_STOP:
+        fault = Event.WIRED_STOP, 0.0
+    elif robot.faults:
+        fault = Event.ROBOT_FAULT, robot.faults
+    elif robot.latch > Latch.DRILL:
+        fault = Event.GATE_LATCHED, robot.latch
+    elif 0.0 <= robot.battery < _CHARGE:
+        fault = Event.BATTERY_LOW, robot.battery
+    else:
+        fault = None
+    return fault
+
+
+def _check(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
+    missing = _missing(view)
+    if missing is not None:
+        drilled = any(robot.latch for robot in view.robots)  # by a start that was broken off
+        waited = view.now_ns - state.since_ns >= _PATIENCE_NS
+        return state._replace(clear=drilled), missing if waited else None
+    cramped = _cramped(settings, view)
+    if cramped is not None:
+        return state, cramped
+    return ArmingState(Stage.DRILL, view.now_ns, Latch.DRILL), None
+
+
+def _missing(view: FleetView) -> Happening | None:
+    """Return what may still come, the gravest first."""
+    now_ns = view.now_ns
+    if _silent(now_ns, view.controller_ns):
+        return Happening(Event.CONTROLLER_SILENT)
+    if _silent(now_ns, view.tracker_ns):
+        return Happening(Event.TRACKER_SILENT)
+    rows = list(enumerate(view.robots))
+    checks = (
+        (Event.DRIVER_SILENT, lambda r: _silent(now_ns, r.heard_ns)),
+        (Event.TAG_LOST, lambda r: max(now_ns - r.seen_ns, r.unseen_ns) >= _FRESH_NS),
+        (Event.LEASE_LOST, lambda r: not r.session or r.session != view.robots[0].session),
+        (Event.GATE_LATCHED, lambda r: r.latch != Latch.NONE),
+        (Event.NOT_AT_REST, lambda r: not r.at_rest),
+    )
+    return next((Happening(event, row) for event, fails in checks for row, robot in rows if fails(robot)), None)
+
+
+def _silent(now_ns: int, heard_ns: int) -> bool:
+    return now_ns - heard_ns >= _SILENT_NS
+
+
+def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
+    """Return who stands outside, or where a wiggle that goes wrong may end at somebody or at a wall."""
+    poses = [robot.pose for robot in view.robots]
+    free = [_MARGIN_M + wiggle.room_m(radius) for radius in settings.wheel_radius]
+    for row, ((x, y, _), body) in enumerate(zip(poses, settings.body_radius, strict=True)):
+        gap = min(settings.arena[0] / 2.0 - abs(x), settings.arena[1] / 2.0 - abs(y)) - body
+        if gap < 0.0:
+            return Happening(Event.OUTSIDE_ARENA, row)
+        if gap < free[row]:
+            return Happening(Event.TOO_CLOSE, row, NOBODY)
+    for one, other in combinations(range(len(poses)), 2):
+        gap = math.dist(poses[one][:2], poses[other][:2]) - settings.body_radius[one] - settings.body_radius[other]
+        if gap < max(free[one], free[other]):
+            return Happening(Event.TOO_CLOSE, one, other)
+    return None
+
+
+def _drill(state: ArmingState, view: FleetView) -> tuple[ArmingState, Happening | None]:
+    """The e-stop, tried on all at once: every gate shows it, then none does."""
+    waited_ns = view.now_ns - state.since_ns
+    latched = [bool(robot.latch) for robot in view.robots]
+    if state.latch:
+        if all(latched):
+            return ArmingState(Stage.DRILL, view.now_ns, clear=True), None
+        late = waited_ns >= _ANSWER_NS
+        return state, Happening(Event.ESTOP_UNANSWERED, latched.index(False)) if late else None
+    if not any(latched):
+        return ArmingState(Stage.WIGGLE, view.now_ns, wiggle=wiggle.begin(view)), None
+    late = waited_ns >= _CLEAR_NS
+    return state, Happening(Event.GATE_LATCHED, latched.index(True), Latch.DRILL) if late else None

@@ -19,9 +19,10 @@ from robofleet.vehicles.interface import STOP, WheelSpeeds
 VALID_NS = 120_000_000
 LAPSE_NS = 1_000_000_000  # a lease whose holder gave no command for so long is free, if the robot is at rest
 RAMP_NS = 5_000_000  # while the output is on its way it is renewed so often
+UNKNOWN = -1  # a stop's figure before the first stop, or when the clock was set back
 _LONGEST_RAMP_NS = 20_000_000  # what a process that was held up may catch up with in one step
 _TOLERANCE = 1.01  # of a limit; more is refused, not clamped
-_NEVER = -1
+_NEVER = -VALID_NS  # as a nonce: too old at every instant
 
 
 class GateStatus(IntEnum):
@@ -42,6 +43,7 @@ class Latch(IntEnum):
     EMERGENCY_STOP = 2
     WIRED_STOP = 3  # the robot's own e-stop input
     DRIVER_FAILED = 4  # the robot could not be written to or read from
+    MEMORY_LOST = 5  # nobody knows what held it before its driver was started again
 
 
 class LeaseAction(IntEnum):
@@ -50,18 +52,6 @@ class LeaseAction(IntEnum):
     ACQUIRE = 1
     TAKE_OVER = 2  # also from a controller that is alive
     RELEASE = 3
-
-
-class Refusal(IntEnum):
-    """Why a message was refused."""
-
-    NOTHING = 0
-    BOOT = 1  # it answers another start of this driver
-    STALE = 2  # its nonce is too old, or of the future
-    EPOCH = 3  # of another lease
-    SESSION = 4  # of a controller that has no lease
-    SEQUENCE = 5  # not above the last
-    LIMIT = 6  # faster than the robot may go
 
 
 class Command(NamedTuple):
@@ -93,7 +83,7 @@ class Inputs(NamedTuple):
     command: Command | None = None
     permission: Permission | None = None
     lease: tuple[int, LeaseAction] | None = None  # a session, and what it asks
-    latch: Latch = Latch.NONE  # the robot's own reason to stop
+    latch: Latch = Latch.NONE  # the robot's own reason to stop, while it lasts
     turning: bool = False  # a wheel turns, as measured
 
 
@@ -111,47 +101,51 @@ class GateState(NamedTuple):
     wheels: WheelSpeeds = STOP
     enabled: tuple[int, int] = (_NEVER, 0)  # nonce and sequence number of the permission accepted last
     limit: float = 0.0
+    target: WheelSpeeds = STOP
     output: WheelSpeeds = STOP
     at_ns: int = 0  # of the last step
-    moving: bool = False  # the target was not zero in the last step
-    target_after_ns: int = _NEVER  # last stop: nonce's issue to zero target
-    output_after_ns: int = _NEVER  # and to zero output
+    moved_by: int = _NEVER  # older one of the two nonces by which the target was last not zero
+    target_after_ns: int = UNKNOWN  # last stop: that nonce's issue to zero target
+    output_after_ns: int = UNKNOWN  # and to zero output
     refused: int = 0
-    why: Refusal = Refusal.NOTHING  # of the newest refusal
 
 
 class GateOutput(NamedTuple):
-    """What the wheels are given, and why; what to keep and to answer; when to ask again at the latest."""
+    """What the wheels are given, and why; what to answer; when to ask again at the latest."""
 
     output: WheelSpeeds
     target: WheelSpeeds
     status: GateStatus
-    applied: bool  # the command of this step was accepted and is the target
     granted: bool | None  # the answer to a lease request; None: there was none
-    keep: bool  # epoch or latch changed: they must be on disk before an answer goes out
-    deadline_ns: int | None
+    deadline_ns: int | None  # nothing changes before, unless something comes
 
 
 def step(state: GateState, drive: DifferentialDrive, inputs: Inputs, now_ns: int) -> tuple[GateState, GateOutput]:
     """Take what arrived since the last step and return the wheel speeds that are allowed now."""
-    before = state
-    if now_ns < state.at_ns:  # time ran backwards: nothing that was said counts any more
-        state = state._replace(boot_id=state.boot_id + 1, command_nonce=_NEVER, enabled=(_NEVER, 0), limit=0.0)
+    if now_ns < state.at_ns:
+        state = _started_anew(state, now_ns)
+    at_rest = state.output == STOP and not inputs.turning
     if inputs.latch:
         state = _latched(state, inputs.latch)
     if inputs.permission is not None:
-        state = _take_permission(state, inputs.permission, inputs.turning, now_ns)
+        state = _take_permission(state, inputs.permission, at_rest and not inputs.latch, now_ns)
     granted = None
     if inputs.lease is not None:
-        state, granted = _take_lease(state, *inputs.lease, inputs.turning, now_ns)
-    seq = state.seq
+        state, granted = _take_lease(state, inputs.lease, at_rest, now_ns)
     if inputs.command is not None:
         state = _take_command(state, drive, inputs.command, now_ns)
-    target, status = _target(state, now_ns)
+    target, status, until_ns = _target(state, now_ns)
     state = _follow(state, target, drive.max_wheel_acceleration, now_ns)
-    keep = (state.epoch, state.latch_id, state.latch) != (before.epoch, before.latch_id, before.latch)
-    applied = status is GateStatus.OPEN and state.seq != seq
-    return state, GateOutput(state.output, target, status, applied, granted, keep, _deadline(state, target, now_ns))
+    if state.output != target:
+        until_ns = now_ns + RAMP_NS if until_ns is None else min(now_ns + RAMP_NS, until_ns)
+    return state, GateOutput(state.output, target, status, granted, until_ns)
+
+
+def _started_anew(state: GateState, now_ns: int) -> GateState:
+    """The clock was set back: no nonce that was given out before says anything any more."""
+    return state._replace(
+        boot_id=state.boot_id + 1, heard_ns=now_ns, command_nonce=_NEVER, enabled=(_NEVER, 0), moved_by=_NEVER
+    )
 
 
 def _latched(state: GateState, latch: Latch) -> GateState:
@@ -161,105 +155,98 @@ def _latched(state: GateState, latch: Latch) -> GateState:
     return state._replace(latch=latch, latch_id=state.latch_id + 1)
 
 
-def _take_permission(state: GateState, permission: Permission, turning: bool, now_ns: int) -> GateState:
-    why = _stale(state, permission.boot_id, permission.nonce, now_ns)
-    if not why and (permission.nonce, permission.seq) <= state.enabled:
-        why = Refusal.SEQUENCE
-    if not why and permission.epoch != state.epoch and not permission.latch:  # an e-stop needs no lease
-        why = Refusal.EPOCH
-    if why:
-        return state._replace(refused=state.refused + 1, why=why)
+def _take_permission(state: GateState, permission: Permission, clearable: bool, now_ns: int) -> GateState:
+    accepted = (
+        _fresh(state, permission, now_ns)
+        and (permission.epoch == state.epoch or permission.latch)  # an e-stop needs no lease
+        and (permission.nonce, permission.seq) > state.enabled
+    )
+    if not accepted:
+        return state._replace(refused=state.refused + 1)
     state = state._replace(enabled=(permission.nonce, permission.seq), limit=permission.limit)
     if permission.latch:
         return _latched(state, permission.latch)._replace(limit=0.0)
-    if state.latch and permission.clear == state.latch_id and state.output == STOP and not turning:
-        return state._replace(latch=Latch.NONE)
+    if state.latch and clearable and permission.clear and permission.clear == state.latch_id:
+        return state._replace(latch=Latch.NONE, limit=0.0)  # a reset moves nothing: that takes another permission
     return state
 
 
-def _take_lease(
-    state: GateState, session: int, action: LeaseAction, turning: bool, now_ns: int
-) -> tuple[GateState, bool]:
-    if action is LeaseAction.RELEASE:
-        if session == state.session != 0:
-            return state._replace(session=0, command_nonce=_NEVER), True
+def _take_lease(state: GateState, lease: tuple[int, LeaseAction], at_rest: bool, now_ns: int) -> tuple[GateState, bool]:
+    session, action = lease
+    if session == 0:
         return state, False
-    if session == state.session != 0:
+    if action is LeaseAction.RELEASE:
+        return (state._replace(session=0), True) if session == state.session else (state, False)
+    if session == state.session:
         return state, True
     lapsed = now_ns - state.heard_ns >= LAPSE_NS
-    at_rest = state.output == STOP and not turning
-    if session == 0 or not at_rest or not (state.session == 0 or lapsed or action is LeaseAction.TAKE_OVER):
+    if not (at_rest and (state.session == 0 or lapsed or action is LeaseAction.TAKE_OVER)):
         return state, False
-    state = state._replace(
+    own = state._replace(
         epoch=state.epoch + 1, session=session, heard_ns=now_ns, seq=0, command_nonce=_NEVER, limit=0.0
     )
-    return state, True
+    return own, True
 
 
 def _take_command(state: GateState, drive: DifferentialDrive, command: Command, now_ns: int) -> GateState:
-    why = _stale(state, command.boot_id, command.nonce, now_ns)
-    if not why and command.epoch != state.epoch:
-        why = Refusal.EPOCH
-    if not why and (command.session != state.session or command.session == 0):
-        why = Refusal.SESSION
-    if not why and command.seq <= state.seq:
-        why = Refusal.SEQUENCE
-    if not why and not _within(drive, command.wheels):
-        why = Refusal.LIMIT
-    if why:
-        return state._replace(refused=state.refused + 1, why=why)
+    accepted = (
+        _fresh(state, command, now_ns)
+        and command.epoch == state.epoch
+        and command.session == state.session != 0
+        and command.seq > state.seq
+        and _within(drive, command.wheels)
+    )
+    if not accepted:
+        return state._replace(refused=state.refused + 1)
     return state._replace(seq=command.seq, command_nonce=command.nonce, wheels=command.wheels, heard_ns=now_ns)
 
 
-def _stale(state: GateState, boot_id: int, nonce: int, now_ns: int) -> Refusal:
-    if boot_id != state.boot_id:
-        return Refusal.BOOT
-    return Refusal.NOTHING if 0 <= nonce <= now_ns < nonce + VALID_NS else Refusal.STALE
+def _fresh(state: GateState, message: Command | Permission, now_ns: int) -> bool:
+    return message.boot_id == state.boot_id and message.nonce <= now_ns < message.nonce + VALID_NS
 
 
 def _within(drive: DifferentialDrive, wheels: WheelSpeeds) -> bool:
-    left, right = wheels
-    if not max(abs(left), abs(right)) <= _TOLERANCE * drive.max_wheel_speed:  # a NaN is refused too
-        return False
-    return drive.wheel_radius * abs(left + right) / 2.0 <= _TOLERANCE * drive.max_speed
+    """Return whether the robot can do that; it cannot do what is not a number."""
+    body = drive.wheel_radius * abs(wheels.left + wheels.right) / 2.0
+    fastest = _TOLERANCE * drive.max_wheel_speed
+    return body <= _TOLERANCE * drive.max_speed and abs(wheels.left) <= fastest and abs(wheels.right) <= fastest
 
 
-def _target(state: GateState, now_ns: int) -> tuple[WheelSpeeds, GateStatus]:
+def _target(state: GateState, now_ns: int) -> tuple[WheelSpeeds, GateStatus, int | None]:
+    """Return what is allowed now, why, and until when that holds."""
     if state.latch:
-        return STOP, GateStatus.LATCHED
+        return STOP, GateStatus.LATCHED, None
     if state.session == 0:
-        return STOP, GateStatus.NO_LEASE
-    enabled = state.enabled[0] != _NEVER and now_ns < state.enabled[0] + VALID_NS
-    if not enabled or not state.limit > 0.0:
-        return STOP, GateStatus.NO_ENABLE
-    if state.command_nonce == _NEVER or now_ns >= state.command_nonce + VALID_NS:
-        return STOP, GateStatus.NO_COMMAND
+        return STOP, GateStatus.NO_LEASE, None
+    enabled_until_ns = state.enabled[0] + VALID_NS
+    if now_ns >= enabled_until_ns or not state.limit > 0.0:
+        return STOP, GateStatus.NO_ENABLE, None
+    command_until_ns = state.command_nonce + VALID_NS
+    if now_ns >= command_until_ns:
+        return STOP, GateStatus.NO_COMMAND, enabled_until_ns
+    until_ns = min(enabled_until_ns, command_until_ns)
     if max(abs(state.wheels.left), abs(state.wheels.right)) > _TOLERANCE * state.limit:
-        return STOP, GateStatus.NO_ENABLE
-    return state.wheels, GateStatus.OPEN
+        return STOP, GateStatus.NO_ENABLE, until_ns
+    return state.wheels, GateStatus.OPEN, until_ns
 
 
 def _follow(state: GateState, target: WheelSpeeds, acceleration: float, now_ns: int) -> GateState:
     """Move the output towards the target, and time a stop."""
+    # on its way it catches up with time that was lost; at rest on its target it had nothing to catch up with
+    longest_ns = RAMP_NS if state.output == state.target else _LONGEST_RAMP_NS
+    reach = acceleration * max(0, min(now_ns - state.at_ns, longest_ns)) * 1e-9
     left, right = target.left - state.output.left, target.right - state.output.right
     furthest = max(abs(left), abs(right))
-    reach = acceleration * max(0, min(now_ns - state.at_ns, _LONGEST_RAMP_NS)) * 1e-9
     output = target
     if furthest > reach:
         ratio = reach / furthest
         output = WheelSpeeds(state.output.left + ratio * left, state.output.right + ratio * right)
-    moving = target != STOP
-    since_ns = now_ns - min(state.command_nonce, state.enabled[0])
-    return state._replace(
-        output=output,
-        at_ns=now_ns,
-        moving=moving,
-        target_after_ns=since_ns if state.moving and not moving else state.target_after_ns,
-        output_after_ns=since_ns if state.output != STOP == output and not moving else state.output_after_ns,
-    )
-
-
-def _deadline(state: GateState, target: WheelSpeeds, now_ns: int) -> int | None:
-    if state.output != target:
-        return now_ns + RAMP_NS
-    return None if target == STOP else min(state.command_nonce, state.enabled[0]) + VALID_NS
+    moved = state._replace(target=target, output=output, at_ns=now_ns)
+    if target != STOP:
+        return moved._replace(moved_by=min(state.command_nonce, state.enabled[0]))
+    after_ns = UNKNOWN if state.moved_by == _NEVER else now_ns - state.moved_by
+    if state.target != STOP:
+        moved = moved._replace(target_after_ns=after_ns, output_after_ns=UNKNOWN)
+    if output == STOP and not state.target == STOP == state.output:
+        moved = moved._replace(output_after_ns=after_ns)
+    return moved

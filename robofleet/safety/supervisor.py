@@ -34,7 +34,8 @@ class Event(IntEnum):
     ESTOP_REQUESTED = 6
     RESET = 7  # requested, and every robot at rest, every e-stop acknowledged, no input that still asks for one
     OPERATOR_LOST = 8  # the dead man's terminal is gone
-    # other processes
+    # the processes
+    SUPERVISOR_STALLED = 9  # the supervisor itself stood still, or its clock jumped
     DRIVER_SILENT = 10
     DRIVER_RESTARTED = 11
     CONTROLLER_SILENT = 12
@@ -73,6 +74,7 @@ class Event(IntEnum):
     RIGHT_REVERSED = 56
     BOTH_REVERSED = 57
     WRONG_GAIN = 58  # travelled over expected
+    ENCODER_WRONG = 59  # counted over asked
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
@@ -88,6 +90,7 @@ CAUSES = {
     Event.ESTOP_REQUESTED: "emergency stop requested",
     Event.RESET: "reset",
     Event.OPERATOR_LOST: "the operator's terminal is gone",
+    Event.SUPERVISOR_STALLED: "the supervisor stood still",
     Event.DRIVER_SILENT: "the driver went silent",
     Event.DRIVER_RESTARTED: "the driver was restarted",
     Event.CONTROLLER_SILENT: "the controller went silent",
@@ -119,11 +122,12 @@ CAUSES = {
     Event.DID_NOT_MOVE: "its tag did not move when its wheels were turned",
     Event.WRONG_TAG_MOVED: "its driver moves the tag of {other}",
     Event.WHEELS_SWAPPED: "its wheels are swapped",
+    Event.ENCODER_WRONG: "an encoder counts {detail:.2f} of what its wheel was asked to turn",
     Event.LEFT_REVERSED: "its left wheel turns backwards",
     Event.RIGHT_REVERSED: "its right wheel turns backwards",
     Event.BOTH_REVERSED: "both its wheels turn backwards",
     Event.WRONG_GAIN: "it travels {detail:.2f} of what its wheels should give: check wheel_radius_m",
-    Event.ARMED_TOO_LONG: "it was not ready in time",
+    Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
 }
 
@@ -142,6 +146,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.ESTOP_REQUESTED:      (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.RESET:                (_SAME, _SAME, _SAME, _SAME, _I,    _I),
     Event.OPERATOR_LOST:        (_SAME, _E,    _E,    _E,    _SAME, _SAME),
+    Event.SUPERVISOR_STALLED:   (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.DRIVER_SILENT:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.DRIVER_RESTARTED:     (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CONTROLLER_SILENT:    (_SAME, _F,    _F,    _F,    _SAME, _SAME),
@@ -173,6 +178,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.DID_NOT_MOVE:         (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WRONG_TAG_MOVED:      (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WHEELS_SWAPPED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.ENCODER_WRONG:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.LEFT_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.RIGHT_REVERSED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.BOTH_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
@@ -213,7 +219,7 @@ class RunStatus(NamedTuple):
 def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     """Return an event in words; ``robots`` are the ids in the group's order."""
     event, robot, detail = happening
-    other = robots[int(detail)] if 0 <= detail < len(robots) else "nobody"
+    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
     cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other)
     return f"{robots[robot]}: {cause}" if robot < len(robots) else cause
 

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from robofleet.safety.supervisor import Happening
+
 NEVER = 0
 
 
@@ -27,6 +29,7 @@ class RobotView(NamedTuple):
     image: int = 0  # number of that image
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in that image: x, y [m], psi [rad]; world
     estimate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the controller's, at its newest tick
+    lost: bool = False  # the controller has had no image of it for too long, and lets it stand
     filtered: int = 0  # the barrier at that tick: 0 left alone, 1 changed, 2 no answer
     blocked: bool = False  # held by the barrier for long
 
@@ -52,5 +55,6 @@ class FleetView(NamedTuple):
     tracker_build: int = 0
     image: int = 0  # its number
     image_tick: int = 0  # the newest tick that the tracker knew at its exposure
-    news: tuple[tuple[int, int, float], ...] = ()  # since the last view: tracker's event, robot (NOBODY), value
+    news: tuple[Happening, ...] = ()  # of the tracker, since the last view
+    operator_ns: int = NEVER  # newest sign of the operator's life
     free_bytes: int = 1 << 40  # where the run is recorded

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from robofleet.clock import Clock, S
 from robofleet.comms.bus import Bus, Wake
+from robofleet.comms.messages import TagPose
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
 from robofleet.config.tree import Config
-from robofleet.tracking.events import TrackerEvent
+from robofleet.tracking.events import Happening, TrackerEvent
 
 _FIRST_PAUSE_S = 0.2  # before a camera that failed is opened again; doubled from one failure to the next
 _LONGEST_PAUSE_S = 2.0
@@ -130,6 +131,43 @@ class ReopenedCamera:
                 camera.close()
 
 
+class Observation(NamedTuple):
+    """What one image says."""
+
+    exposure_ns: int  # mid-exposure [this host's clock]
+    poses: tuple[TagPose, ...]
+    refused: int
+
+
+class PoseSource(Protocol):
+    """Gives observations as they become ready."""
+
+    def next_ns(self) -> int | None:
+        """Return when the next one will be ready [ns]; None: a message or a camera will wake the process."""
+
+    def observe(self, now_ns: int) -> Observation | None:
+        """Return the observation that is ready, or None."""
+
+    def news(self) -> tuple[Happening, ...]:
+        """Return what happened to the camera and to the tags since the last call, with an image or without one."""
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+class Feed(Protocol):
+    """A camera's images as they become ready; the camera is opened again when it fails."""
+
+    def next_ns(self) -> int | None:
+        """Return when there will be something to take [ns]; None: not known, or an image wakes the process."""
+
+    def take(self, now_ns: int) -> Frame | Lost | None:
+        """Return the image that is there, or why there is none."""
+
+    def close(self) -> None:
+        """Let go of the camera."""
+
+
 class CameraReader:
     """Reads a camera that blocks, in a thread of its own. Of images that nobody took the newest one is kept."""
 
@@ -145,7 +183,7 @@ class CameraReader:
         """Return None: an image wakes the process."""
         return None
 
-    def take(self, _now_ns: int) -> Frame | Lost | None:
+    def take(self, now_ns: int) -> Frame | Lost | None:
         """Return the newest image not taken yet, or what happened before it."""
         with self._lock:
             return self._taken.popleft() if self._taken else None

@@ -5,11 +5,14 @@ A driver knows its robot and nothing of the bus; the process around it knows the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
+
+if TYPE_CHECKING:  # the gate's own types stand here, and `robofleet stop` must not wait for numpy
+    import numpy as np
+
+Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both_reversed"]
 
 
 class WheelSpeeds(NamedTuple):
@@ -60,14 +63,15 @@ class Imperfections:
     top_speed_sag: float  # fraction of the top speed lost when the battery is empty
     battery_life: float  # [s]
     wheel_gain_error: float = 0.0  # of both wheels' travel, relative
+    wiring: Wiring = "straight"  # of motors and encoders together
     actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
 
 
-class Stall(NamedTuple):
-    """Motors of a simulated robot blocked for a while; time counts from its first motion command [s]."""
+class BodyTrouble(NamedTuple):
+    """What is wrong with a simulated robot now."""
 
-    start: float
-    end: float
+    stuck: bool = False  # motors stand still, whatever they are told
+    slip: float = 0.0  # share of the wheels' travel that is lost
 
 
 @dataclass(frozen=True)
@@ -77,8 +81,8 @@ class Simulation:
     drive: DifferentialDrive  # the kind of robot that it is one of
     imperfections: Imperfections
     start: tuple[float, float, float]  # x, y [m], psi [rad]; world
-    stalls: tuple[Stall, ...]
-    rng: np.random.Generator
+    trouble: Callable[[], BodyTrouble] | None  # None: never any
+    rng: "np.random.Generator"
 
 
 @dataclass(frozen=True)
@@ -94,14 +98,15 @@ class DriverContext:
 class Driver(Protocol):
     """One robot. Found by the entry-point group ``robofleet.drivers``, or as ``module:Class`` in the config.
 
-    The class is called with one :class:`DriverContext`.
+    The class is called with one :class:`DriverContext`. Whatever it raises afterwards stops and latches this robot
+    alone; it is then told and asked again every 10 ms.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:
-        """Command the wheels [rad/s]. Called only by the gate's process."""
+        """Command the wheels [rad/s]. Called only by the gate's process; raises if the robot cannot be told."""
 
     def read(self) -> DriverReading:
-        """Return the newest reading without waiting for the robot."""
+        """Return the newest reading without waiting for the robot; raises if there can be none."""
 
     def close(self) -> None:
         """Motors off. Idempotent."""

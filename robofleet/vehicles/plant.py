@@ -71,6 +71,9 @@ class Plant:
         p = imperfections
         left, right, base = rng.uniform(-1.0, 1.0, 3).tolist()
         self._drive, self._p, self._rng = drive, p, rng
+        self._swapped = p.wiring == "swapped"
+        self._left_sign = -1.0 if p.wiring in ("left_reversed", "both_reversed") else 1.0
+        self._right_sign = -1.0 if p.wiring in ("right_reversed", "both_reversed") else 1.0
         self._base = drive.wheel_base * (1.0 + p.wheel_base_spread * base)
         self._left = _Wheel(p, 1.0 + p.wheel_gain_error + p.wheel_gain_spread * left)
         self._right = _Wheel(p, 1.0 + p.wheel_gain_error + p.wheel_gain_spread * right)
@@ -79,8 +82,11 @@ class Plant:
         self._used = 0.0  # battery time [s]
         self._noise: list[float] = []
 
-    def step(self, command: WheelSpeeds, duration: float, *, blocked: bool = False) -> None:
-        """Advance by ``duration`` > 0 [s] with constant commands; ``blocked`` motors stand still whatever is asked."""
+    def step(self, command: WheelSpeeds, duration: float, *, blocked: bool = False, slip: float = 0.0) -> None:
+        """Advance by ``duration`` > 0 [s] with constant commands.
+
+        ``blocked`` motors stand still whatever is asked; ``slip`` is the share of the wheels' travel that is lost.
+        """
         self._used += duration
         if blocked:
             self._left.block()
@@ -89,16 +95,18 @@ class Plant:
             return
         used = min(1.0, self._used / self._p.battery_life)
         top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * used)
-        left = self._left.gain * self._left.turn(command.left, top, duration)
-        right = self._right.gain * self._right.turn(command.right, top, duration)
+        asked = self._through_wires(*command)
+        left = self._left.gain * self._left.turn(asked.left, top, duration)
+        right = self._right.gain * self._right.turn(asked.right, top, duration)
         if left == 0.0 and right == 0.0:
             self._body = (0.0, 0.0)
             return
         radius = self._drive.wheel_radius
         if self._p.slip:
-            slip = self._p.slip * abs(body_from_wheels(left, right, radius, self._base)[1])
-            left *= 1.0 - slip * self._slip_factor()
-            right *= 1.0 - slip * self._slip_factor()
+            turning = self._p.slip * abs(body_from_wheels(left, right, radius, self._base)[1])
+            left *= 1.0 - turning * self._slip_factor()
+            right *= 1.0 - turning * self._slip_factor()
+        left, right = (1.0 - slip) * left, (1.0 - slip) * right
         v, omega = self._body = body_from_wheels(left, right, radius, self._base)
         self._pose = arc(*self._pose, v, omega, duration)
 
@@ -109,11 +117,14 @@ class Plant:
 
     def reading(self) -> DriverReading:
         """Return what the robot's own sensors say: angles and speeds in whole counts."""
+        quantum, period = self._p.speed_quantum, self._p.loop_period
+        angles = self._through_wires(self._left.angle, self._right.angle)
+        speeds = self._through_wires(self._left.speed, self._right.speed)
         return DriverReading(
-            _quantised(self._left.angle, self._p.speed_quantum * self._p.loop_period),
-            _quantised(self._right.angle, self._p.speed_quantum * self._p.loop_period),
-            _quantised(self._left.speed, self._p.speed_quantum),
-            _quantised(self._right.speed, self._p.speed_quantum),
+            _quantised(angles.left, quantum * period),
+            _quantised(angles.right, quantum * period),
+            _quantised(speeds.left, quantum),
+            _quantised(speeds.right, quantum),
             self.charge,
             0,
         )
@@ -121,6 +132,12 @@ class Plant:
     def truth(self) -> TruePose:
         """Return the true pose and body velocity."""
         return TruePose(*self._pose, *self._body)
+
+    def _through_wires(self, left: float, right: float) -> WheelSpeeds:
+        """Return what arrives at the other end of the robot's wires, in either direction."""
+        if self._swapped:
+            return WheelSpeeds(right, left)
+        return WheelSpeeds(self._left_sign * left, self._right_sign * right)
 
     def _slip_factor(self) -> float:
         if not self._noise:

@@ -20,8 +20,15 @@ LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
     "Truth": (messages.TRUTH, messages.Truth),
     "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
     "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
+    "TrackerNews": (messages.TRACKER_NEWS, messages.TrackerNews),
+    "LeaseRequest": (messages.LEASE_REQUEST, messages.LeaseRequest),
+    "LeaseAnswer": (messages.LEASE_ANSWER, messages.LeaseAnswer),
 }
-ITEMS: dict[str, type[Any]] = {"FleetPoses": messages.TagPose, "TickRecord": messages.RobotTick}
+ITEMS: dict[str, type[Any]] = {
+    "FleetPoses": messages.TagPose,
+    "TickRecord": messages.RobotTick,
+    "RunState": messages.RobotState,
+}
 
 
 def _value(kind: np.dtype[Any]) -> st.SearchStrategy[Any]:

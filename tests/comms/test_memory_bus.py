@@ -6,8 +6,8 @@ import pytest
 
 from robofleet.clock import SimulatedClock
 from robofleet.comms.bus import Inbox, MemoryBus
-from robofleet.comms.keys import COMMAND, REQUEST, STATUS, TICK, key
-from robofleet.comms.messages import RUN_STATE, RunState
+from robofleet.comms.keys import COMMAND, LEASE, REQUEST, STATUS, TICK, key
+from robofleet.comms.messages import RUN_STATE, RobotState, RunState
 
 MakeBus = Callable[[int], MemoryBus]
 
@@ -92,17 +92,61 @@ def test_a_tap_hears_all_at_the_moment_of_saying(memory_bus: MakeBus) -> None:
     assert heard == [("rf/lab/robot/r1/cmd", b"a"), ("rf/lab/tick", b"b")]
 
 
-def test_requests_reach_the_process_that_serves_them(memory_bus: MakeBus) -> None:
-    bus = memory_bus(0)
-    take, other = bus.serve("supervisor"), bus.serve("tracker")
-    bus.ask("supervisor", "start")
+def test_requests_reach_the_process_that_serves_them(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus, woken = memory_bus(0), list[int]()
+    take, other = bus.serve(REQUEST, "supervisor", woken.append), bus.serve(REQUEST, "tracker")
+    answer = bus.ask(REQUEST, "supervisor", b"start")
+    assert woken == [clock.now_ns()]
     request = take()
     assert request is not None
-    assert request.text == "start"
-    request.reply("done")
+    assert request.payload == b"start"
+    assert answer.take() is None
+    request.reply(b"done")
+    assert (answer.take(), answer.take()) == (b"done", None)
     assert take() is None
     assert other() is None
-    assert key("lab", REQUEST, "supervisor") == "rf/lab/request/supervisor"
+
+
+def test_a_request_and_its_answer_take_the_bus_s_time_each(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus = memory_bus(100)
+    take = bus.serve(LEASE, "r1")
+    answer = bus.ask(LEASE, "r1", b"a")
+    bus.ask(LEASE, "r1", b"b")
+    assert take() is None
+    clock.advance_to(100)
+    first, second = take(), take()
+    assert first is not None
+    assert second is not None
+    assert (first.payload, second.payload) == (b"a", b"b")
+    first.reply(b"yes")
+    clock.advance_to(199)
+    assert answer.take() is None
+    clock.advance_to(200)
+    assert answer.take() == b"yes"
+
+
+def test_where_nobody_serves_no_answer_comes(memory_bus: MakeBus) -> None:
+    bus = memory_bus(0)
+    assert bus.ask(LEASE, "r1", b"a").take() is None
+    assert bus.serve(LEASE, "r1")() is None  # who comes later is not told what was asked before
+
+
+def test_a_server_that_comes_later_takes_over(memory_bus: MakeBus) -> None:
+    bus = memory_bus(0)
+    old, new = bus.serve(LEASE, "r1"), bus.serve(LEASE, "r1")
+    bus.ask(LEASE, "r1", b"a")
+    assert old() is None
+    assert new() is not None
+
+
+def test_requests_that_nobody_takes_do_not_pile_up(memory_bus: MakeBus) -> None:
+    bus = memory_bus(0)
+    take = bus.serve(LEASE, "r1")
+    for k in range(1000):
+        bus.ask(LEASE, "r1", b"%d" % k)
+    waiting = [request.payload for request in iter(take, None) if request is not None]
+    assert 1 <= len(waiting) <= 64
+    assert waiting[-1] == b"999"
 
 
 @pytest.mark.parametrize("damaged", [b"", b"\0" * 14, b"\1too short"])
@@ -114,7 +158,7 @@ def test_an_inbox_counts_and_drops_what_cannot_be_read(memory_bus: MakeBus, dama
     publish(damaged)
     assert inbox.take() is None
     assert inbox.rejected == 1
-    message = RunState(1, 2, 3, 4, 5)
+    message = RunState(1, 2, 3, 4, 5, 0.5, 6, 7, 8, (RobotState(1, 0, 9),))
     publish(RUN_STATE.encode(message))
     assert inbox.take() == message
     assert inbox.rejected == 1

@@ -6,6 +6,7 @@ from robofleet.comms.keys import (
     ALIVE,
     COMMAND,
     ENABLE,
+    LEASE,
     POSES,
     REQUEST,
     STATE,
@@ -20,32 +21,64 @@ from robofleet.comms.messages import (
     ENABLE as ENABLE_LAYOUT,
 )
 from robofleet.comms.messages import (
+    LEASE_ANSWER,
+    LEASE_REQUEST,
     ROBOT_STATUS,
+    RUN_STATE,
     WHEEL_COMMAND,
     Enable,
+    LeaseAnswer,
+    LeaseRequest,
+    RobotState,
     RobotStatus,
+    RunState,
     WheelCommand,
 )
+from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 
 
 def test_a_wheel_command() -> None:
-    message = WheelCommand(2, 3, 2**64 - 1, 5, -6, 1.5, -2.5)
-    assert WHEEL_COMMAND.encode(message) == struct.pack("<BIIQQqdd", 1, 2, 3, 2**64 - 1, 5, -6, 1.5, -2.5)
+    message = WheelCommand(2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
+    assert WHEEL_COMMAND.encode(message) == struct.pack("<BIIQQQqdd", 2, 2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
 
 
 def test_an_enable() -> None:
-    assert ENABLE_LAYOUT.encode(Enable(2, 3, 4, 5, 6)) == struct.pack("<BIIQQB", 1, 2, 3, 4, 5, 6)
+    values = (2, 3, 4, 5, 6, 7, 8, 9.5)
+    assert ENABLE_LAYOUT.encode(Enable(*values)) == struct.pack("<BIIQQBBId", 2, *values)
 
 
 def test_a_status() -> None:
-    values = (2, 3, 4, 5, 6, 7, 8, 9, 1, 11, 0.1, 0.2, 0.3, 0.4, -1.0)
-    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BIIQQqqqIBIddddd", 1, *values)
+    values = (*range(2, 16), -16, -17, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, -1.0)
+    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BIIIQQQqqqIBBIIqqddddddd", 2, *values)
+
+
+def test_a_lease() -> None:
+    assert LEASE_REQUEST.encode(LeaseRequest(2**64 - 1, 1)) == struct.pack("<BQB", 2, 2**64 - 1, 1)
+    assert LEASE_ANSWER.encode(LeaseAnswer(1, 3, 2**64 - 1)) == struct.pack("<BBIQ", 2, 1, 3, 2**64 - 1)
+
+
+def test_a_run_state() -> None:
+    message = RunState(2, 3, 4, 5, 6, 7.5, 8, 9, 10, (RobotState(1, 0, 11), RobotState(0, 1, 12)))
+    head = struct.pack("<BIIBHHdBHBH", 2, 2, 3, 4, 5, 6, 7.5, 8, 9, 10, 2)
+    assert RUN_STATE.encode(message) == head + struct.pack("<BBHBBH", 1, 0, 11, 0, 1, 12)
+
+
+def test_what_a_gate_says_in_numbers() -> None:
+    """They are on the wire, and on the disk: a number that was given is never given again."""
+    assert [(status.name, status.value) for status in GateStatus] == [
+        ("OPEN", 0), ("NO_COMMAND", 1), ("NO_ENABLE", 2), ("LATCHED", 3), ("NO_LEASE", 4),
+    ]  # fmt: skip
+    assert [(latch.name, latch.value) for latch in Latch] == [
+        ("NONE", 0), ("DRILL", 1), ("EMERGENCY_STOP", 2), ("WIRED_STOP", 3), ("DRIVER_FAILED", 4), ("MEMORY_LOST", 5),
+    ]  # fmt: skip
+    assert [(action.name, action.value) for action in LeaseAction] == [("ACQUIRE", 1), ("TAKE_OVER", 2), ("RELEASE", 3)]
 
 
 def test_keys() -> None:
     assert key("lab", COMMAND, "r1") == "rf/lab/robot/r1/cmd"
     assert key("lab", STATUS, "r1") == "rf/lab/robot/r1/status"
     assert key("lab", ENABLE, "r1") == "rf/lab/robot/r1/enable"
+    assert key("lab", LEASE, "r1") == "rf/lab/robot/r1/lease"
     assert key("lab", POSES, "overhead") == "rf/lab/poses/overhead"
     assert key("lab", TICK) == "rf/lab/tick"
     assert key("lab", STATE) == "rf/lab/state"
@@ -66,3 +99,4 @@ def test_only_what_is_rare_may_be_reliable() -> None:
     assert not any(topic.reliable for topic in (COMMAND, STATUS, ENABLE, POSES, TICK, TRUTH))
     assert STATE.reliable
     assert REQUEST.reliable
+    assert LEASE.reliable

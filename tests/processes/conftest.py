@@ -4,18 +4,24 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
-from robofleet.clock import S, SimulatedClock
+from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms import keys, messages
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import Topic, key
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.processes.driver import DriverProcess
+from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.node import Node
 from robofleet.recording.metrics import summary
+from robofleet.safety.gate import LeaseAction
+from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+from tests.processes.realrun import RealRun
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 LAYOUTS: dict[Topic, Any] = {
@@ -26,6 +32,7 @@ LAYOUTS: dict[Topic, Any] = {
     keys.TRUTH: messages.TRUTH,
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
+    keys.NEWS: messages.TRACKER_NEWS,
 }
 
 
@@ -106,11 +113,13 @@ class RecordingDriver:
 
     made: ClassVar[dict[str, "RecordingDriver"]] = {}
     stuck: ClassVar[set[str]] = set()  # robots whose driver can no longer be written to
+    mute: ClassVar[set[str]] = set()  # ... or read from
 
     def __init__(self, context: DriverContext) -> None:
         self.made[context.robot] = self
         self._robot, self._now_ns = context.robot, context.now_ns
         self.writes: list[tuple[int, WheelSpeeds]] = []
+        self.faults = 0
         self.closed = 0
 
     @property
@@ -123,7 +132,9 @@ class RecordingDriver:
         self.writes.append((self._now_ns(), wheels))
 
     def read(self) -> DriverReading:
-        return DriverReading(0.0, 0.0, *self.target, float("nan"), 0)
+        if self._robot in self.mute:
+            raise OSError(f"{self._robot} does not answer")
+        return DriverReading(0.0, 0.0, *self.target, float("nan"), self.faults)
 
     def close(self) -> None:
         self.closed += 1
@@ -131,11 +142,12 @@ class RecordingDriver:
 
 @pytest.fixture
 def recording_driver() -> Iterator[type[RecordingDriver]]:
-    """Return the class; ``made`` finds the driver of a robot, ``stuck`` lets one fail."""
-    RecordingDriver.made.clear()
-    RecordingDriver.stuck.clear()
+    """Return the class; ``made`` finds the driver of a robot, ``stuck`` and ``mute`` let one fail."""
+    for names in (RecordingDriver.made, RecordingDriver.stuck, RecordingDriver.mute):
+        names.clear()
     yield RecordingDriver
-    RecordingDriver.stuck.clear()
+    for names in (RecordingDriver.stuck, RecordingDriver.mute):
+        names.clear()
 
 
 @pytest.fixture(scope="session")
@@ -143,3 +155,99 @@ def recorded() -> Callable[..., list[str]]:
     """Return what makes robots of the platoon RecordingDrivers: config changes."""
     name = f"{RecordingDriver.__module__}:{RecordingDriver.__qualname__}"
     return lambda *rows: [f"robots.{row}.driver='{name}'" for row in rows]
+
+
+@pytest.fixture(scope="session")
+def driver_of() -> Callable[..., DriverProcess]:
+    """Return what starts a driver process on a bench, for robots by their ids."""
+
+    def start(bench: Bench, *robots: str, seed: int = 1, **keys: Any) -> DriverProcess:
+        keys = {"wake": lambda _: None, "keeping": MemoryKeeping(), **keys}
+        return DriverProcess(bench.config, robots, bench.bus, bench.clock, rng=np.random.default_rng(seed), **keys)
+
+    return start
+
+
+FORWARD = WheelSpeeds(3.0, 4.0)
+
+
+class Stand:
+    """A driver process on a bench, a controller that holds its leases, a supervisor: each can be silenced."""
+
+    SESSION = 99
+
+    def __init__(self, bench: Bench, node: DriverProcess, made: dict[str, RecordingDriver]) -> None:
+        self.bench, self.node, self.made = bench, node, made
+        self.seen: dict[str, int] = {}  # nonce that the newest command echoed
+        self._seq = 0
+
+    def newest(self, robot: str) -> Any:
+        statuses = self.bench.heard(keys.STATUS, robot)
+        return statuses[-1] if statuses else None
+
+    def ask(self, robot: str, action: LeaseAction = LeaseAction.ACQUIRE, session: int = SESSION) -> Any:
+        """Ask for a robot; returns the answer, or None if there was none."""
+        answer = self.bench.bus.ask(
+            keys.LEASE, robot, messages.LEASE_REQUEST.encode(messages.LeaseRequest(session, action))
+        )
+        self.node.step(self.bench.now_ns)
+        payload = answer.take()
+        return None if payload is None else messages.LEASE_ANSWER.decode(payload)
+
+    def acquire(self, robot: str) -> None:
+        assert self.ask(robot).granted == 1
+        self.bench.run(self.node, 25 * MS)  # a status tells the epoch
+
+    def command(self, robot: str, wheels: WheelSpeeds = FORWARD, exposure_ns: int = 77, age: int = 1) -> None:
+        """Command as the controller does; ``age`` 2 echoes the status before the newest."""
+        statuses = self.bench.heard(keys.STATUS, robot)[-age:]
+        if statuses:
+            self._seq += 1
+            status, self.seen[robot] = statuses[0], statuses[0].nonce
+            echo = status.epoch, self._seq, self.SESSION, status.boot_id, status.nonce
+            self.bench.say(keys.COMMAND, messages.WheelCommand(*echo, exposure_ns, *wheels), robot)
+
+    def enable(self, robot: str, *, limit: float = 12.5, latch: int = 0, clear: int = 0) -> None:
+        """Say what the supervisor says."""
+        if (status := self.newest(robot)) is not None:
+            self._seq += 1
+            echo = status.epoch, self._seq, status.boot_id, status.nonce
+            self.bench.say(keys.ENABLE, messages.Enable(*echo, Phase.RUNNING, latch, clear, limit), robot)
+
+    def run(self, ns: int, *, commands: bool = True, enables: bool = True, robot: str = "r1") -> None:
+        """Let a robot drive."""
+        if robot not in self.seen:
+            self.seen[robot] = 0
+            self.acquire(robot)
+        others = []
+        if commands:
+            others.append((33 * MS, lambda: self.command(robot)))
+        if enables:
+            others.append((40 * MS, lambda: self.enable(robot)))
+        self.bench.run(self.node, ns, *others)
+
+
+@pytest.fixture
+def stand(
+    platoon_of: Callable[..., Config],
+    recorded: Callable[..., list[str]],
+    recording_driver: type[RecordingDriver],
+    driver_of: Callable[..., DriverProcess],
+) -> Stand:
+    """Return two robots of one driver process, r1 and r2."""
+    bench = Bench(platoon_of(*recorded(0, 1)))
+    return Stand(bench, driver_of(bench, "r1", "r2"), recording_driver.made)
+
+
+@pytest.fixture
+def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
+    """Return what starts a run with real processes; nothing of it is left afterwards."""
+    runs: list[RealRun] = []
+
+    def start(*arguments: str, terminal: bool = False) -> RealRun:
+        runs.append(RealRun(tmp_path, *arguments, terminal=terminal))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        run.clean_up()

@@ -7,85 +7,44 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import COMMAND, ENABLE, STATUS, TRUTH
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
 from robofleet.comms.messages import Enable, WheelCommand
-from robofleet.processes.driver import DriverProcess
-from robofleet.safety.gate import GateStatus
-from robofleet.safety.supervisor import Phase
-from robofleet.vehicles.interface import STOP, WheelSpeeds
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.vehicles.interface import STOP, WIRED_STOP, WheelSpeeds
 
 Make = Callable[..., Any]
 FORWARD = WheelSpeeds(3.0, 4.0)
 EXPOSURE_NS = 77
 
 
-class Stand:
-    """A driver process with RecordingDrivers, a controller and a supervisor that can be silenced."""
-
-    def __init__(self, bench: Any, robots: tuple[str, ...], drivers: Any) -> None:
-        self.bench, self.made = bench, drivers.made
-        self.seen: dict[str, int] = {}
-        self.node = DriverProcess(
-            bench.config, robots, bench.bus, bench.clock, lambda _: None, np.random.default_rng(1)
-        )
-
-    def newest(self, robot: str) -> Any:
-        statuses = self.bench.heard(STATUS, robot)
-        return statuses[-1] if statuses else None
-
-    def command(self, robot: str, wheels: WheelSpeeds = FORWARD, exposure_ns: int = EXPOSURE_NS, age: int = 1) -> None:
-        """Command as the controller does; ``age`` 2 echoes the status before the newest."""
-        statuses = self.bench.heard(STATUS, robot)[-age:]
-        if statuses:
-            self.seen[robot] = statuses[0].nonce
-            echo = statuses[0].boot_id, statuses[0].nonce
-            self.bench.say(COMMAND, WheelCommand(1, 1, *echo, exposure_ns, *wheels), robot)
-
-    def enable(self, robot: str, phase: Phase = Phase.RUNNING) -> None:
-        if (status := self.newest(robot)) is not None:
-            self.bench.say(ENABLE, Enable(1, 1, status.boot_id, status.nonce, phase), robot)
-
-    def run(self, ns: int, *, commands: bool = True, enables: bool = True, robot: str = "r1") -> None:
-        others = []
-        if commands:
-            others.append((33 * MS, lambda: self.command(robot)))
-        if enables:
-            others.append((40 * MS, lambda: self.enable(robot)))
-        self.bench.run(self.node, ns, *others)
-
-
-@pytest.fixture
-def stand(bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any) -> Stand:
-    return Stand(bench_of(platoon_of(*recorded(0, 1))), ("r1", "r2"), recording_driver)
-
-
-def moves(stand: Stand, robot: str = "r1") -> list[tuple[int, WheelSpeeds]]:
+def moves(stand: Any, robot: str = "r1") -> list[tuple[int, WheelSpeeds]]:
     return [(at, wheels) for at, wheels in stand.made[robot].writes if wheels != STOP]
 
 
-def test_commands_without_a_permission_move_nothing(stand: Stand) -> None:
+def test_commands_without_a_permission_move_nothing(stand: Any) -> None:
     stand.run(S // 2, enables=False)
     assert moves(stand) == []
     assert stand.newest("r1").gate == GateStatus.NO_ENABLE
     assert stand.newest("r1").rejected == 0
 
 
-def test_a_permission_without_commands_moves_nothing(stand: Stand) -> None:
+def test_a_permission_without_commands_moves_nothing(stand: Any) -> None:
     stand.run(S // 2, commands=False)
     assert moves(stand) == []
     assert stand.newest("r1").gate == GateStatus.NO_COMMAND
 
 
-@pytest.mark.parametrize("phase", [phase for phase in Phase if phase is not Phase.RUNNING])
-def test_wheels_move_in_running_alone(stand: Stand, phase: Phase) -> None:
-    others = ((33 * MS, lambda: stand.command("r1")), (40 * MS, lambda: stand.enable("r1", phase)))
+def test_a_permission_to_stand_moves_nothing(stand: Any) -> None:
+    others = ((33 * MS, lambda: stand.command("r1")), (40 * MS, lambda: stand.enable("r1", limit=0.0)))
+    stand.acquire("r1")
     stand.bench.run(stand.node, S // 5, *others)
     assert moves(stand) == []
+    assert stand.newest("r1").gate == GateStatus.NO_ENABLE
 
 
-def test_with_both_the_wheels_do_what_they_are_told(stand: Stand) -> None:
+def test_with_both_the_wheels_do_what_they_are_told(stand: Any) -> None:
     stand.run(S // 2)
-    assert {wheels for _, wheels in moves(stand)} == {FORWARD}
+    assert all(left / 3.0 == pytest.approx(right / 4.0) for _, (left, right) in moves(stand))  # up along one line
     assert stand.made["r1"].target == FORWARD
     status = stand.newest("r1")
     assert (status.gate, status.applied_exposure_ns) == (GateStatus.OPEN, EXPOSURE_NS)
@@ -93,47 +52,53 @@ def test_with_both_the_wheels_do_what_they_are_told(stand: Stand) -> None:
 
 
 @pytest.mark.parametrize("silent", ["commands", "enables"])
-def test_wheels_stop_when_the_newest_echo_is_120_ms_old(stand: Stand, silent: str) -> None:
+def test_wheels_stop_when_the_newest_echo_is_120_ms_old(stand: Any, silent: str) -> None:
     stand.run(S // 2)
     before = stand.bench.now_ns
     stand.run(S // 2, **{silent: False})
+    falls = [at for at, wheels in stand.made["r1"].writes if wheels != FORWARD and at > before]
     stops = [at for at, wheels in stand.made["r1"].writes if wheels == STOP and at > before]
     assert stops
     nonce = stand.seen["r1"] if silent == "commands" else before
-    assert nonce < stops[0] <= nonce + 120 * MS
+    assert nonce < falls[0] <= nonce + 120 * MS
+    assert falls[0] < stops[0] <= nonce + 230 * MS
+    status = stand.newest("r1")
+    assert 0 <= status.target_after_ns <= 120 * MS < status.output_after_ns <= 230 * MS
     assert stand.made["r1"].target == STOP
     expected = GateStatus.NO_COMMAND if silent == "commands" else GateStatus.NO_ENABLE
     assert stand.newest("r1").gate == expected
 
 
-def test_the_process_wakes_at_the_deadline_between_two_loops(stand: Stand) -> None:
+def test_the_process_wakes_at_the_deadline_between_two_loops(stand: Any) -> None:
     """A loop that was late gave a nonce off the grid of 10 ms."""
+    stand.acquire("r1")
     next_ns = stand.node.step(stand.bench.now_ns)
     for _ in range(20):
         stand.bench.clock.advance_to(next_ns + 3 * MS)
         stand.node.step(stand.bench.now_ns)
         stand.command("r1")
         stand.enable("r1")
-        next_ns = stand.node.step(stand.bench.now_ns)
+        next_ns = stand.bench.now_ns + 10 * MS
     assert stand.made["r1"].target == FORWARD
     stand.bench.run(stand.node, S // 5)
-    writes = stand.made["r1"].writes
-    stopped_ns, wheels = writes[writes.index(next(w for w in reversed(writes) if w[1] == FORWARD)) + 1]
-    assert (stopped_ns, wheels) == (stand.seen["r1"] + 120 * MS, STOP)
+    falls = [at for at, (left, _) in stand.made["r1"].writes if at >= stand.seen["r1"] and left < 3.0]
+    assert falls[0] == stand.seen["r1"] + 120 * MS
+    assert stand.newest("r1").target_after_ns == 120 * MS
 
 
-def test_what_comes_late_moves_nothing_however_much_comes(stand: Stand) -> None:
+def test_what_comes_late_moves_nothing_however_much_comes(stand: Any) -> None:
     """A network that stood still and resumes."""
     stand.run(S // 2, commands=False)
     late = 7  # statuses, 20 ms apart
+    moved = len(moves(stand))
     stand.bench.run(
         stand.node, S // 2, (5 * MS, lambda: stand.command("r1", age=late)), (40 * MS, lambda: stand.enable("r1"))
     )
-    assert moves(stand) == []
+    assert len(moves(stand)) == moved == 0
     assert stand.newest("r1").rejected > 20
 
 
-def test_a_refused_command_is_not_the_one_that_reached_the_wheels(stand: Stand) -> None:
+def test_a_refused_command_is_not_the_one_that_reached_the_wheels(stand: Any) -> None:
     stand.run(S // 2)
     applied = stand.newest("r1").applied_exposure_ns
     stand.command("r1", WheelSpeeds(99.0, 99.0), exposure_ns=EXPOSURE_NS + 1)
@@ -143,26 +108,26 @@ def test_a_refused_command_is_not_the_one_that_reached_the_wheels(stand: Stand) 
     assert stand.made["r1"].target == FORWARD
 
 
-def test_rubbish_is_counted_and_has_no_other_effect(stand: Stand) -> None:
+def test_rubbish_is_counted_and_has_no_other_effect(stand: Any) -> None:
     stand.run(S // 2)
-    stand.bench.bus.publisher(COMMAND, "r1")(b"\x01rubbish")
+    stand.bench.bus.publisher(COMMAND, "r1")(b"\x02rubbish")
     stand.bench.run(stand.node, 30 * MS)
     assert stand.newest("r1").rejected == 1
     assert stand.made["r1"].target == FORWARD
 
 
-def test_one_process_keeps_its_robots_apart(stand: Stand) -> None:
+def test_one_process_keeps_its_robots_apart(stand: Any) -> None:
     stand.run(S // 2, robot="r2")
     assert moves(stand, "r1") == []
     assert stand.made["r2"].target == FORWARD
     one, other = stand.newest("r1"), stand.newest("r2")
     assert one.boot_id != other.boot_id
-    assert (one.gate, other.gate) == (GateStatus.NO_ENABLE, GateStatus.OPEN)
+    assert (one.gate, other.gate) == (GateStatus.NO_LEASE, GateStatus.OPEN)
 
 
-def test_a_status_every_20_ms_and_the_truth_every_10(bench_of: Make, platoon_of: Make) -> None:
+def test_a_status_every_20_ms_and_the_truth_every_10(bench_of: Make, platoon_of: Make, driver_of: Make) -> None:
     bench = bench_of(platoon_of())
-    node = DriverProcess(bench.config, ("r1", "r2"), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1))
+    node = driver_of(bench, "r1", "r2")
     bench.run(node, S)
     for robot in ("r1", "r2"):
         statuses, truths = bench.heard(STATUS, robot), bench.heard(TRUTH, robot)
@@ -175,14 +140,14 @@ def test_a_status_every_20_ms_and_the_truth_every_10(bench_of: Make, platoon_of:
     assert (truth.x_m, truth.y_m, truth.psi_rad) == pytest.approx((start.x_m, start.y_m, start.psi))
 
 
-def test_a_robot_that_exists_has_no_truth_to_tell(stand: Stand) -> None:
+def test_a_robot_that_exists_has_no_truth_to_tell(stand: Any) -> None:
     stand.run(S // 10)
     assert stand.bench.heard(STATUS, "r1")
     assert not stand.bench.heard(TRUTH, "r1")
     assert stand.newest("r1").battery == -1.0
 
 
-def test_a_missed_loop_is_not_made_up(stand: Stand) -> None:
+def test_a_missed_loop_is_not_made_up(stand: Any) -> None:
     stand.run(S // 10)
     before = len(stand.bench.heard(STATUS, "r1"))
     stand.bench.wait(S)
@@ -192,18 +157,18 @@ def test_a_missed_loop_is_not_made_up(stand: Stand) -> None:
     assert len(stand.bench.heard(STATUS, "r1")) - before <= 1
 
 
-def test_a_message_wakes_the_process(bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any) -> None:
+def test_a_message_wakes_the_process(bench_of: Make, platoon_of: Make, recorded: Make, driver_of: Make) -> None:
     bench = bench_of(platoon_of(*recorded(0)))
-    DriverProcess(bench.config, ("r1",), bench.bus, bench.clock, bench.woken.append, np.random.default_rng(1))
-    assert recording_driver.made
-    bench.say(ENABLE, Enable(1, 1, 1, 1, Phase.RUNNING), "r2")
+    driver_of(bench, "r1", wake=bench.woken.append)
+    bench.say(ENABLE, Enable(1, 1, 1, 1, 2, 0, 0, 1.0), "r2")
     assert bench.woken == []
-    bench.say(ENABLE, Enable(1, 1, 1, 1, Phase.RUNNING), "r1")
-    bench.say(COMMAND, WheelCommand(1, 1, 1, 1, 0, 0.0, 0.0), "r1")
-    assert bench.woken == [bench.now_ns] * 2
+    bench.say(ENABLE, Enable(1, 1, 1, 1, 2, 0, 0, 1.0), "r1")
+    bench.say(COMMAND, WheelCommand(1, 1, 1, 1, 1, 0, 0.0, 0.0), "r1")
+    bench.bus.ask(LEASE, "r1", b"")
+    assert bench.woken == [bench.now_ns] * 3
 
 
-def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Stand, recording_driver: Any) -> None:
+def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Any, recording_driver: Any) -> None:
     stand.run(S // 2, robot="r2")
     assert stand.made["r2"].target == FORWARD
     recording_driver.stuck.add("r1")
@@ -213,3 +178,48 @@ def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Stand, recor
     assert stand.made["r2"].target == STOP
     stand.node.close()
     assert (stand.made["r1"].closed, stand.made["r2"].closed) == (1, 1)
+
+
+def test_a_witness_sees_every_decision_and_none_is_made_where_nothing_can_change(
+    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+) -> None:
+    seen: list[tuple[str, int, Any, Any, Any]] = []
+    bench = bench_of(platoon_of(*recorded(0)))
+    node = driver_of(bench, "r1", witness=lambda *what: seen.append(what))
+    bench.run(node, S)
+    assert len(seen) == 1  # disarmed: a hundred loops, and nobody asked
+    robot = recording_driver.made["r1"]
+    robot.faults = WIRED_STOP
+    bench.run(node, S)
+    assert len(seen) == 2
+    name, _, inputs, state, output = seen[-1]
+    assert (name, inputs.latch, state.latch, output.output) == ("r1", Latch.WIRED_STOP, Latch.WIRED_STOP, STOP)
+    robot.faults = 0
+    bench.run(node, S)
+    assert len(seen) == 2
+
+
+def test_a_clock_that_is_set_back_stops_the_wheels_by_the_loop_that_sees_it(stand: Any) -> None:
+    stand.run(S // 5)
+    boot_id, back_ns = stand.newest("r1").boot_id, 100 * MS
+    stand.bench.clock._now_ns -= back_ns
+    set_back_ns = stand.bench.now_ns
+    next_ns = stand.node.step(set_back_ns)
+    assert set_back_ns < next_ns <= set_back_ns + 10 * MS
+    stand.bench.run(stand.node, 90 * MS)
+    assert stand.made["r1"].target == STOP
+    status = stand.newest("r1")
+    assert (status.boot_id, status.target_after_ns, status.gate) == (boot_id + 1, -1, GateStatus.NO_ENABLE)
+    stand.run(S // 5)
+    assert stand.made["r1"].target == FORWARD
+
+
+def test_a_command_that_waits_for_its_permission_reaches_the_wheels_with_it(stand: Any) -> None:
+    stand.acquire("r1")
+    stand.command("r1", exposure_ns=5)
+    stand.bench.run(stand.node, 25 * MS)
+    assert (stand.newest("r1").applied_exposure_ns, stand.newest("r1").applied_ns) == (0, 0)
+    stand.enable("r1")
+    enabled_ns = stand.bench.now_ns
+    stand.bench.run(stand.node, 25 * MS)
+    assert (stand.newest("r1").applied_exposure_ns, stand.newest("r1").applied_ns) == (5, enabled_ns)

@@ -1,42 +1,149 @@
 """Several robots in one driver process: none pays for another one's robot."""
 
+import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import COMMAND, ENABLE, STATUS
-from robofleet.comms.messages import Enable, WheelCommand
-from robofleet.processes.driver import DriverProcess
-from robofleet.safety.supervisor import Phase
-from robofleet.vehicles.interface import STOP, WheelSpeeds
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, WheelSpeeds
 
 Make = Callable[..., Any]
+FORWARD = WheelSpeeds(3.0, 4.0)
 
 
-def test_a_slow_robot_gives_its_neighbour_no_time(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench = bench_of(platoon_of(*recorded(0, 1)))
-    node = DriverProcess(bench.config, ("r1", "r2"), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1))
-    bench.run(node, S // 10)
-    status = bench.heard(STATUS, "r2")[-1]
-    monkeypatch.setattr(recording_driver.made["r1"], "write", lambda _: bench.wait(130 * MS))
+def test_a_slow_robot_gives_its_neighbour_no_time(stand: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("r1", "r2"):
-        seen = bench.heard(STATUS, name)[-1]
-        bench.say(COMMAND, WheelCommand(1, 1, seen.boot_id, seen.nonce, 0, 3.0, 3.0), name)
-        bench.say(ENABLE, Enable(1, 1, seen.boot_id, seen.nonce, Phase.RUNNING), name)
-    node.step(bench.now_ns)
-    assert bench.now_ns - status.nonce >= 130 * MS
-    assert recording_driver.made["r2"].writes[-1][1] == STOP != WheelSpeeds(3.0, 3.0)
+        stand.acquire(name)
+    issued_ns = stand.newest("r2").nonce
+    for name in ("r1", "r2"):
+        stand.command(name)
+        stand.enable(name)
+    with monkeypatch.context() as context:
+        context.setattr(stand.made["r1"], "write", lambda _: stand.bench.wait(130 * MS))
+        stand.node.step(stand.bench.now_ns)
+    assert stand.bench.now_ns - issued_ns >= 130 * MS
+    stand.bench.run(stand.node, 30 * MS)
+    assert {wheels for _, wheels in stand.made["r2"].writes} == {STOP}
+    assert stand.newest("r2").rejected == 2
 
 
 def test_a_robot_that_cannot_be_opened_leaves_none_open(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any
+    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
 ) -> None:
     bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:open'"))
     with pytest.raises(TypeError):
-        DriverProcess(bench.config, ("r1", "r2"), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1))
+        driver_of(bench, "r1", "r2")
     assert recording_driver.made["r1"].closed == 1
+
+
+def test_a_robot_that_cannot_be_given_a_gate_is_closed_too(
+    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+) -> None:
+    class Nowhere:
+        def load(self, robot: str) -> Any:
+            raise MemoryError(robot)
+
+    with pytest.raises(MemoryError, match="r1"):
+        driver_of(bench_of(platoon_of(*recorded(0))), "r1", keeping=Nowhere())
+    assert recording_driver.made["r1"].closed == 1
+
+
+@pytest.mark.parametrize("how", ["stuck", "mute"])
+def test_a_robot_that_fails_is_latched_alone(stand: Any, recording_driver: Any, how: str) -> None:
+    stand.run(S // 5, robot="r1")
+    stand.run(S // 5, robot="r2")
+    getattr(recording_driver, how).add("r1")
+    drive_both(stand, S // 5)
+    one, other = stand.newest("r1"), stand.newest("r2")
+    assert (one.gate, one.latch, one.latch_id) == (GateStatus.LATCHED, Latch.DRIVER_FAILED, 1)
+    assert (other.gate, other.latch) == (GateStatus.OPEN, Latch.NONE)
+    assert stand.made["r2"].target == FORWARD
+
+
+def test_a_robot_that_failed_is_told_to_stop_until_it_hears(
+    stand: Any, recording_driver: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stand.run(S // 5)
+    robot, tried = stand.made["r1"], list[int]()
+
+    def unplugged(_: Any) -> None:
+        tried.append(stand.bench.now_ns)
+        raise OSError("unplugged")
+
+    with monkeypatch.context() as context:
+        context.setattr(robot, "write", unplugged)
+        stand.run(S // 5)
+    assert max(np.diff(tried)) <= 10 * MS
+    assert robot.target == FORWARD
+    stand.run(15 * MS)
+    assert robot.target == STOP
+    stand.run(S // 5)
+    assert robot.target == STOP
+    assert stand.newest("r1").latch == Latch.DRIVER_FAILED
+
+
+def test_a_robot_that_failed_drives_again_only_after_a_reset(stand: Any, recording_driver: Any) -> None:
+    stand.run(S // 5)
+    recording_driver.mute.add("r1")
+    stand.run(S // 2)
+    stand.enable("r1", clear=stand.newest("r1").latch_id)
+    stand.run(S // 5)
+    assert stand.newest("r1").latch == Latch.DRIVER_FAILED  # it still fails
+    recording_driver.mute.clear()
+    stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.LATCHED
+    stand.enable("r1", clear=stand.newest("r1").latch_id)
+    stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.OPEN
+    assert stand.made["r1"].target == FORWARD
+
+
+@pytest.mark.parametrize(
+    "reading",
+    [
+        DriverReading(math.nan, 0.0, 0.0, 0.0, 0.5, 0),
+        DriverReading(0.0, 0.0, 0.0, math.inf, 0.5, 0),
+        DriverReading(0.0, 0.0, 0.0, 0.0, 0.5, -1),
+        DriverReading(0.0, 0.0, 0.0, 0.0, 0.5, 1 << 32),
+        None,
+    ],
+)
+def test_a_reading_that_says_nothing_is_a_failure(
+    stand: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reading: Any
+) -> None:
+    stand.run(S // 5)
+    monkeypatch.setattr(stand.made["r1"], "read", lambda: reading)
+    stand.run(S // 5)
+    assert stand.newest("r1").latch == Latch.DRIVER_FAILED  # and its status can be read
+    assert stand.made["r1"].target == STOP
+    assert capsys.readouterr().err.count("r1: its driver failed") == 1
+
+
+def test_a_wired_stop_acts_within_a_loop_and_holds(stand: Any) -> None:
+    stand.run(S // 5)
+    pressed_ns, stand.made["r1"].faults = stand.bench.now_ns, WIRED_STOP
+    stand.run(S // 5)
+    falls = [at for at, wheels in stand.made["r1"].writes if at > pressed_ns and wheels != FORWARD]
+    assert falls[0] - pressed_ns <= 10 * MS
+    status = stand.newest("r1")
+    assert (status.latch, status.faults) == (Latch.WIRED_STOP, WIRED_STOP)
+    stand.enable("r1", clear=status.latch_id)  # still pressed
+    stand.run(S // 5)
+    assert (stand.newest("r1").latch, stand.newest("r1").latch_id) == (Latch.WIRED_STOP, status.latch_id)
+    stand.made["r1"].faults = 0
+    stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.LATCHED
+    stand.enable("r1", clear=status.latch_id)
+    stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.OPEN
+
+
+def drive_both(stand: Any, ns: int) -> None:
+    acts = [(33 * MS, partial(stand.command, name)) for name in ("r1", "r2")]
+    acts += [(40 * MS, partial(stand.enable, name)) for name in ("r1", "r2")]
+    stand.bench.run(stand.node, ns, *acts)

@@ -1,99 +1,17 @@
 """Runs in real time, with every process of theirs: they work, they end, and nothing is left of them."""
 
-import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import psutil
 import pytest
 
-from robofleet.clock import MS, S, WallClock
 from robofleet.config.load import load_config
+from tests.processes.realrun import ALONE, PLATOON, RealRun
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
-GONE_WITHIN_S = 2.0
 ROBOTS = ["r1", "r2", "r3", "r4"]
-CLOCK = WallClock()
-
-
-def wait(condition: Callable[[], Any], within_s: float) -> bool:
-    """Return as soon as the condition holds, or False after a while."""
-    deadline_ns = CLOCK.now_ns() + round(within_s * S)
-    while not condition():
-        if CLOCK.now_ns() > deadline_ns:
-            return False
-        CLOCK.sleep_until(CLOCK.now_ns() + 10 * MS)
-    return True
-
-
-class RealRun:
-    """``robofleet run`` as an operator starts it, with its output in files."""
-
-    def __init__(self, folder: Path, *arguments: str) -> None:
-        self.folder = folder / "run"
-        self._stdout, self._stderr = folder / "stdout", folder / "stderr"
-        command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(PLATOON), "--out", str(self.folder)]
-        with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
-            self.launcher = subprocess.Popen([*command, "--json", *arguments], stdout=out, stderr=err)
-
-    @property
-    def said(self) -> str:
-        return self._stderr.read_text()
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """Return what was printed, which is what was written."""
-        printed = json.loads(self._stdout.read_text())
-        assert printed == json.loads((self.folder / "summary.json").read_text())
-        return dict(printed)
-
-    def wait_until_running(self) -> None:
-        self.wait_for(lambda: "\nrunning" in self.said)
-
-    def wait_for(self, condition: Callable[[], Any]) -> None:
-        """Wait for something to happen in a run that has not ended."""
-        assert wait(lambda: condition() or self.launcher.poll() is not None, 60), self.said
-        assert self.launcher.poll() is None, self.said
-
-    def ended(self, within_s: float) -> int:
-        assert wait(lambda: self.launcher.poll() is not None, within_s), self.said
-        return int(self.launcher.returncode)
-
-    def children(self, *words: str) -> list[psutil.Process]:
-        """Return the living processes of this run, found by their config's path; all of them or those with words."""
-        found = []
-        for process in psutil.process_iter(["cmdline", "status"]):
-            line = process.info["cmdline"] or []
-            mine = str(self.folder / "config.yaml") in line and process.info["status"] != psutil.STATUS_ZOMBIE
-            if mine and all(word in line for word in words):
-                found.append(process)
-        return found
-
-    def kill(self, *words: str) -> None:
-        (process,) = self.children(*words)
-        process.kill()
-
-    def nothing_is_left(self) -> bool:
-        return wait(lambda: not self.children(), GONE_WITHIN_S)
-
-
-@pytest.fixture
-def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
-    runs: list[RealRun] = []
-
-    def start(*arguments: str) -> RealRun:
-        runs.append(RealRun(tmp_path, *arguments))
-        return runs[-1]
-
-    yield start
-    for run in runs:
-        for process in (run.launcher, *run.children()):
-            process.kill()
-        run.launcher.wait()
 
 
 def libraries(process: psutil.Process) -> str:
@@ -134,10 +52,10 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
 
 
 @pytest.mark.parametrize(
-    "victim", [["controller"], ["driver", "r2"], ["router"], ["tracker"], ["supervisor"]], ids="-".join
+    "victim", [["controller"], ["driver", "r1"], ["router"], ["tracker"], ["supervisor"]], ids="-".join
 )
 def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: list[str]) -> None:
-    run = real_run("--set", "tracker.source=truth")
+    run = real_run(*ALONE)
     run.wait_until_running()
     run.kill(*victim)
     assert run.nothing_is_left()
@@ -148,16 +66,16 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
 
 
 def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
-    run = real_run("--set", "tracker.source=truth")
+    run = real_run(*ALONE)
     run.wait_until_running()
-    assert len(run.children()) == 8
+    assert len(run.children()) == 5
     run.launcher.kill()
     assert run.nothing_is_left()
     assert run.ended(1) == -signal.SIGKILL
 
 
 def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
-    run = real_run("--set", "tracker.source=truth")
+    run = real_run(*ALONE)
     run.wait_until_running()
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
@@ -168,14 +86,14 @@ def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
 
 
 def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
-    run = real_run("--set", "tracker.source=truth")
+    run = real_run(*ALONE)
     run.wait_for(run.children)
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
     assert run.ended(5) == 1
     assert (run.summary["outcome"], run.summary["ticks"]) == ("stopped", 0)
     assert "running" not in run.said
-    assert len(list((run.folder / "log").iterdir())) < 8, "nobody else is started then"
+    assert len(list((run.folder / "log").iterdir())) < 5, "nobody else is started then"
 
 
 def test_a_driver_process_loads_neither_numba_nor_opencv() -> None:

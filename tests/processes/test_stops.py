@@ -1,29 +1,238 @@
-"""A closed gate stops a robot for good, and a stopped robot is in the summary."""
+"""Stops: the latched emergency stop and its way out, the operator who went away, a gate that closes, a robot's halt."""
 
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import COMMAND, ENABLE, STATUS
-from robofleet.comms.messages import Enable, WheelCommand
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
+from robofleet.comms.messages import LEASE_REQUEST, Enable, LeaseRequest, WheelCommand
 from robofleet.processes.driver import DriverProcess
-from robofleet.safety.supervisor import Phase
-from robofleet.vehicles.interface import STOP
+from robofleet.processes.keeping import MemoryKeeping
+from robofleet.safety import arming
+from robofleet.safety.gate import Latch, LeaseAction
+from robofleet.safety.supervisor import NOBODY, Event, Phase
+from robofleet.vehicles.interface import STOP, WIRED_STOP
+from tests.processes.stand import ROBOTS, Stand
 
 Make = Callable[..., Any]
+
+
+@pytest.fixture
+def stand_of(bench_of: Make, platoon_of: Make, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Stand]:
+    monkeypatch.setattr(arming, "step", arming.step)  # put back at the end
+    return lambda **keys: Stand(bench_of(platoon_of()), **keys)
+
+
+@pytest.fixture
+def stand(stand_of: Callable[..., Stand]) -> Stand:
+    return stand_of()
+
+
+def emergency(stand: Stand) -> None:
+    stand.running()
+    assert stand.ask("estop") == "ok"
+    stand.run(100 * MS)
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
+
+
+def test_an_emergency_stop_reaches_every_gate_at_once_and_is_acknowledged(stand: Stand) -> None:
+    stand.running()
+    stand.ask("estop")
+    for robot in ROBOTS:
+        enable = stand.enable(robot)
+        assert (enable.latch, enable.limit_rad_s) == (Latch.EMERGENCY_STOP, 0.0)
+    assert [robot.acknowledged for robot in stand.state.robots] == [0, 0, 0, 0]
+    stand.run(100 * MS)
+    assert stand.cause == (Phase.ESTOP, Event.ESTOP_REQUESTED, NOBODY)
+    assert [robot.acknowledged for robot in stand.state.robots] == [1, 1, 1, 1]
+    stand.run(S)
+    assert not [line for line in stand.said if "acknowledged" in line]
+
+
+@pytest.mark.parametrize("deaf", [("r2",), ("r1", "r4")])
+def test_who_has_not_acknowledged_after_200_ms_is_named(stand: Stand, deaf: tuple[str, ...]) -> None:
+    stand.running()
+    for robot in deaf:
+        stand.robots[robot].deaf = True
+    stand.ask("estop")
+    stand.run(190 * MS)
+    assert "not acknowledged" not in stand.said[-1]
+    stand.run(60 * MS)
+    assert stand.said[-1] == f"the emergency stop is not acknowledged by {', '.join(deaf)}"
+    assert [robot.acknowledged for robot in stand.state.robots] == [int(robot not in deaf) for robot in ROBOTS]
+    assert stand.ask("status").endswith(f"not acknowledged by {', '.join(deaf)}")
+    stand.run(S)
+    assert sum("not acknowledged" in line for line in stand.said) == 1
+
+
+def test_a_driver_that_comes_back_later_is_stopped_too(stand: Stand) -> None:
+    stand.running()
+    stand.silent.add("r3")
+    stand.robots["r3"].deaf = True
+    stand.ask("estop")
+    stand.run(5 * S)
+    assert stand.robots["r3"].latch is Latch.NONE
+    stand.robots["r3"].boot_id, stand.robots["r3"].deaf = 999, False
+    stand.silent.clear()
+    stand.run(100 * MS)
+    assert stand.robots["r3"].latch is Latch.EMERGENCY_STOP
+    assert stand.state.robots[2].acknowledged == 1
+
+
+@pytest.mark.parametrize("phase", ["IDLE", "RUNNING", "HOLD", "FAULT"])
+def test_a_robots_own_e_stop_stops_them_all_whatever_the_run_does(stand: Stand, phase: str) -> None:
+    if phase != "IDLE":
+        stand.running()
+    if phase == "HOLD":
+        stand.ask("hold")
+    if phase == "FAULT":
+        stand.free_bytes = 0
+    stand.run(100 * MS)
+    assert stand.state.phase == Phase[phase]
+    stand.robots["r2"].says = {"faults": WIRED_STOP}
+    stand.run(100 * MS)
+    assert stand.cause == (Phase.ESTOP, Event.WIRED_STOP, 1)
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
+
+
+def test_a_reset_clears_the_latches_and_moves_nothing(stand: Stand) -> None:
+    emergency(stand)
+    stand.run(S)
+    before = len(stand.bench.heard(ENABLE, "r1"))
+    assert stand.ask("reset", S // 5) == "ok"
+    stand.run(S)
+    assert stand.cause == (Phase.IDLE, Event.RESET, NOBODY)
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.NONE}
+    for robot in ROBOTS:
+        assert {enable.limit_rad_s for enable in stand.bench.heard(ENABLE, robot)[before:]} == {0.0}
+    stand.running()
+
+
+def test_a_reset_clears_no_latch_that_came_later(stand: Stand) -> None:
+    emergency(stand)
+    stand.ask("reset")
+    stand.robots["r1"].latch, stand.robots["r1"].latch_id = Latch.DRIVER_FAILED, 2
+    stand.run(S)
+    assert [robot.latch for robot in stand.robots.values()] == [Latch.DRIVER_FAILED, 0, 0, 0]
+
+
+def test_a_reset_that_a_gate_does_not_follow_is_refused_by_name(stand: Stand) -> None:
+    emergency(stand)
+    stand.robots["r4"].deaf = True
+    assert stand.ask("reset", 480 * MS) == "no answer"
+    assert stand.ask("reset", 100 * MS).startswith("refused: r4: ")
+
+
+def test_an_emergency_stop_during_a_reset_wins(stand: Stand) -> None:
+    from robofleet.comms.keys import REQUEST
+
+    emergency(stand)
+    reset = stand.bench.bus.ask(REQUEST, "supervisor", b"reset")
+    assert stand.ask("estop") == "ok"
+    stand.run(S // 5)
+    assert (reset.take() or b"").startswith(b"refused: the emergency stop is latched")
+    assert stand.state.phase == Phase.ESTOP
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
+
+
+@pytest.mark.parametrize(
+    ("says", "why"),
+    [
+        ({"left_rad_s": 0.06}, "r3 is not at rest"),
+        ({"right_rad_s": -0.06}, "r3 is not at rest"),
+        ({"left_output_rad_s": 0.06}, "r3 is not at rest"),
+        ({"right_output_rad_s": -0.06}, "r3 is not at rest"),
+        ({"faults": WIRED_STOP}, "r3: its own e-stop is pressed"),
+        ({"latch": Latch.NONE}, "r3 has not acknowledged"),
+        ({"latch": Latch.DRILL}, "r3 has not acknowledged"),
+    ],
+)
+def test_a_reset_is_refused_with_a_reason(stand: Stand, says: dict[str, Any], why: str) -> None:
+    emergency(stand)
+    stand.robots["r3"].says = says
+    stand.run(100 * MS)
+    assert stand.ask("reset").startswith(f"refused: {why}")
+    stand.run(S)
+    assert stand.state.phase == Phase.ESTOP
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
+    stand.robots["r3"].says = {}
+    stand.run(100 * MS)
+    assert stand.ask("reset", S // 5) == "ok"
+
+
+def test_a_robot_that_is_gone_does_not_keep_the_others_from_a_reset(stand: Stand) -> None:
+    stand.running()
+    stand.silent.add("r3")
+    stand.robots["r3"].deaf = True
+    stand.ask("estop")
+    stand.run(400 * MS)
+    assert stand.ask("reset").startswith("refused: r3 has not acknowledged")
+    stand.run(200 * MS)
+    assert stand.ask("reset", S // 5) == "ok"
+    assert stand.state.phase == Phase.IDLE
+
+
+def test_a_reset_of_what_is_clear_is_answered_at_once(stand: Stand) -> None:
+    stand.run(S // 5)
+    assert stand.ask("reset") == "ok"
+    assert stand.state.phase == Phase.IDLE
+
+
+@pytest.mark.parametrize("phase", ["ARMED", "RUNNING", "HOLD"])
+def test_a_run_whose_operator_went_away_is_stopped_for_good(stand_of: Callable[..., Stand], phase: str) -> None:
+    stand = stand_of(attended=True)
+    if phase == "ARMED":
+        stand.silent.add("r1")  # the checks wait for it
+        stand.run(S // 5)
+        stand.ask("start")
+        stand.run(3 * S)
+    else:
+        stand.running()
+        stand.run(3 * S)
+    if phase == "HOLD":
+        stand.ask("hold")
+    stand.silent.add("operator")
+    stand.run(S - 200 * MS)
+    assert stand.state.phase == Phase[phase]
+    stand.run(300 * MS)
+    assert stand.cause == (Phase.ESTOP, Event.OPERATOR_LOST, NOBODY)
+
+
+def test_an_operator_who_asks_for_a_start_has_a_second_to_be_there(stand_of: Callable[..., Stand]) -> None:
+    stand = stand_of(attended=True)
+    stand.silent |= {"operator", "r1"}
+    stand.run(3 * S)
+    assert stand.state.phase == Phase.IDLE
+    stand.ask("start")
+    stand.run(900 * MS)
+    assert stand.state.phase == Phase.ARMED
+    stand.run(200 * MS)
+    assert stand.cause == (Phase.ESTOP, Event.OPERATOR_LOST, NOBODY)
+
+
+def test_a_run_that_needs_no_operator_goes_on_without_one(stand: Stand) -> None:
+    stand.silent.add("operator")
+    stand.running()
+    stand.run(3 * S)
+    assert stand.state.phase == Phase.RUNNING
 
 
 def test_the_stop_is_repeated_while_the_gate_is_closed(
     bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any
 ) -> None:
     bench = bench_of(platoon_of(*recorded(0)))
-    node = DriverProcess(bench.config, ("r1",), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1))
+    node = DriverProcess(
+        bench.config, ("r1",), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1), MemoryKeeping()
+    )
+    bench.run(node, S // 10)
+    bench.bus.ask(LEASE, "r1", LEASE_REQUEST.encode(LeaseRequest(5, LeaseAction.ACQUIRE)))
     bench.run(node, S // 10)
     seen = bench.heard(STATUS, "r1")[-1]
-    bench.say(COMMAND, WheelCommand(1, 1, seen.boot_id, seen.nonce, 0, 3.0, 3.0), "r1")
-    bench.say(ENABLE, Enable(1, 1, seen.boot_id, seen.nonce, Phase.RUNNING), "r1")
+    bench.say(COMMAND, WheelCommand(seen.epoch, 1, 5, seen.boot_id, seen.nonce, 0, 3.0, 3.0), "r1")
+    bench.say(ENABLE, Enable(seen.epoch, 1, seen.boot_id, seen.nonce, Phase.RUNNING, 0, 0, 5.0), "r1")
     bench.run(node, 50 * MS)
     driver = recording_driver.made["r1"]
     assert driver.target != STOP
@@ -33,7 +242,7 @@ def test_the_stop_is_repeated_while_the_gate_is_closed(
     assert max(np.diff(stops)) <= 10 * MS
 
 
-def test_a_robot_that_is_not_seen_is_listed_as_stopped(truth: Make) -> None:
-    figures = truth("run.duration_s=3", "camera.trigger=free", "camera.rate_hz=1", "controller.filter.lost_after_s=0.3")
-    assert {stop["robot"] for stop in figures["stops"]} == {"r1", "r2", "r3", "r4"}
-    assert {stop["cause"] for stop in figures["stops"]} == {"not seen by the tracker"}
+def test_a_camera_that_is_too_slow_stops_the_run_by_name(truth: Make) -> None:
+    figures = truth("run.duration_s=3", "camera.trigger=free", "camera.rate_hz=1")
+    assert figures["outcome"] == "fault"
+    assert figures["cause"] == "the tracker went silent"

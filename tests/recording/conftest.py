@@ -106,10 +106,10 @@ class Story:
             point = x + 0.08 * math.cos(psi), y + 0.08 * math.sin(psi)
             error = self.control_error[at, row] if k >= 0 else 9.0
             pose = x, y, math.remainder(psi, math.tau)
-            items.append(RobotTick(*pose, *point, 0, 0, 0, 0, 0, error, 0, 0, float(row == 0 and k == 1), 1, 0))
+            items.append(RobotTick(*pose, *point, 0, 0, 0, 0, 0, error, 0, 0, float(row == 0 and k == 1), 1, 0, 0, 0))
         phase, run_tick = (Phase.RUNNING, k) if k >= 0 else (Phase.ARMED, -1)
         exposure_ns = self.stamp(k) - 18 * MS
-        head = 1, k + 10, run_tick, self.stamp(k), 1, exposure_ns, phase, max(k, 0) // 10 + 7, 1000 * (k + 10)
+        head = 1, 1, k + 10, run_tick, self.stamp(k), 1, exposure_ns, phase, max(k, 0) // 10 + 7, 1000 * (k + 10)
         return TickRecord(*head, 50_000, tuple(items))
 
 
@@ -139,7 +139,8 @@ def add_status() -> Callable[..., None]:
         recording: Recording, robot: str, stamp_ns: int, *, applied: tuple[int, int] = (0, 0),
         gate: GateStatus = GateStatus.OPEN, rejected: int = 0,
     ) -> None:  # fmt: skip
-        message = RobotStatus(1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        wheels = (0.0,) * 6
+        message = RobotStatus(1, 1, 1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0, 0, -1, -1, *wheels, 1.0)
         recording.add(key(recording.config.arena.name, STATUS, robot), ROBOT_STATUS.encode(message))
 
     return add
@@ -153,7 +154,7 @@ def add_image() -> Callable[..., None]:
         recording: Recording, exposure_ns: int, tags: Sequence[int], work_ns: int = 2 * MS, coasted_ns: int = 0
     ) -> None:
         poses = tuple(TagPose(tag, 0, coasted_ns, 0.0, 0.0, 0.0) for tag in tags)
-        message = FleetPoses(1, 1, exposure_ns, exposure_ns + 10 * MS, 1, 0, work_ns, 3, poses)
+        message = FleetPoses(1, 1, 1, exposure_ns, exposure_ns + 10 * MS, 1, 0, work_ns, 3, poses)
         recording.add(key(recording.config.arena.name, POSES, CAMERA), FLEET_POSES.encode(message))
 
     return add

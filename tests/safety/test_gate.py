@@ -1,98 +1,110 @@
 """The gate before the wheels: what it lets through, what it refuses, and when it closes."""
 
 import math
+from itertools import product
+from typing import Any
 
 import pytest
 
 from robofleet.safety.gate import (
     VALID_NS,
-    Command,
     GateState,
     GateStatus,
-    Permission,
-    step,
+    Latch,
+    LeaseAction,
 )
-from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import STOP, WheelSpeeds
-
-BOOT, NOW = 7, 1_000_000_000_000
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.16,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
-WHEELS = WheelSpeeds(3.0, -4.0)
-
-
-def command(nonce: int = NOW, wheels: WheelSpeeds = WHEELS, boot_id: int = BOOT) -> Command:
-    return Command(boot_id, nonce, wheels)
-
-
-def enable(nonce: int = NOW, running: bool = True, boot_id: int = BOOT) -> Permission:
-    return Permission(boot_id, nonce, running)
-
-
-def opened(nonce: int = NOW) -> GateState:
-    state, output = step(GateState(BOOT), DRIVE, command(nonce), enable(nonce), nonce)
-    assert output.target == WHEELS
-    return state
+from tests.safety.gated import BOOT, MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
 
 
 def test_it_is_120_ms() -> None:
     assert VALID_NS == 120_000_000
 
 
-def test_both_are_needed() -> None:
-    assert step(GateState(BOOT), DRIVE, None, None, NOW)[1] == (STOP, GateStatus.NO_ENABLE, None)
-    assert step(GateState(BOOT), DRIVE, command(), None, NOW)[1] == (STOP, GateStatus.NO_ENABLE, None)
-    assert step(GateState(BOOT), DRIVE, None, enable(), NOW)[1] == (STOP, GateStatus.NO_COMMAND, None)
-    state, output = step(GateState(BOOT), DRIVE, command(), enable(), NOW)
-    assert output == (WHEELS, GateStatus.OPEN, NOW + VALID_NS)
-    assert state.refused == 0
+def test_it_starts_disarmed(step: Step) -> None:
+    gate = Gate(step)
+    assert gate.out == (STOP, STOP, GateStatus.NO_LEASE, None, None)
+    assert gate.state == GateState(BOOT, at_ns=NOW)
 
 
-def test_neither_order_matters() -> None:
-    state, _ = step(GateState(BOOT), DRIVE, None, enable(), NOW)
-    assert step(state, DRIVE, command(), None, NOW + 1)[1].target == WHEELS
+@pytest.mark.parametrize(("lease", "enable", "command", "latch"), list(product((False, True), repeat=4)))
+def test_the_target_needs_lease_and_command_and_enable_and_no_latch(
+    step: Step, lease: bool, enable: bool, command: bool, latch: bool
+) -> None:
+    gate = Gate(step)
+    if lease:
+        assert gate.lease() is True
+    if enable:
+        gate.enable()
+    if command:
+        gate.command()
+    if latch:
+        gate.give(latch=Latch.WIRED_STOP)
+    why = [
+        (latch, GateStatus.LATCHED),
+        (not lease, GateStatus.NO_LEASE),
+        (not enable, GateStatus.NO_ENABLE),
+        (not command, GateStatus.NO_COMMAND),
+        (True, GateStatus.OPEN),
+    ]
+    assert gate.out.status is next(status for so, status in why if so)
+    assert gate.out.target == (WHEELS if gate.out.status is GateStatus.OPEN else STOP)
 
 
 @pytest.mark.parametrize(("age", "accepted"), [(0, True), (VALID_NS - 1, True), (VALID_NS, False), (-1, False)])
-def test_a_message_counts_by_its_nonce_not_its_arrival(age: int, accepted: bool) -> None:
-    state, output = step(GateState(BOOT), DRIVE, command(NOW - age), enable(), NOW)
-    assert output.target == (WHEELS if accepted else STOP)
-    assert state.refused == (not accepted)
-    state, output = step(GateState(BOOT), DRIVE, command(), enable(NOW - age), NOW)
-    assert output.target == (WHEELS if accepted else STOP)
-    assert state.refused == (not accepted)
+@pytest.mark.parametrize("which", ["command", "permission"])
+def test_a_message_counts_by_its_nonce_not_its_arrival(step: Step, which: str, age: int, accepted: bool) -> None:
+    gate = Gate(step)
+    gate.lease()
+    made: Any = gate.a_command() if which == "command" else gate.an_enable()
+    assert gate.refuses(**{which: made._replace(nonce=NOW - age)}) is not accepted
 
 
-def test_validity_ends_with_the_older_of_the_two_nonces() -> None:
-    for older, newer in ((command(NOW - 50), enable()), (command(), enable(NOW - 50))):
-        _, output = step(GateState(BOOT), DRIVE, *sorted_by_kind(older, newer), NOW)
-        assert output.deadline_ns == NOW - 50 + VALID_NS
+@pytest.mark.parametrize("which", ["command", "permission"])
+@pytest.mark.parametrize("change", [{"boot_id": BOOT + 1}, {"boot_id": BOOT - 1}, {"epoch": 0}, {"epoch": 2}])
+def test_another_boot_s_and_another_lease_s_messages_are_refused(
+    step: Step, which: str, change: dict[str, int]
+) -> None:
+    gate = opened(step)
+    gate.wait(10 * MS)
+    made: Any = gate.a_command() if which == "command" else gate.an_enable()
+    assert gate.refuses(**{which: made._replace(**change)})
+    assert gate.out.target == WHEELS
 
 
-def sorted_by_kind(a: Command | Permission, b: Command | Permission) -> tuple[Command, Permission]:
-    return (a, b) if isinstance(a, Command) and isinstance(b, Permission) else (b, a)  # type: ignore[return-value]
+@pytest.mark.parametrize("session", [0, OTHER])
+def test_only_the_holder_of_the_lease_drives(step: Step, session: int) -> None:
+    gate = opened(step)
+    gate.wait(10 * MS)
+    assert gate.refuses(command=gate.a_command(session=session))
+    gate.lease(SESSION, LeaseAction.RELEASE)
+    assert gate.refuses(command=gate.a_command(session=session))
 
 
-def test_the_deadline_is_when_the_output_changes() -> None:
-    state = opened()
-    deadline = step(state, DRIVE, None, None, NOW)[1].deadline_ns
-    assert deadline == NOW + 120_000_000
-    assert step(state, DRIVE, None, None, deadline - 1)[1] == (WHEELS, GateStatus.OPEN, deadline)
-    assert step(state, DRIVE, None, None, deadline)[1].target == STOP
+@pytest.mark.parametrize(("seq", "accepted"), [(41, False), (42, False), (43, True), (2**32 - 1, True)])
+def test_a_command_must_be_newer_than_the_last(step: Step, seq: int, accepted: bool) -> None:
+    gate = Gate(step)
+    gate.lease()
+    gate.command(seq=42)
+    assert gate.refuses(command=gate.a_command(seq=seq)) is not accepted
 
 
-def test_the_status_says_which_one_ran_out() -> None:
-    late = NOW + 60_000_000
-    state, _ = step(opened(), DRIVE, None, enable(late), late)
-    assert step(state, DRIVE, None, None, NOW + VALID_NS)[1].status is GateStatus.NO_COMMAND
-    state, _ = step(opened(), DRIVE, command(late), None, late)
-    assert step(state, DRIVE, None, None, NOW + VALID_NS)[1].status is GateStatus.NO_ENABLE
+def test_after_the_last_sequence_number_there_is_none(step: Step) -> None:
+    gate = opened(step)
+    gate.command(seq=2**32 - 1)
+    assert gate.refuses(command=gate.a_command(seq=0))
+    assert gate.refuses(command=gate.a_command(seq=2**32 - 1))
+    assert gate.wait(VALID_NS).target == STOP
+
+
+@pytest.mark.parametrize(
+    ("nonce", "seq", "accepted"), [(0, 42, False), (0, 41, False), (0, 43, True), (-1, 99, False), (1, 1, True)]
+)
+def test_a_permission_must_be_newer_than_the_last(step: Step, nonce: int, seq: int, accepted: bool) -> None:
+    gate = Gate(step)
+    gate.enable(seq=42)
+    gate.now += 1
+    assert gate.refuses(permission=gate.an_enable(nonce=NOW + nonce, seq=seq)) is not accepted
 
 
 @pytest.mark.parametrize(
@@ -103,11 +115,16 @@ def test_the_status_says_which_one_ran_out() -> None:
         (10.0 * 1.009999, 10.0 * 1.009999),  # 0.16 m/s is 10 rad/s of both wheels
         (-10.0 * 1.009999, -10.0 * 1.009999),
         (12.5, 7.6),
+        (0.0, 0.0),
     ],
 )
-def test_just_inside_a_limit_passes_unchanged(wheels: tuple[float, float]) -> None:
-    _, output = step(GateState(BOOT), DRIVE, command(wheels=WheelSpeeds(*wheels)), enable(), NOW)
-    assert output.target == wheels
+def test_just_inside_a_limit_passes_unchanged(step: Step, wheels: tuple[float, float]) -> None:
+    gate = Gate(step)
+    gate.lease()
+    gate.enable()
+    assert gate.command(wheels=WheelSpeeds(*wheels)).target == wheels
+    assert gate.out.status is GateStatus.OPEN
+    assert gate.state.refused == 0
 
 
 @pytest.mark.parametrize(
@@ -125,61 +142,76 @@ def test_just_inside_a_limit_passes_unchanged(wheels: tuple[float, float]) -> No
         (1e300, -1e300),
     ],
 )
-def test_outside_is_refused_not_clamped(wheels: tuple[float, float]) -> None:
-    state, output = step(GateState(BOOT), DRIVE, command(wheels=WheelSpeeds(*wheels)), enable(), NOW)
-    assert output == (STOP, GateStatus.NO_COMMAND, None)
-    assert state.refused == 1
-    assert state.wheels == STOP
-
-
-def test_another_boots_messages_are_refused() -> None:
-    state, output = step(GateState(BOOT), DRIVE, command(boot_id=BOOT + 1), enable(boot_id=BOOT - 1), NOW)
-    assert output.target == STOP
-    assert state == GateState(BOOT, refused=2)
+def test_outside_is_refused_not_clamped(step: Step, wheels: tuple[float, float]) -> None:
+    gate = opened(step)
+    gate.wait(10 * MS)
+    assert gate.refuses(command=gate.a_command(wheels=WheelSpeeds(*wheels)))
+    assert gate.out.target == WHEELS
 
 
 @pytest.mark.parametrize(
-    "refused",
-    [
-        command(NOW + 50_000_001),  # from the future
-        command(NOW + 50_000_000, boot_id=8),
-        command(NOW + 50_000_000, WheelSpeeds(20.0, 0.0)),
-        command(NOW + 50_000_000, WheelSpeeds(math.nan, 0.0)),
-        command(NOW - 70_000_000),  # too old
-    ],
+    ("limit", "passes"),
+    [(4.0, True), (4.0 / 1.0099, True), (4.0 / 1.0101, False), (0.0, False), (-1.0, False), (math.nan, False)],
 )
-def test_a_refused_command_feeds_no_watchdog(refused: Command) -> None:
-    state, later = opened(), NOW + 50_000_000
-    after, output = step(state, DRIVE, refused, None, later)
-    assert after == state._replace(refused=1)
-    assert output == (WHEELS, GateStatus.OPEN, NOW + VALID_NS)
+@pytest.mark.parametrize("wheels", [WheelSpeeds(3.0, -4.0), WheelSpeeds(-4.0, 3.0)])
+def test_what_is_permitted_may_be_less_than_what_the_robot_can_do(
+    step: Step, limit: float, passes: bool, wheels: WheelSpeeds
+) -> None:
+    gate = opened(step, wheels)
+    gate.wait(10 * MS)
+    assert gate.enable(limit=limit).target == (wheels if passes else STOP)
+    assert gate.out.status is (GateStatus.OPEN if passes else GateStatus.NO_ENABLE)
+    assert gate.state.refused == 0
 
 
-@pytest.mark.parametrize(
-    "refused",
-    [
-        enable(NOW + 50_000_001),
-        enable(NOW + 50_000_000, boot_id=8),
-        enable(NOW - 70_000_000),
-        enable(NOW - 70_000_000, running=False),  # a stop so old cannot be told from a replay
-    ],
-)
-def test_a_refused_enable_feeds_no_watchdog(refused: Permission) -> None:
-    state, later = opened(), NOW + 50_000_000
-    after, output = step(state, DRIVE, None, refused, later)
-    assert after == state._replace(refused=1)
-    assert output.deadline_ns == NOW + VALID_NS
+def test_a_refused_message_feeds_no_watchdog(step: Step) -> None:
+    gate = opened(step)
+    closes = gate.out.deadline_ns
+    for _ in range(11):
+        gate.wait(10 * MS)
+        assert gate.refuses(command=gate.a_command(wheels=WheelSpeeds(99.0, 0.0)))
+        assert gate.refuses(permission=gate.an_enable(boot_id=BOOT + 1))
+        assert gate.out.deadline_ns == closes == NOW + 150 * MS + VALID_NS
+    assert gate.wait(10 * MS).target == STOP
 
 
-def test_an_enable_that_is_not_running_closes_at_once() -> None:
-    state, output = step(opened(), DRIVE, command(NOW + 1), enable(NOW + 1, running=False), NOW + 1)
-    assert output == (STOP, GateStatus.NO_ENABLE, None)
-    assert state.refused == 0
-    assert step(state, DRIVE, command(NOW + 2), None, NOW + 2)[1].target == STOP
-    assert step(state, DRIVE, None, enable(NOW + 2), NOW + 2)[1].target == WHEELS
+@pytest.mark.parametrize("renewed", ["command", "enable"])
+def test_validity_ends_with_the_older_of_the_two(step: Step, renewed: str) -> None:
+    gate = opened(step)
+    closes = gate.now + VALID_NS
+    gate.wait(50 * MS)
+    getattr(gate, renewed)()
+    assert gate.out.deadline_ns == closes
+    gate.now = closes - 1
+    assert gate.give().target == WHEELS
+    gate.now = closes
+    assert gate.give().target == STOP
+    assert gate.out.status is (GateStatus.NO_ENABLE if renewed == "command" else GateStatus.NO_COMMAND)
+    assert gate.state.target_after_ns == VALID_NS
 
 
-def test_a_new_command_replaces_the_old_one() -> None:
-    state, output = step(opened(), DRIVE, command(NOW + 9, WheelSpeeds(1.0, 2.0)), None, NOW + 10)
-    assert output.target == (1.0, 2.0)
-    assert state.command_until_ns == NOW + 9 + VALID_NS
+def test_on_the_way_up_too_it_wakes_when_validity_ends(step: Step) -> None:
+    gate = Gate(step)
+    gate.lease()
+    gate.wait(VALID_NS)
+    gate.enable(nonce=gate.now - VALID_NS + 3 * MS)
+    assert gate.command(wheels=WheelSpeeds(9.0, 9.0)).deadline_ns == gate.now + 3 * MS
+
+
+def test_the_status_is_renewed_when_its_reason_runs_out(step: Step) -> None:
+    gate = Gate(step)
+    gate.lease()
+    gate.enable()
+    assert gate.command(wheels=STOP).deadline_ns == NOW + VALID_NS  # nothing moves, and yet
+    gate.now += 50 * MS
+    gate.enable()
+    gate.now = NOW + VALID_NS
+    assert gate.give()[2:] == (GateStatus.NO_COMMAND, None, NOW + 50 * MS + VALID_NS)
+    gate.now = NOW + 50 * MS + VALID_NS
+    assert gate.give()[2:] == (GateStatus.NO_ENABLE, None, None)
+
+
+def test_a_new_command_replaces_the_old_one(step: Step) -> None:
+    gate = opened(step)
+    gate.wait(10 * MS)
+    assert gate.command(wheels=WheelSpeeds(1.0, 2.0)).target == (1.0, 2.0)

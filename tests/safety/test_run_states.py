@@ -1,50 +1,120 @@
-"""The run's state machine: every cell of phase and event."""
+"""The run's state machine: every cell of phase and event, against rules that are said here in other words."""
 
 from itertools import product
 
 import pytest
 
-from robofleet.safety.supervisor import CAUSES, NOBODY, TRANSITIONS, Event, Phase, RunStatus, step
+from robofleet.safety.supervisor import (
+    CAUSES,
+    NOBODY,
+    TRANSITIONS,
+    Event,
+    Happening,
+    Phase,
+    RunStatus,
+    describe,
+    step,
+)
 
-CHANGES = {
+EMERGENCIES = {Event.ESTOP_REQUESTED, Event.WIRED_STOP}  # whatever the run does
+ENDS = {  # nobody can go on from here without looking
+    Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.DRIVER_RESTARTED, Event.CONTROLLER_SILENT,
+    Event.CONTROLLER_RESTARTED, Event.OTHER_BUILD, Event.LEASE_LOST, Event.DISK_FULL, Event.CAMERA_LOST,
+    Event.CAMERA_MOVED, Event.GATE_LATCHED, Event.ROBOT_FAULT, Event.BATTERY_LOW, Event.TAG_LOST, Event.OUTSIDE_ARENA,
+}  # fmt: skip
+HOLDS = {  # it may pass, and the run can be resumed
+    Event.TRACKER_SILENT, Event.TRACKER_RESTARTED, Event.CAMERA_STALLED, Event.CAMERA_FROZEN, Event.TAG_TWICE,
+    Event.POSE_JUMPED, Event.TOO_CLOSE,
+}  # fmt: skip
+OF_MOTION = {Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED}  # mean something while the fleet drives
+OF_CHECKS = {event for event in Event if 50 <= event < 60} | {Event.ARMED_TOO_LONG}  # the fifties are the checks'
+WISHES = {
     (Phase.IDLE, Event.START_REQUESTED): Phase.ARMED,
-    (Phase.ARMED, Event.FLEET_READY): Phase.RUNNING,
+    (Phase.ARMED, Event.PROVED): Phase.RUNNING,
     (Phase.ARMED, Event.STOP_REQUESTED): Phase.IDLE,
     (Phase.RUNNING, Event.STOP_REQUESTED): Phase.IDLE,
-    (Phase.RUNNING, Event.DRIVER_SILENT): Phase.FAULT,
-    (Phase.RUNNING, Event.CONTROLLER_SILENT): Phase.FAULT,
-    (Phase.RUNNING, Event.ROBOT_LOST): Phase.FAULT,
+    (Phase.HOLD, Event.STOP_REQUESTED): Phase.IDLE,
+    (Phase.RUNNING, Event.HOLD_REQUESTED): Phase.HOLD,
+    (Phase.HOLD, Event.RESUME_REQUESTED): Phase.RUNNING,
+    (Phase.FAULT, Event.RESET): Phase.IDLE,
+    (Phase.ESTOP, Event.RESET): Phase.IDLE,
 }
+UNDER_WAY = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
+
+
+def expected(phase: Phase, event: Event) -> Phase | None:
+    rules = [
+        (Phase.ESTOP, event in EMERGENCIES and phase is not Phase.ESTOP),
+        (Phase.ESTOP, event is Event.OPERATOR_LOST and phase in UNDER_WAY),
+        (Phase.FAULT, event in ENDS - {Event.TAG_LOST} and phase in UNDER_WAY),
+        (Phase.FAULT, event is Event.TAG_LOST and phase in (Phase.ARMED, Phase.RUNNING)),  # in HOLD it stands anyway
+        (Phase.HOLD, event in HOLDS | OF_MOTION and phase is Phase.RUNNING),
+        (Phase.FAULT, event in HOLDS | OF_CHECKS and phase is Phase.ARMED),
+        (Phase.FAULT, event is Event.HELD_TOO_LONG and phase is Phase.HOLD),
+    ]
+    return next((to for to, applies in rules if applies), WISHES.get((phase, event)))
 
 
 @pytest.mark.parametrize(("phase", "event"), list(product(Phase, Event)))
 def test_every_cell(phase: Phase, event: Event) -> None:
-    before = RunStatus(phase, Event.NOTHING, 3)
-    after = step(before, event, 1)
-    if (phase, event) in CHANGES:
-        assert after == RunStatus(CHANGES[phase, event], event, 1)
-    else:
+    before = RunStatus(phase, Event.NOTHING, 3, 0.5)
+    after = step(before, Happening(event, 1, 2.5))
+    to = expected(phase, event)
+    if to is None:
         assert after is before  # neither phase nor cause nor robot
+    else:
+        assert after == RunStatus(to, event, 1, 2.5)
 
 
-def test_only_one_event_starts_the_wheels() -> None:
-    starts = [cell for cell, phase in TRANSITIONS.items() if phase is Phase.RUNNING]
-    assert starts == [(Phase.ARMED, Event.FLEET_READY)]
+def test_only_a_proof_and_the_operator_start_the_wheels() -> None:
+    starts = {cell for cell, phase in TRANSITIONS.items() if phase is Phase.RUNNING}
+    assert starts == {(Phase.ARMED, Event.PROVED), (Phase.HOLD, Event.RESUME_REQUESTED)}
 
 
-def test_nothing_leaves_a_fault() -> None:
-    assert all(phase is not Phase.FAULT for phase, _ in TRANSITIONS)
+def test_only_a_reset_leaves_an_emergency_stop_and_it_leads_to_idle() -> None:
+    assert [(e, to) for (phase, e), to in TRANSITIONS.items() if phase is Phase.ESTOP] == [(Event.RESET, Phase.IDLE)]
 
 
-def test_a_whole_run() -> None:
+def test_a_fault_is_left_for_idle_by_a_reset_alone_and_otherwise_only_for_an_emergency_stop() -> None:
+    leaves = {(e, to) for (phase, e), to in TRANSITIONS.items() if phase is Phase.FAULT}
+    assert leaves == {(Event.RESET, Phase.IDLE), *((event, Phase.ESTOP) for event in EMERGENCIES)}
+
+
+def test_no_transition_leads_where_the_run_already_is() -> None:
+    assert all(phase is not to for (phase, _), to in TRANSITIONS.items())
+
+
+def test_a_whole_run_with_a_hold() -> None:
     status = RunStatus()
     assert (status.phase, status.robot) == (Phase.IDLE, NOBODY)
-    for event in (Event.START_REQUESTED, Event.FLEET_READY, Event.ROBOT_LOST, Event.STOP_REQUESTED):
-        status = step(status, event, 2 if event is Event.ROBOT_LOST else NOBODY)
-    assert status == RunStatus(Phase.FAULT, Event.ROBOT_LOST, 2)
-    assert status.describe(("a", "b", "c")) == "the tracker lost the robot: c"
+    wishes = (Event.START_REQUESTED, Event.PROVED, Event.HOLD_REQUESTED, Event.RESUME_REQUESTED)
+    for event in wishes:
+        status = step(status, Happening(event))
+    assert status.phase is Phase.RUNNING
+    for happening in (Happening(Event.TAG_LATE, 1), Happening(Event.TAG_LOST, 2), Happening(Event.STOP_REQUESTED)):
+        status = step(status, happening)
+    assert status == RunStatus(Phase.FAULT, Event.TAG_LOST, 2)
+    assert status.describe(("a", "b", "c")) == "c: the tracker lost the robot"
 
 
 def test_every_cause_has_its_words() -> None:
     assert set(CAUSES) == set(Event)
-    assert RunStatus(Phase.IDLE, Event.STOP_REQUESTED).describe(()) == "stop requested"
+    robots = ("a", "b")
+    for event in Event:
+        assert describe(Happening(event, 0, 1.0), robots).startswith("a: ")
+        assert not describe(Happening(event, NOBODY, 1.0), robots).startswith("a: ")
+        for odd in (-0.5, 7.0, 1e300):  # of another version, or of no robot
+            assert "{" not in describe(Happening(event, 9, odd), robots)
+
+
+@pytest.mark.parametrize(
+    ("happening", "words"),
+    [
+        (Happening(Event.BATTERY_LOW, 0, 0.07), "a: the battery is low (7 %)"),
+        (Happening(Event.WRONG_TAG_MOVED, 0, 1.0), "a: its driver moves the tag of b"),
+        (Happening(Event.TOO_CLOSE, 1, 0.0), "b: it is too close to a"),
+        (Happening(Event.STOP_REQUESTED), "stop requested"),
+    ],
+)
+def test_a_cause_names_the_robot_and_its_figure(happening: Happening, words: str) -> None:
+    assert describe(happening, ("a", "b")) == words

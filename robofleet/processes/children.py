@@ -1,0 +1,103 @@
+"""The processes of a run: started, waited for, watched, and ended, so that nothing is left of them."""
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from robofleet.clock import Clock, S
+
+_READY_WITHIN_S = 30.0
+_EXIT_WITHIN_S = 1.2
+_POLL_S = 0.05
+_LAST_LINES = 5
+_CHILD_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+
+
+class RunError(Exception):
+    """The run ended by a fault; the message is its cause."""
+
+
+@dataclass
+class Child:
+    """One process, and this end of its lifeline."""
+
+    name: str
+    process: "subprocess.Popen[bytes]"
+    lifeline: socket.socket
+    log: Path
+    ready: bool = False
+
+    def last_lines(self) -> str:
+        """Return the end of what it wrote."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()[-_LAST_LINES:]
+        return "".join(f"\n    {line}" for line in lines)
+
+
+@dataclass
+class Children:
+    """The processes of a run, in the order of their start."""
+
+    folder: Path
+    config_file: Path
+    children: list[Child] = field(default_factory=list)
+
+    def start(self, name: str, *arguments: str) -> None:
+        """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
+        ours, theirs = socket.socketpair()
+        log = self.folder / f"{name}.log"
+        with theirs, log.open("wb") as output:
+            command = [sys.executable, "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
+            process = subprocess.Popen(
+                [*command, "--lifeline", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+                env=os.environ | _CHILD_ENVIRONMENT,
+            )
+        self.children.append(Child(name, process, ours, log))
+
+    def wait_ready(self, clock: Clock, meanwhile: Callable[[], None]) -> None:
+        """Return when every child has said that it is ready; ``meanwhile`` is called again and again, and may raise."""
+        deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
+        while waiting := [child for child in self.children if not child.ready]:
+            self.check()
+            meanwhile()
+            if clock.now_ns() > deadline_ns:
+                names = ", ".join(child.name for child in waiting)
+                raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s")
+            readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
+            for child in waiting:
+                if child.lifeline in readable and child.lifeline.recv(64):
+                    child.ready = True
+
+    def check(self) -> None:
+        """Raise RunError with its name and last lines if a child has died."""
+        for child in self.children:
+            code = child.process.poll()
+            if code is not None:
+                if code < 0:
+                    raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
+                raise RunError(f"the {child.name} ended with exit code {code}{child.last_lines()}")
+
+    def reap(self, clock: Clock) -> None:
+        """End every child: the router last, so that the others can take their leave; kill what does not answer."""
+        others, routers = self.children[1:], self.children[:1]
+        for group in (others, routers):
+            for child in group:
+                child.lifeline.close()
+            deadline_ns = clock.now_ns() + round(_EXIT_WITHIN_S * S)
+            for child in group:
+                try:
+                    child.process.wait(max(0.0, (deadline_ns - clock.now_ns()) / S))
+                except subprocess.TimeoutExpired:
+                    child.process.kill()
+                    child.process.wait()
+        self.children.clear()

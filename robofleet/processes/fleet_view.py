@@ -1,0 +1,151 @@
+"""What the supervisor hears, gathered into one view: the newest of every message, and all news."""
+
+from collections.abc import Callable
+
+from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, key
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    ROBOT_STATUS,
+    TICK_RECORD,
+    TRACKER_NEWS,
+    FleetPoses,
+    RobotStatus,
+    TickRecord,
+)
+from robofleet.config.tree import Config
+from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.tracking.events import TrackerEvent
+
+_STREAM = 64  # news between two looks
+
+_NEWS = {
+    TrackerEvent.CAMERA_STALLED: Event.CAMERA_STALLED,
+    TrackerEvent.CAMERA_FROZEN: Event.CAMERA_FROZEN,
+    TrackerEvent.CAMERA_UNPLUGGED: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_RESIZED: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_STRANGE: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_ENDED: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_MOVED: Event.CAMERA_MOVED,
+}
+_TAG_NEWS = {
+    TrackerEvent.TAG_TWICE: Event.TAG_TWICE,
+    TrackerEvent.TAG_JUMPED: Event.POSE_JUMPED,
+    TrackerEvent.TAG_CARRIED: Event.POSE_JUMPED,
+}
+
+
+class FleetListener:
+    """Listens to the drivers, the controller and the tracker; what came late behind something newer is passed over."""
+
+    def __init__(self, config: Config, bus: Bus, free_bytes: Callable[[], int]) -> None:
+        robots, arena = config.platoon, config.arena.name
+        self._free_bytes = free_bytes
+        self._inboxes = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
+        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
+        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
+        self._news = bus.stream(key(arena, NEWS, CAMERA), _STREAM)
+        self._rows = {robot.tag: row for row, robot in enumerate(robots)}
+        self.statuses: list[RobotStatus | None] = [None] * len(robots)  # newest
+        self._robots = [RobotView()] * len(robots)
+        self._measured_ns = [0] * len(robots)  # newest image in which each tag was measured, by the images' own stamps
+        self._exposure_ns = 0  # of the newest image
+        self._fleet = FleetView(0, ())
+
+    def look(self, now_ns: int, operator_ns: int) -> FleetView:
+        """Return everything that is known now; ``operator_ns`` is the operator's newest sign of life."""
+        for row, inbox in enumerate(self._inboxes):
+            if (status := inbox.take()) is not None:
+                self._take_status(row, status, now_ns)
+        if (record := self._ticks.take()) is not None:
+            self._take_tick(record, now_ns)
+        if (image := self._poses.take()) is not None:
+            self._take_image(image, now_ns)
+        self._fleet = self._fleet._replace(
+            now_ns=now_ns,
+            robots=tuple(self._robots),
+            news=self._heard_news(),
+            free_bytes=self._free_bytes(),
+            operator_ns=operator_ns,
+        )
+        return self._fleet
+
+    def _take_status(self, row: int, status: RobotStatus, now_ns: int) -> None:
+        known = self.statuses[row]
+        if known is not None and known.boot_id == status.boot_id and status.nonce <= known.nonce:
+            return
+        self.statuses[row] = status
+        self._robots[row] = self._robots[row]._replace(
+            heard_ns=now_ns,
+            build=status.build,
+            session=status.session,
+            boot_id=status.boot_id,
+            latch=status.latch,
+            latch_id=status.latch_id,
+            faults=status.faults,
+            battery=status.battery,
+            left_angle=status.left_angle_rad,
+            right_angle=status.right_angle_rad,
+            left_speed=status.left_rad_s,
+            right_speed=status.right_rad_s,
+            left_output=status.left_output_rad_s,
+            right_output=status.right_output_rad_s,
+        )
+
+    def _take_tick(self, record: TickRecord, now_ns: int) -> None:
+        if record.epoch == self._fleet.controller_epoch and record.tick <= self._fleet.tick:
+            return
+        self._fleet = self._fleet._replace(
+            controller_ns=now_ns,
+            controller_epoch=record.epoch,
+            controller_build=record.build,
+            tick=record.tick,
+            overruns=record.overruns,
+        )
+        for row, robot in enumerate(record.robots[: len(self._robots)]):
+            self._robots[row] = self._robots[row]._replace(
+                estimate=(robot.x_m, robot.y_m, robot.psi_rad),
+                lost=robot.lost > 0.0,
+                filtered=int(robot.filtered),
+                blocked=robot.blocked > 0.0,
+            )
+
+    def _take_image(self, image: FleetPoses, now_ns: int) -> None:
+        if image.epoch != self._fleet.tracker_epoch:  # its clock may be another one: what was unseen stays unseen
+            since_ns = image.exposure_ns - self._exposure_ns
+            self._measured_ns = [measured_ns + since_ns for measured_ns in self._measured_ns]
+        elif image.seq <= self._fleet.image:
+            return
+        self._exposure_ns = image.exposure_ns
+        self._fleet = self._fleet._replace(
+            tracker_ns=now_ns,
+            tracker_epoch=image.epoch,
+            tracker_build=image.build,
+            image=image.seq,
+            image_tick=image.echo_tick,
+        )
+        for tag, _, coasted_ns, *pose in image.poses:
+            if (row := self._rows.get(tag)) is not None:
+                self._measured_ns[row] = image.exposure_ns - coasted_ns
+                if coasted_ns == 0:
+                    self._robots[row] = self._robots[row]._replace(
+                        seen_ns=now_ns, image=image.seq, pose=(pose[0], pose[1], pose[2])
+                    )
+        for row, robot in enumerate(self._robots):
+            if robot.seen_ns != NEVER:
+                self._robots[row] = robot._replace(unseen_ns=image.exposure_ns - self._measured_ns[row])
+
+    def _heard_news(self) -> tuple[Happening, ...]:
+        """Return what the tracker told, of the camera and of our tags, in the run's own words."""
+        heard = []
+        for _, payload in self._news.drain():
+            news = TRACKER_NEWS.decode(payload)
+            if news is None:
+                continue
+            row = self._rows.get(news.tag)
+            if news.event in _NEWS:
+                heard.append(Happening(_NEWS[TrackerEvent(news.event)], NOBODY, news.value))
+            elif news.event in _TAG_NEWS and row is not None:
+                heard.append(Happening(_TAG_NEWS[TrackerEvent(news.event)], row, news.value))
+        return tuple(heard)

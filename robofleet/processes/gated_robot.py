@@ -1,0 +1,237 @@
+"""One robot behind its gate: what arrives, what is written to the wheels, what is measured, what is kept."""
+
+import math
+import sys
+from collections.abc import Callable
+
+from robofleet.comms.bus import Bus, Inbox, Publish, Request, Wake
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
+from robofleet.comms.messages import (
+    ENABLE as ENABLE_LAYOUT,
+)
+from robofleet.comms.messages import (
+    LEASE_ANSWER,
+    LEASE_REQUEST,
+    ROBOT_STATUS,
+    WHEEL_COMMAND,
+    Enable,
+    LeaseAnswer,
+    RobotStatus,
+    Truth,
+    WheelCommand,
+)
+from robofleet.comms.messages import (
+    TRUTH as TRUTH_LAYOUT,
+)
+from robofleet.processes.keeping import Keeping, Kept, kept
+from robofleet.safety import gate
+from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
+from robofleet.vehicles.interface import (
+    STOP,
+    WIRED_STOP,
+    Driver,
+    DriverContext,
+    DriverReading,
+    SimulatedDriver,
+    WheelSpeeds,
+)
+
+_TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
+_LATCHES = tuple(Latch)
+_ACTIONS = tuple(LeaseAction)
+_UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
+_U32 = 1 << 32
+
+Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
+
+
+class GatedRobot:
+    """One robot: what arrives passes the gate, what passes moves the wheels, what is measured is published."""
+
+    def __init__(
+        self,
+        context: DriverContext,
+        driver: Driver,
+        boot_id: int,
+        build: int,
+        bus: Bus,
+        wake: Wake,
+        keeping: Keeping,
+        witness: Witness | None,
+    ) -> None:
+        self._robot, self._driver, self._drive = context.robot, driver, context.drive
+        self._build, self._keeping, self._witness = build, keeping, witness
+        self._kept = keeping.load(context.robot)
+        self._unsaved: Kept | None = None
+        self._gate = GateState(boot_id, *self._kept)
+        self._commands = Inbox(bus.newest(COMMAND, context.robot, wake), WHEEL_COMMAND)
+        self._enables = Inbox(bus.newest(ENABLE, context.robot, wake), ENABLE_LAYOUT)
+        self._lease = bus.serve(LEASE, context.robot, wake)
+        self._publish_status = bus.publisher(STATUS, context.robot)
+        self._publish_truth: Publish | None = None
+        if isinstance(driver, SimulatedDriver):
+            self._publish_truth, self._truth = bus.publisher(TRUTH, context.robot), driver.truth
+        self._reading = _UNREAD
+        self._failed = False  # the robot could not be written to or read from, in this loop or since
+        self._complaint = ""
+        self._written: WheelSpeeds | None = None
+        self._status = GateStatus.NO_LEASE
+        self.deadline_ns: int | None = 0
+        self._accepted_exposure_ns: int | None = None  # of a command that has not reached the wheels yet
+        self._applied = (0, 0)  # the newest one that has: its exposure, and when
+        self._unreadable = 0  # lease requests
+        self._seq = 0
+        self._closed = False
+        self.look()
+
+    def look(self) -> None:
+        """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
+        failed, self._failed = self._failed, False
+        try:
+            self._reading = _sound(self._driver.read())
+        except Exception as error:  # noqa: BLE001 - whatever a driver does, it is its own robot that stops
+            self._fail(error)
+        if failed or (self._status is not GateStatus.OPEN and self._gate.output == STOP):
+            self._write(self._gate.output)
+
+    def pass_on(self, now_ns: int) -> None:
+        """Let the gate decide on what arrived, and write the wheels."""
+        command, enable = self._commands.take(), self._enables.take()
+        quiet = command is None and enable is None and self._trouble <= self._gate.latch
+        due = self.deadline_ns is not None and now_ns >= self.deadline_ns
+        if quiet and not due and now_ns >= self._gate.at_ns:
+            return  # the gate's output changes by a message, by the robot's own stop, at its deadline
+        seq = self._gate.seq
+        inputs = self._inputs(
+            None if command is None else _command(command), None if enable is None else _permission(enable)
+        )
+        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
+        self._adopt(inputs, state, output, now_ns, again=command is not None)
+        if command is not None and self._gate.seq != seq:
+            self._accepted_exposure_ns = command.exposure_ns
+        if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
+            self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
+
+    def settle(self, now_ns: int, *, due: bool) -> None:
+        """Answer a lease request and keep what must be kept: the disk is slow, so every robot's wheels went before."""
+        request = self._lease()
+        if request is not None:
+            self._answer(request, now_ns)
+        memory = kept(self._gate)
+        if memory != self._kept and (due or memory != self._unsaved):
+            self._save(memory)
+
+    def publish(self, now_ns: int, *, status: bool) -> None:
+        """Publish the robot's status, and the truth of a simulated one."""
+        self._seq = (self._seq + 1) % _U32
+        if self._publish_truth is not None:
+            self._publish_truth(TRUTH_LAYOUT.encode(Truth(self._gate.epoch, self._seq, now_ns, *self._truth())))
+        if status:
+            self._publish_status(ROBOT_STATUS.encode(self._message(self._reading, now_ns)))
+
+    def close(self) -> None:
+        """Motors off at once, driver closed. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            try:
+                self._driver.write(STOP)
+            finally:
+                self._driver.close()
+
+    @property
+    def _trouble(self) -> Latch:
+        """The robot's own reason to stop."""
+        if self._failed:
+            return Latch.DRIVER_FAILED
+        return Latch.WIRED_STOP if self._reading.faults & WIRED_STOP else Latch.NONE
+
+    def _inputs(
+        self,
+        command: gate.Command | None = None,
+        permission: gate.Permission | None = None,
+        lease: tuple[int, LeaseAction] | None = None,
+    ) -> Inputs:
+        turning = max(abs(self._reading.left_speed), abs(self._reading.right_speed)) > _TURNING_RAD_S
+        return Inputs(command, permission, lease, self._trouble, turning)
+
+    def _adopt(self, inputs: Inputs, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
+        """Do what the gate decided; ``again`` tells the robot also what it was told before."""
+        self._gate, self._status, self.deadline_ns = state, output.status, output.deadline_ns
+        if self._witness is not None:
+            self._witness(self._robot, now_ns, inputs, state, output)
+        if again or output.output != self._written:
+            self._write(output.output)
+        if self._trouble > state.latch:  # just now
+            inputs = self._inputs()
+            self._adopt(inputs, *gate.step(state, self._drive, inputs, now_ns), now_ns)
+
+    def _write(self, wheels: WheelSpeeds) -> None:
+        try:
+            self._driver.write(wheels)
+            self._written = wheels
+        except Exception as error:  # noqa: BLE001 - as above
+            self._fail(error)
+            self._written = None
+
+    def _fail(self, error: Exception) -> None:
+        self._failed = True
+        self._complain(f"its driver failed: {error!r}")
+
+    def _complain(self, complaint: str) -> None:
+        if complaint != self._complaint:
+            self._complaint = complaint
+            print(f"{self._robot}: {complaint}", file=sys.stderr)
+
+    def _answer(self, request: Request, now_ns: int) -> None:
+        asked = LEASE_REQUEST.decode(request.payload)
+        if asked is None or asked.action not in _ACTIONS:
+            self._unreadable += 1
+            return
+        lease = asked.session, LeaseAction(asked.action)
+        inputs = self._inputs(lease=lease)
+        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
+        granted = bool(output.granted)
+        if state.epoch != self._gate.epoch and not self._save(kept(state)):
+            granted = False  # an epoch that a restart would give out again is not given out: nothing has happened
+        else:
+            self._adopt(inputs, state, output, now_ns)
+        request.reply(LEASE_ANSWER.encode(LeaseAnswer(int(granted), self._gate.epoch, self._gate.session)))
+
+    def _save(self, memory: Kept) -> bool:
+        try:
+            self._keeping.save(self._robot, memory)
+        except OSError as error:
+            self._unsaved = memory
+            self._complain(f"its lease and its latch cannot be kept: {error}")
+            return False
+        self._kept, self._unsaved = memory, None
+        return True
+
+    def _message(self, reading: DriverReading, now_ns: int) -> RobotStatus:
+        state = self._gate
+        rejected = state.refused + self._commands.rejected + self._enables.rejected + self._unreadable
+        battery = reading.battery if math.isfinite(reading.battery) else -1.0
+        return RobotStatus(
+            state.epoch, self._seq, self._build, state.session, state.boot_id, now_ns, now_ns,
+            *self._applied, rejected % _U32, self._status, state.latch, state.latch_id,
+            reading.faults, state.target_after_ns, state.output_after_ns, reading.left_angle, reading.right_angle,
+            reading.left_speed, reading.right_speed, *state.output, battery,
+        )  # fmt: skip
+
+
+def _sound(reading: DriverReading) -> DriverReading:
+    """Return the reading; ValueError if it says nothing."""
+    if not (math.isfinite(sum(reading[:4])) and 0 <= reading.faults < _U32):
+        raise ValueError(f"impossible: {reading}")
+    return reading
+
+
+def _command(message: WheelCommand) -> gate.Command:
+    epoch, seq, session, boot_id, nonce, _, left, right = message
+    return gate.Command(epoch, session, seq, boot_id, nonce, WheelSpeeds(left, right))
+
+
+def _permission(message: Enable) -> gate.Permission:
+    epoch, seq, boot_id, nonce, _, latch, clear, limit = message
+    known = Latch(latch) if latch in _LATCHES else Latch.EMERGENCY_STOP  # of another version: stop
+    return gate.Permission(epoch, seq, boot_id, nonce, known, clear, limit)

@@ -1,0 +1,68 @@
+"""What the supervisor says, drawn for the live view: the checks while arming, a hold, an emergency stop."""
+
+from rich.box import HEAVY
+from rich.panel import Panel
+from rich.text import Text
+
+from robofleet.comms.messages import RunState
+from robofleet.processes.terminal import Terminal
+from robofleet.recording.causes import run_cause
+from robofleet.safety.arming import Stage
+from robofleet.safety.supervisor import Phase
+from robofleet.safety.wiggle import STROKES
+
+_STAGES = {
+    Stage.CHECKS: "is everything there, fresh and at rest?",
+    Stage.DRILL: "trying the emergency stop",
+    Stage.WIGGLE: "trying the wheels",
+    Stage.DONE: "every check is passed",
+}
+_KEYS = (("e", "emergency stop"), ("h", "hold"), ("r", "resume"), ("q", "end the run"))
+
+
+def arming(state: RunState, robots: tuple[str, ...]) -> str:
+    """Return what is checked now."""
+    doing = next((words for stage, words in _STAGES.items() if stage == state.stage), "another check")
+    if state.probed >= len(robots):
+        return doing
+    return f"trying {robots[state.probed]}: {_stroke(state.stroke)}"
+
+
+def _stroke(index: int) -> str:
+    if index >= len(STROKES):
+        return "another motion"
+    left, right = STROKES[index]
+    wheels = "both wheels" if left and right else "its left wheel" if left else "its right wheel" if right else ""
+    return f"{wheels} {'forwards' if max(left, right) > 0.0 else 'backwards'}" if wheels else "it must stand"
+
+
+def banner(state: RunState, robots: tuple[str, ...], keys: bool) -> Panel | None:
+    """Return what must be seen: why the fleet stands, and what to do."""
+    if state.phase == Phase.HOLD:
+        how = "press r and the run goes on; q ends it" if keys else "`robofleet resume` goes on; Ctrl-C ends the run"
+        return _panel("HOLD", run_cause(state, robots), f"Every robot stands. Look, mend it, then {how}.", "yellow")
+    if state.phase == Phase.ESTOP:
+        silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
+        what = f"NOT acknowledged by {', '.join(silent)}" if silent else "Every robot has latched its gate."
+        return _panel("EMERGENCY STOP", run_cause(state, robots), what, "red")
+    if state.phase == Phase.FAULT:
+        return _panel("FAULT", run_cause(state, robots), "Every robot stands.", "red")
+    return None
+
+
+def foot(terminal: Terminal) -> Text:
+    """Return the last lines: what was answered, and the keys."""
+    text = Text()
+    if terminal.note:
+        text.append(f"{terminal.note}\n\n", "red" if terminal.note.startswith("refused") else "green")
+    if terminal.present:
+        for key, does in _KEYS:
+            text.append(f" {key} ", "bold red reverse" if key == "e" else "reverse").append(f" {does}   ")
+    return text
+
+
+def _panel(title: str, cause: str, what: str, colour: str) -> Panel:
+    text = Text(cause, f"bold {colour}").append(f"\n{what}", "default not bold")
+    return Panel(
+        text, title=f"[bold]{title}[/]", title_align="left", border_style=colour, box=HEAVY, padding=(1, 2), width=78
+    )

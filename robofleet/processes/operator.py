@@ -1,0 +1,136 @@
+"""What an operator does to a running arena from another terminal. It is in a hurry: nothing heavy is imported here."""
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from robofleet.clock import MS, WallClock
+from robofleet.comms.keys import STATE, STATUS, key
+from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
+from robofleet.comms.requests import asked
+from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.processes.arena_file import ArenaFile, running
+from robofleet.processes.estop import emergency_stop
+from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.supervisor import Phase
+
+_CONNECT_WITHIN_S = 1.0
+_LISTEN_NS = 300 * MS
+_POLL_NS = 2 * MS
+_BETWEEN_NS = 100 * MS  # two signals at once are one
+
+
+class NoArenaError(Exception):
+    """There is no run, or not the one that was named, or several; the message is a line."""
+
+
+class UnreachableError(Exception):
+    """A run is there and its bus does not answer."""
+
+
+def chosen(name: str | None) -> ArenaFile:
+    """Return the running arena that was named, or the only one."""
+    there = running()
+    names = ", ".join(arena.arena for arena in there)
+    if not there:
+        raise NoArenaError("no arena has a run")
+    if name is None and len(there) > 1:
+        raise NoArenaError(f"several arenas have a run: name one of {names}")
+    for arena in there:
+        if name in (None, arena.arena):
+            return arena
+    raise NoArenaError(f"the arena {name} has no run (running: {names})")
+
+
+def stop(there: ArenaFile) -> tuple[bool, str]:
+    """Stop every robot at once and latch its gate; returns whether all have said so, and what happened.
+
+    Where the bus does not answer, the launcher is told by signals to cut its processes' lifelines.
+    """
+    clock = WallClock()
+    try:
+        with _reached(there, clock) as bus:
+            stopped = emergency_stop(bus, clock, there.arena, there.robots)
+            return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
+    except UnreachableError as error:
+        os.kill(there.pid, signal.SIGTERM)
+        clock.sleep_until(clock.now_ns() + _BETWEEN_NS)
+        os.kill(there.pid, signal.SIGTERM)
+        return False, f"{error}: the launcher was told to end every process; no robot has acknowledged: go and look"
+
+
+def ask(there: ArenaFile, what: str) -> tuple[bool, str]:
+    """Ask the supervisor; returns whether it does so, and its answer."""
+    clock = WallClock()
+    try:
+        with _reached(there, clock) as bus:
+            answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
+            return answer.startswith("ok"), answer
+    except (UnreachableError, TimeoutError) as error:
+        return False, str(error)
+
+
+def status(there: ArenaFile) -> dict[str, Any]:
+    """Return what a run says of itself within a moment; None for what is silent."""
+    clock = WallClock()
+    state: RunState | None = None
+    newest: dict[str, tuple[int, RobotStatus]] = {}
+    with _reached(there, clock) as bus:
+        states, statuses = bus.newest(STATE), bus.stream(key(there.arena, STATUS, "*"), 16 * len(there.robots))
+        names = {key(there.arena, STATUS, robot): robot for robot in there.robots}
+        end_ns = clock.now_ns() + _LISTEN_NS
+        while (now_ns := clock.now_ns()) < end_ns:
+            if (payload := states.take()) is not None:
+                state = RUN_STATE.decode(payload) or state
+            for full, payload in statuses.drain():
+                if full in names and (message := ROBOT_STATUS.decode(payload)) is not None:
+                    newest[names[full]] = now_ns, message
+            clock.sleep_until(now_ns + _POLL_NS)
+    return {
+        "arena": there.arena,
+        "folder": there.folder,
+        "started": there.started,
+        "pid": there.pid,
+        "endpoint": there.endpoint,
+        "phase": None if state is None else named(Phase, state.phase),
+        "cause": None if state is None else run_cause(state, there.robots),
+        "robots": [
+            _robot(robot, newest.get(robot), "" if state is None else halt_cause(state, row), clock.now_ns())
+            for row, robot in enumerate(there.robots)
+        ],
+    }
+
+
+def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_ns: int) -> dict[str, Any]:
+    if heard is None:
+        return {"id": robot, "gate": None, "latch": None, "battery": None, "age_ms": None, "halted": halted or None}
+    heard_ns, message = heard
+    return {
+        "id": robot,
+        "gate": named(GateStatus, message.gate),
+        "latch": named(Latch, message.latch),
+        "battery": None if message.battery < 0.0 else round(message.battery, 3),
+        "age_ms": round((now_ns - heard_ns) / MS, 1),
+        "halted": halted or None,
+    }
+
+
+@contextmanager
+def _reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
+    """Join a run's bus; Zenoh itself would wait for ever for a router that is stopped."""
+    joined: list[ZenohBus] = []
+    joining = threading.Thread(
+        target=lambda: joined.append(ZenohBus(there.arena, there.endpoint, "operator", clock)), daemon=True
+    )
+    joining.start()
+    joining.join(_CONNECT_WITHIN_S)
+    if not joined:
+        raise UnreachableError(f"the bus of {there.arena} at {there.endpoint} does not answer")
+    try:
+        yield joined[0]
+    finally:
+        joined[0].close()

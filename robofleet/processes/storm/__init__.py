@@ -1,0 +1,1 @@
+"""Random faults by the thousand, in lockstep, and independent judges of what the fleet did."""

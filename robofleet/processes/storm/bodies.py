@@ -1,0 +1,77 @@
+"""Where the robots really were: rest after a stop, bodies apart, inside the arena. From what the plants say."""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.clock import S
+from robofleet.config.tree import Config, Robot
+from robofleet.processes.storm.gates import intervals
+from robofleet.processes.storm.verdict import Violation
+
+_GRID_NS = 10_000_000  # a robot goes 2 mm in it
+_REST_RAD_S = 0.02  # of a wheel; friction holds it soon after
+_STANDING_M_S = 1e-3
+
+Array = NDArray[np.float64]
+
+
+def rest_within_s(robot: Robot) -> float:
+    """Return how long a robot may roll on after its output is zero: its lag from top speed, and its firmware."""
+    plant = robot.vehicle.simulated
+    decay = math.log(robot.vehicle.max_wheel_speed_rad_s / _REST_RAD_S)
+    return plant.actuation_delay_s + plant.motor_lag_s * decay + 2 * plant.loop_period_s
+
+
+def rolling_on(robot: Robot, decisions: Array, said_ns: Array, truth: NDArray[Any]) -> list[Violation]:
+    """Find robots that move although their output has been zero for long enough.
+
+    ``decisions``: instant [ns] and whether the output is zero, (K, 2).
+    """
+    found = []
+    half_base = robot.vehicle.wheel_base_m / 2
+    speed = abs(truth["v_m_s"]) + half_base * abs(truth["omega_rad_s"])
+    within_ns = rest_within_s(robot) * S
+    for first, last in intervals(decisions[:, 1] > 0):
+        until = decisions[last + 1, 0] if last + 1 < len(decisions) else math.inf
+        a, b = np.searchsorted(said_ns, [decisions[first, 0] + within_ns, until], side="right")
+        late = np.flatnonzero(speed[a : max(a, b - 1)] > _STANDING_M_S)
+        if len(late):
+            row = a + int(late[0])
+            since_ms = (said_ns[row] - decisions[first, 0]) / 1e6
+            numbers = f"{1e3 * speed[row]:.2f} mm/s {since_ms:.0f} ms after its output was zero"
+            found.append(Violation("the robot is not at rest", said_ns[row] / S, robot.id, numbers))
+    return found
+
+
+def apart(config: Config, said_ns: list[Array], truths: list[NDArray[Any]], until_ns: float) -> list[Violation]:
+    """Find two bodies that touch, and bodies that cross the arena's edge, before an instant."""
+    start, end = max(times[0] for times in said_ns), min(until_ns, *(times[-1] for times in said_ns))
+    grid = np.arange(start, end, _GRID_NS)
+    if not len(grid):
+        return []
+    x, y = (
+        np.array([np.interp(grid, t, truth[name]) for t, truth in zip(said_ns, truths, strict=True)])
+        for name in ("x_m", "y_m")
+    )
+    robots, found = config.robots, []
+    radii = [robot.vehicle.body_radius_m for robot in robots]
+    half_x, half_y = (side / 2 for side in config.arena.size_m)
+    for i, robot in enumerate(robots):
+        beyond = np.maximum(abs(x[i]) - half_x, abs(y[i]) - half_y) + radii[i]
+        found += _first(grid, beyond, "the body crosses the arena's edge", robot.id)
+    for i, j in itertools.combinations(range(len(robots)), 2):
+        overlap = radii[i] + radii[j] - np.hypot(x[i] - x[j], y[i] - y[j])
+        found += _first(grid, overlap, f"the body touches {robots[j].id}'s", robots[i].id)
+    return found
+
+
+def _first(grid: Array, excess: Array, invariant: str, robot: str) -> list[Violation]:
+    wrong = np.flatnonzero(excess > 0)
+    if not len(wrong):
+        return []
+    row = wrong[0]
+    return [Violation(invariant, grid[row] / S, robot, f"by {1e3 * excess[wrong].max():.1f} mm at most")]

@@ -1,0 +1,192 @@
+"""One seed of a storm: a fleet that starts, is hit, heals, and has to run again; then everything is judged."""
+
+import gc
+import math
+from collections import Counter
+from collections.abc import Iterator
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from robofleet.clock import S
+from robofleet.comms.bus import Answer
+from robofleet.comms.keys import REQUEST, STATE, TRUTH, key
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import slices
+from robofleet.config.slices import generator
+from robofleet.config.tree import Config
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.storm.bodies import apart, rolling_on
+from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
+from robofleet.processes.storm.forger import Forger
+from robofleet.processes.storm.gates import GateAudit
+from robofleet.processes.storm.ledger import Ledger, Outage
+from robofleet.processes.storm.schedule import Plan, plan
+from robofleet.processes.storm.verdict import Violation
+from robofleet.safety.supervisor import Event, Phase
+
+_FIRST_S = 60.0  # a fleet without faults is armed long before
+_AGAIN_S = 5.0  # after healing, beside what the checks took at first
+_STAY_S = 0.3  # in which it does not stop once more
+_LOOK_S = 0.05  # the operator's eye
+_ROOM_M = 0.06  # what the wheels' trial before a start may ask for
+_SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
+_NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
+
+
+class Episode(NamedTuple):
+    """What one seed left."""
+
+    seed: int
+    plan: Plan
+    trace_hash: str
+    violations: tuple[Violation, ...]
+    events: frozenset[Event]
+    injected: Counter[str]  # effects by kind of fault
+    simulated_s: float
+    run_s: float  # when the fleet ran first, on lockstep's clock
+    longest_queue: int
+    crowded: bool  # robots met outside the envelope: somebody has to carry them apart before they run again
+
+
+def play(config: Config, seed: int) -> Episode:
+    """Play a seed; the same seed gives the same episode."""
+    storm = plan(config, seed)
+    tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": storm.faults})
+    gc.disable()  # nothing here is cyclic but what ends with the episode
+    try:
+        return _Player(tree, storm).play()
+    finally:
+        gc.enable()
+        gc.collect()
+
+
+class _Player:
+    def __init__(self, config: Config, storm: Plan) -> None:
+        self._config, self._plan = config, storm
+        self._ledger = Ledger()
+        self._lockstep = Lockstep(config, self._ledger.witness)
+        self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
+        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.platoon}
+        self._forger = Forger(config.arena.name, self._lockstep.bus, self._lockstep.recording, tops)
+        self._found: list[Violation] = []
+        self._longest_queue = 0
+        self._answer: Answer | None = None
+        self._said = b""  # by the supervisor, to the newest request
+        self._crowded = False
+        self._rng = generator(config.run.seed, "operator")
+
+    def play(self) -> Episode:
+        lockstep, storm = self._lockstep, self._plan
+        started_ns = lockstep.clock.now_ns()
+        self._ask(b"start")
+        if not lockstep.advance(_FIRST_S, lambda: lockstep.status.phase is Phase.RUNNING):
+            self._fail("the fleet never ran", str(lockstep.status))
+        run_ns = lockstep.clock.now_ns()
+        for at_s, request in self._restless():
+            lockstep.advance(run_ns / S + at_s - lockstep.clock.now_ns() / S)
+            if request is None:
+                self._look()
+                self._forger.forge(self._rng)
+            else:
+                self._ask(request)
+        lockstep.advance(run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S)
+        self._again(_AGAIN_S + (run_ns - started_ns) / S)
+        lockstep.close()
+        self._judge(run_ns)
+        return Episode(
+            self._config.run.seed, storm, lockstep.recording.trace_hash or "", tuple(self._found),
+            frozenset(self._states.events()), self._injected(), (lockstep.clock.now_ns() - started_ns) / S,
+            run_ns / S, self._longest_queue, self._crowded,
+        )  # fmt: skip
+
+    def _restless(self) -> Iterator[tuple[float, bytes | None]]:
+        """Yield what is asked and when; None: whatever brings a fleet that stands back to running."""
+        acts = [(act.at_s, act.request) for act in self._plan.acts]
+        looks = np.cumsum(self._rng.uniform(0.3, 1.5, math.ceil(self._plan.healed_s / 0.3)))
+        yield from sorted([*acts, *((t, None) for t in looks.tolist() if t < self._plan.healed_s)], key=lambda a: a[0])
+
+    def _again(self, within_s: float) -> None:
+        """Bring the fleet back to running, and see every robot's wheels turn."""
+        lockstep = self._lockstep
+        end_s = lockstep.clock.now_ns() / S + within_s
+        turned: set[str] = set()
+        while lockstep.clock.now_ns() / S < end_s:
+            self._look()
+            everybody = len(turned) == len(self._config.platoon)
+            lockstep.advance(_STAY_S if everybody else _LOOK_S)
+            if lockstep.status.phase is not Phase.RUNNING:
+                turned.clear()
+            elif everybody:
+                return
+            turned |= self._ledger.turning()
+        self._crowded = self._plan.outside_s < math.inf and self._no_room()
+        if not self._crowded:
+            words = lockstep.status.describe(self._config.groups[0].robots)
+            numbers = f"{lockstep.status.phase.name}: {words}; answer {self._said!r}; turned: {sorted(turned)}"
+            self._fail("it does not run again within 5 s", numbers)
+
+    def _no_room(self) -> bool:
+        """Whether robots stand where none may start: their bodies nearly touch, or they are nearly in the wall."""
+        robots, arena = self._config.platoon, self._config.arena
+        keys = [key(arena.name, TRUTH, robot.id) for robot in robots]
+        poses = [TRUTH_LAYOUT.decode(self._lockstep.recording.messages[full][-1]) for full in keys]
+        bodies = [(p.x_m, p.y_m, r.vehicle.body_radius_m) for p, r in zip(poses, robots, strict=True) if p is not None]
+        half_x, half_y = (side / 2 - _ROOM_M for side in arena.size_m)
+        return any(abs(x) + r > half_x or abs(y) + r > half_y for x, y, r in bodies) or any(
+            math.hypot(x - x2, y - y2) < r + r2 + _ROOM_M for (x, y, r), (x2, y2, r2) in combinations(bodies, 2)
+        )
+
+    def _look(self) -> None:
+        """Do what an operator does who wants the fleet to run."""
+        self._longest_queue = max(self._longest_queue, self._lockstep.backlog)
+        self._said = (self._answer and self._answer.take()) or self._said
+        request = _NEXT.get(self._lockstep.status.phase)
+        if request == b"start" and self._said.startswith(b"refused"):
+            request = b"reset"
+        if request is not None:
+            self._ask(request)
+
+    def _ask(self, request: bytes) -> None:
+        self._said, self._answer = b"", self._lockstep.request(request)
+
+    def _fail(self, invariant: str, numbers: str) -> None:
+        self._found.append(Violation(invariant, self._lockstep.clock.now_ns() / S, "", numbers))
+
+    def _judge(self, run_ns: int) -> None:
+        config, recording, ledger = self._config, self._lockstep.recording, self._ledger
+        arena = config.arena.name
+        state_key, request_key = key(arena, STATE), key(arena, REQUEST, "supervisor")
+        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.platoon))
+        resets = [
+            ns for ns, payload in zip(ledger.said_ns[request_key], recording.messages[request_key], strict=True)
+            if payload == b"reset"
+        ]  # fmt: skip
+        truths, said_ns = [], []
+        for row, robot in enumerate(config.platoon):
+            full = key(arena, TRUTH, robot.id)
+            truths.append(recording.rows(full, TRUTH_LAYOUT))
+            said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
+            audit = GateAudit(
+                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(robot.id)
+            )
+            self._found += audit.violations(ledger.decisions[robot.id])
+            self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
+            self._found += moved_unasked(self._states, row, robot.id, audit.moving)
+        self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
+        self._found += without_cause(self._states, config.groups[0].robots)
+        self._found += unanswered(self._states, self._plan.faults, run_ns)
+
+    def _injected(self) -> Counter[str]:
+        assert self._lockstep.faults is not None
+        effects: Counter[str] = Counter()
+        for injection in self._lockstep.faults.injections:
+            effects[injection.fault.kind] += injection.effects
+        return effects
+
+    def _outages(self, robot: str) -> list[Outage]:
+        """Return when a robot's driver did not run, or had another time than the rest."""
+        assert self._lockstep.faults is not None
+        faults = self._lockstep.faults.of("killed", "stopped", "clock_step", process=f"driver-{robot}")
+        return [Outage(fault.start_ns, fault.end_ns) for fault in faults]

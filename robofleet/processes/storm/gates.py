@@ -1,0 +1,259 @@
+"""What every gate must keep, judged from what it was given and what it let through.
+
+Nothing here asks the gate: each change of what it remembers needs a message that allows it by rules written down
+here a second time, and each target needs what it remembers. By induction from a start that knows nothing, the wheels
+were turned only by whom they may be.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.clock import MS, S
+from robofleet.processes.storm.ledger import Decision, Outage
+from robofleet.processes.storm.verdict import Violation
+from robofleet.safety.gate import Command, GateState, Latch, LeaseAction, Permission
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import STOP
+
+_VALID_NS = 120 * MS
+_TARGET_WITHIN_NS = 130 * MS
+_OUTPUT_WITHIN_NS = 230 * MS
+_RAMP_NS = _OUTPUT_WITHIN_NS - _TARGET_WITHIN_NS
+_LAPSE_NS = 1 * S
+_CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
+_LIMIT = 1.01
+_NEVER = GateState(0).command_nonce
+_PASSING = (
+    "refused",
+    "output",
+    "target",
+    "at_ns",
+    "moved_by",
+    "target_after_ns",
+    "output_after_ns",
+)  # time moves these
+_memory = itemgetter(*(i for i, name in enumerate(GateState._fields) if name not in _PASSING))
+_lease = itemgetter(*map(GateState._fields.index, ("epoch", "session")))
+_command = itemgetter(*map(GateState._fields.index, ("seq", "command_nonce", "wheels", "heard_ns")))
+_enable = itemgetter(*map(GateState._fields.index, ("enabled", "limit")))
+
+Array = NDArray[np.float64]
+
+
+class GateAudit:
+    """One robot's gate through a storm."""
+
+    def __init__(
+        self, robot: str, drive: DifferentialDrive, authorised: Callable[[int], bool], outages: Sequence[Outage]
+    ) -> None:
+        self._robot, self._drive = robot, drive
+        self._authorised = authorised  # whether a reset was asked for before an instant of lockstep's clock
+        self._outages = outages  # of its driver
+        self._found: list[Violation] = []
+        self.standing: Array = np.empty((0, 2))  # instant [ns], whether the output is zero
+        self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
+
+    def violations(self, decisions: Sequence[Decision]) -> list[Violation]:
+        """Return what did not hold, oldest first."""
+        rows, until_ns, start = [], 0, 0
+        before, previous = GateState(0), None
+        for row, decision in enumerate(decisions):
+            true_ns, now_ns, _, state, output = decision
+            if state.boot_id != before.boot_id:
+                start = row if previous is None or now_ns >= previous.now_ns else start
+                before = self._begun(decision, before, previous)
+            if _memory(state) != _memory(before):
+                self._explain(decision, before)
+            elif state.refused == before.refused:
+                self._counted(decision, before)
+            if output.target != STOP:
+                self._permitted(decision)
+                until_ns = min(state.command_nonce, state.enabled[0])
+            rows.append((true_ns, now_ns, until_ns, start, *output.output, *output.target))
+            before, previous = state, decision
+        if rows:
+            self._measure(np.array(rows, dtype=np.float64))
+        return sorted(self._found, key=lambda violation: violation.at_s)
+
+    def _fail(self, at_ns: float, invariant: str, numbers: object) -> None:
+        self._found.append(Violation(invariant, at_ns / S, self._robot, str(numbers)))
+
+    # What the gate remembers
+
+    def _begun(self, decision: Decision, before: GateState, previous: Decision | None) -> GateState:
+        """Return what a gate with a new boot id may know: its lease's epoch and its latch."""
+        state = decision.state
+        if previous is not None and decision.now_ns < previous.now_ns:  # its clock went back: it must forget
+            return before._replace(
+                boot_id=state.boot_id, heard_ns=state.heard_ns, command_nonce=_NEVER, enabled=(_NEVER, 0)
+            )
+        latch = Latch.NONE if before.latch is Latch.DRILL else before.latch
+        return GateState(state.boot_id, before.epoch, latch, before.latch_id, refused=state.refused)
+
+    def _explain(self, decision: Decision, before: GateState) -> None:
+        """Find what allowed each change."""
+        state = decision.state
+        granted = state.session != 0 and _lease(state) != _lease(before)
+        if _lease(state) != _lease(before):
+            self._lease(decision, before)
+        if (state.latch, state.latch_id) != (before.latch, before.latch_id):
+            self._latch(decision, before)
+        if _enable(state) != (before.enabled, 0.0 if granted else before.limit):
+            self._enable(decision, before)
+        forgotten = (0, _NEVER, before.wheels, decision.now_ns) if granted else _command(before)
+        if _command(state) != forgotten:
+            self._command(decision, forgotten[0])
+
+    def _lease(self, decision: Decision, before: GateState) -> None:
+        _, now_ns, inputs, state, _ = decision
+        session, action = inputs.lease or (0, LeaseAction.RELEASE)
+        if state.session == 0:
+            allowed = action is LeaseAction.RELEASE and session == before.session and state.epoch == before.epoch
+        else:
+            free = before.session == 0 or now_ns - before.heard_ns >= _LAPSE_NS or action is LeaseAction.TAKE_OVER
+            rest = before.output == STOP and not inputs.turning
+            allowed = free and rest and state.session == session and state.epoch == before.epoch + 1
+            allowed = allowed and action is not LeaseAction.RELEASE
+        if not allowed:
+            change = f"{_lease(before)} to {_lease(state)} by {inputs.lease}, output {before.output}"
+            self._fail(decision.true_ns, "the lease changed without a right", change)
+
+    def _latch(self, decision: Decision, before: GateState) -> None:
+        true_ns, _, inputs, state, _ = decision
+        permission = self._valid_permission(decision, before)
+        change = f"{Latch(before.latch).name} {before.latch_id} to {Latch(state.latch).name} {state.latch_id}"
+        if state.latch > before.latch or state.latch_id > before.latch_id:
+            asked = max(inputs.latch, permission.latch if permission else Latch.NONE)
+            if state.latch != asked:
+                self._fail(true_ns, "a latch that nobody asked for", change)
+            return
+        rest = before.output == STOP and not inputs.turning and not inputs.latch
+        if permission is None or permission.clear != before.latch_id or not rest:
+            self._fail(true_ns, "a latch was cleared without an authorised reset at rest", f"{change} by {permission}")
+        elif before.latch is not Latch.DRILL and not self._authorised(true_ns):
+            self._fail(true_ns, "a latch was cleared and nobody had asked for a reset", change)
+
+    def _enable(self, decision: Decision, before: GateState) -> None:
+        permission = self._valid_permission(decision, before)
+        state = decision.state
+        limit = 0.0 if permission is None or permission.latch else permission.limit
+        if permission is None or state.enabled != (permission.nonce, permission.seq) or state.limit not in (0.0, limit):
+            change = f"{_enable(before)} to {_enable(state)} by {decision.inputs.permission}"
+            self._fail(decision.true_ns, "a refused enable changed more than a counter", change)
+
+    def _command(self, decision: Decision, last_seq: int) -> None:
+        _, now_ns, inputs, state, _ = decision
+        command = inputs.command
+        if (
+            command is None
+            or not self._obeyed(decision, last_seq)
+            or _command(state) != (command.seq, command.nonce, command.wheels, now_ns)
+        ):
+            change = f"to {_command(state)} by {command}, epoch {state.epoch}, last {last_seq}, at {now_ns}"
+            self._fail(decision.true_ns, "a refused command changed more than a counter", change)
+
+    def _counted(self, decision: Decision, before: GateState) -> None:
+        """Nothing changed: whatever came was refused, and is counted."""
+        inputs = decision.inputs
+        if inputs.command is not None or inputs.permission is not None:
+            self._fail(decision.true_ns, "a refused message was not counted", inputs)
+
+    # The rules of acceptance
+
+    def _valid_permission(self, decision: Decision, before: GateState) -> Permission | None:
+        permission = decision.inputs.permission
+        if (
+            permission is None
+            or not _fresh(permission, decision)
+            or (permission.nonce, permission.seq) <= before.enabled
+        ):
+            return None
+        return permission if permission.epoch == before.epoch or permission.latch else None
+
+    def _obeyed(self, decision: Decision, last_seq: int) -> bool:
+        command, state, drive = decision.inputs.command, decision.state, self._drive
+        assert command is not None
+        left, right = command.wheels
+        return (
+            _fresh(command, decision)
+            and (command.epoch, command.session) == (state.epoch, state.session)
+            and state.session != 0
+            and command.seq > last_seq
+            and max(abs(left), abs(right)) <= _LIMIT * drive.max_wheel_speed
+            and drive.wheel_radius * abs(left + right) / 2.0 <= _LIMIT * drive.max_speed
+        )
+
+    # What reaches the wheels
+
+    def _permitted(self, decision: Decision) -> None:
+        """A target that is not zero needs a lease, a valid command, a valid enable and no latch."""
+        _, now_ns, _, state, output = decision
+        left, right = output.target
+        limit = min(state.limit, self._drive.max_wheel_speed)
+        if not (
+            state.session
+            and state.latch is Latch.NONE
+            and 0 <= state.command_nonce <= now_ns < state.command_nonce + _VALID_NS
+            and 0 <= state.enabled[0] <= now_ns < state.enabled[0] + _VALID_NS
+            and output.target == state.wheels
+            and max(abs(left), abs(right)) <= _LIMIT * limit
+        ):
+            self._fail(decision.true_ns, "the target is not zero without lease, command, enable or limit", decision[1:])
+
+    def _measure(self, rows: Array) -> None:
+        """Speeds, accelerations and times, all at once."""
+        true_ns, now_ns, nonce_ns, start = rows[:, :4].T
+        output, target = rows[:, 4:6], rows[:, 6:8]
+        drive = self._drive
+        for speed, limit in (
+            (abs(output).max(axis=1), drive.max_wheel_speed),
+            (abs(output.sum(axis=1)) * drive.wheel_radius / 2.0, drive.max_speed),
+        ):
+            self._report("a wheel is faster than it may be", true_ns, speed > _LIMIT * limit, speed)
+        same = start[1:] == start[:-1]
+        elapsed_ns = np.maximum(np.diff(true_ns), np.clip(np.diff(now_ns), 0, _CATCH_UP_NS))
+        change = abs(np.diff(output, axis=0)).max(axis=1)
+        fast = change > drive.max_wheel_acceleration * elapsed_ns / S + 1e-9
+        self._report(
+            "a wheel accelerates more than it may", true_ns[1:], fast & same, change * S / np.maximum(elapsed_ns, 1.0)
+        )
+        standing = np.asarray(~output.any(axis=1))
+        closed = np.asarray(~target.any(axis=1))
+        self.standing, self.moving = np.column_stack([true_ns, standing]), np.column_stack([true_ns, ~closed])
+        rising = (abs(output[1:]) > abs(output[:-1]) + 1e-12) | (output[1:] * output[:-1] < 0)
+        self._report(
+            "the output rose or reversed while the target was zero",
+            true_ns[1:], rising.any(axis=1) & closed[1:] & same, output[1:, 0],
+        )  # fmt: skip
+        steady = same & ~self._out(true_ns) & (np.diff(now_ns) >= 0)
+        age_ns = now_ns[1:] - nonce_ns[:-1]
+        late = ~closed[:-1] & (age_ns > _TARGET_WITHIN_NS) & steady
+        self._report("the target was not zero 130 ms after the newest nonce", true_ns[1:], late, age_ns / MS)
+        late = ~standing[:-1] & closed[:-1] & (age_ns > _OUTPUT_WITHIN_NS) & steady
+        self._report("the output was not zero 230 ms after the newest nonce", true_ns[1:], late, age_ns / MS)
+
+    def _out(self, true_ns: Array) -> NDArray[np.bool_]:
+        """Return between which rows the driver itself did not run, or had its clock changed."""
+        out = np.zeros(len(true_ns) - 1, dtype=np.bool_)
+        for outage in self._outages:  # its ramp to zero comes late, too
+            out |= (true_ns[:-1] <= outage.end_ns + _RAMP_NS) & (true_ns[1:] >= outage.start_ns)
+        return out
+
+    def _report(self, invariant: str, at_ns: Array, wrong: NDArray[np.bool_], figure: Array) -> None:
+        for row in np.flatnonzero(wrong)[:3]:
+            self._fail(at_ns[row], invariant, f"{figure[row]:.6g}")
+
+
+def _fresh(message: Command | Permission, decision: Decision) -> bool:
+    """Whether it echoes this start of the driver, not long ago."""
+    age_ns = decision.now_ns - message.nonce
+    return message.boot_id == decision.state.boot_id and message.nonce >= 0 and 0 <= age_ns < _VALID_NS
+
+
+def intervals(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Return first and last index of every run of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    yield from zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)

@@ -1,0 +1,57 @@
+"""What a storm sees of a run: every decision of every gate, and when every message was said.
+
+It keeps references only: a run must not slow down because it is watched. ``gates.py`` and ``fleet.py`` judge later.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable
+from typing import NamedTuple
+
+from robofleet.clock import Clock
+from robofleet.comms.bus import MemoryBus
+from robofleet.safety.gate import GateOutput, GateState, Inputs
+from robofleet.vehicles.interface import STOP
+
+
+class Decision(NamedTuple):
+    """One step of a gate."""
+
+    true_ns: int  # lockstep's own clock, that no fault touches
+    now_ns: int  # the driver's
+    inputs: Inputs
+    state: GateState
+    output: GateOutput
+
+
+class Ledger:
+    """The decisions of each robot's gate and the instants of each key's messages, oldest first."""
+
+    _now_ns: Callable[[], int]
+
+    def __init__(self) -> None:
+        self.decisions: dict[str, list[Decision]] = defaultdict(list)
+        self.said_ns: dict[str, list[int]] = defaultdict(list)
+
+    def follow(self, clock: Clock, bus: MemoryBus) -> None:
+        """Take the time from here on, and hear what is said."""
+        self._now_ns = clock.now_ns
+        bus.tap(self._heard)
+
+    def turning(self) -> set[str]:
+        """Return the robots whose wheels are let turn now."""
+        return {robot for robot, rows in self.decisions.items() if rows[-1].output.target != STOP}
+
+    def witness(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
+        """Keep what a gate decided."""
+        self.decisions[robot].append(Decision(self._now_ns(), now_ns, inputs, state, output))
+
+    def _heard(self, message: tuple[str, bytes]) -> None:
+        """Keep when a message was said; what it says is in the recording, in the same order."""
+        self.said_ns[message[0]].append(self._now_ns())
+
+
+class Outage(NamedTuple):
+    """When a process did not run, or had its clock changed [lockstep's clock, ns]."""
+
+    start_ns: float
+    end_ns: float

@@ -1,0 +1,72 @@
+"""What the operator sees of a storm: its progress, what broke, and the command that shows it again."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from robofleet.processes.storm.episode import Episode
+from robofleet.processes.storm.schedule import KINDS
+from robofleet.processes.storm.tally import REACTIONS, Tally
+from robofleet.processes.storm.workers import Watch
+from robofleet.safety.supervisor import Event
+
+_SHOWN = 5  # violations of one seed
+
+
+@contextmanager
+def progress(seeds: int, replay: str) -> Iterator[Watch]:
+    """Show how far the storm is; a seed that failed is printed at once. ``replay``: the command, but for its seed."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("storm", total=seeds)
+
+        def watch(tally: Tally, episode: Episode) -> None:
+            bar.update(task, completed=tally.seeds, description=f"storm, {len(tally.failed)} failed")
+            for line in lines(episode, replay):
+                bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+        yield watch
+
+
+def lines(episode: Episode, replay: str) -> Iterator[str]:
+    """Yield what there is to say of a seed that failed."""
+    if not episode.violations:
+        return
+    yield f"seed {episode.seed}: {replay} --seeds 1 --first {episode.seed}"
+    for violation in episode.violations[:_SHOWN]:
+        yield f"  {violation}"
+    if len(episode.violations) > _SHOWN:
+        yield f"  and {len(episode.violations) - _SHOWN} more"
+    yield f"  the fleet ran first at {episode.run_s:.3f} s; from then on:"
+    for fault in episode.plan.faults:
+        fields = fault.model_dump(exclude_none=True, exclude={"kind", "at_s", "duration_s"})
+        yield f"  {fault.at_s:8.3f} s, for {fault.duration_s:.3f} s: {fault.kind} {fields}"
+    for act in episode.plan.acts:
+        yield f"  {act.at_s:8.3f} s: the operator asks for {act.request!r}"
+
+
+def summarise(tally: Tally, elapsed_s: float) -> bool:
+    """Print the tally; returns whether all held."""
+    table = Table("fault", "times", "effects", "reaction", "seeds", title="what came, and what was done about it")
+    events = sorted(event for event in Event if event and (tally.events[event] or event in REACTIONS))
+    for row in range(max(len(KINDS), len(events))):
+        kind = KINDS[row] if row < len(KINDS) else ""
+        event = events[row] if row < len(events) else None
+        fault = (kind, str(tally.scheduled[kind]), str(tally.injected[kind])) if kind else ("", "", "")
+        table.add_row(*fault, *((event.name.lower(), str(tally.events[event])) if event else ("", "")))
+    console = Console()
+    console.print(table)
+    rate = tally.simulated_s / elapsed_s
+    console.print(
+        f"{tally.seeds} seeds, {len(tally.failed)} failed; {tally.simulated_s:.0f} s simulated in {elapsed_s:.0f} s"
+        f" ({rate:.0f} times real time); at most {tally.longest_queue} steps were queued;"
+        f" after {tally.crowded} storms that left the envelope robots stood too close to start"
+    )
+    shortfalls = list(tally.shortfalls())
+    for shortfall in shortfalls:
+        print(f"the storm proves too little: {shortfall}", file=sys.stderr)
+    return not tally.failed and not shortfalls

@@ -1,0 +1,144 @@
+"""From a seed to a storm: timed faults, several at once, and an operator who does not sit still."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from robofleet.config.slices import generator
+from robofleet.config.tree import Config
+from robofleet.config.troubles import Fault
+
+WINDOW_S = 12.0  # of faults, from the first moment of running; with the checks before it this is a run of 20 s
+_SHORTEST_S, _LONGEST_S = 0.05, 5.0
+_MOST = 6  # faults of one seed
+_CALM = 0.5  # share of seeds that stay inside the envelope
+_TOPICS = ("cmd", "enable", "status", "poses", "state", "tick")
+_REQUESTS = (b"hold", b"resume", b"estop", b"reset", b"stop", b"start", b"status", b"\xff nonsense")
+_FAULTS: TypeAdapter[Fault] = TypeAdapter(Fault)
+
+T = TypeVar("T")
+
+
+class Act(NamedTuple):
+    """What the operator asks for in the middle of it."""
+
+    at_s: float  # since the fleet ran first
+    request: bytes
+
+
+class Plan(NamedTuple):
+    """One seed's storm. Times count from the first moment of running [s]."""
+
+    faults: tuple[Fault, ...]
+    acts: tuple[Act, ...]
+    healed_s: float  # nothing is wrong any more, and the operator is sober
+    outside_s: float  # from here on bodies may touch; inf: never
+
+
+class _Dice:
+    """A seed's draws."""
+
+    def __init__(self, config: Config, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self.robots = [robot.id for robot in config.robots]
+        self.drivers = [f"driver-{robot}" for robot in self.robots]
+
+    def one(self, values: Sequence[T]) -> T:
+        return values[int(self.rng.integers(len(values)))]
+
+    def between(self, low: float, high: float) -> float:
+        return round(float(self.rng.uniform(low, high)), 3)
+
+    def likely(self, share: float) -> bool:
+        return bool(self.rng.random() < share)
+
+    def duration(self) -> float:
+        return round(math.exp(self.rng.uniform(math.log(_SHORTEST_S), math.log(_LONGEST_S))), 3)
+
+
+def _robot(dice: _Dice) -> dict[str, Any]:
+    return {"robot": dice.one(dice.robots)}
+
+
+def _route(dice: _Dice) -> dict[str, Any]:
+    topics = dice.rng.permutation(_TOPICS)[: 1 + int(dice.rng.integers(3))].tolist()
+    return {"topics": topics, "robot": dice.one([None, *dice.robots])}
+
+
+def _message(dice: _Dice) -> dict[str, Any]:
+    return {**_route(dice), "share": dice.one((0.01, 0.1, 0.5, 1.0))}
+
+
+def _lost(dice: _Dice) -> dict[str, Any]:
+    return {**_message(dice), "burst_s": dice.one((0.0, 0.06, 0.2))}
+
+
+def _late(dice: _Dice) -> dict[str, Any]:
+    return {**_route(dice), "median_s": dice.between(0.002, 0.03), "p99_s": dice.between(0.06, 0.3)}
+
+
+def _few(dice: _Dice) -> dict[str, Any]:
+    names = ["controller", "tracker", "supervisor", *dice.drivers]
+    first, second = dice.one(names), dice.one(names)
+    return {"processes": tuple(dict.fromkeys((first, second))), "held_back": dice.likely(0.5)}
+
+
+def _lab(dice: _Dice) -> dict[str, Any]:
+    return {"process": dice.one(("controller", "tracker", "supervisor"))}
+
+
+# Each kind's own fields. Inside the envelope no bodies may touch and none may leave the arena.
+_INSIDE: dict[str, Callable[[_Dice], dict[str, Any]]] = {
+    "motor_stuck": _robot,
+    "low_battery": _robot,
+    "wired_stop": _robot,
+    "pose_dropout": _robot,
+    "camera_frozen": lambda _: {},
+    "camera_stalled": lambda _: {},
+    "pose_delay": lambda dice: {"delay_s": dice.between(0.01, 0.08)},
+    "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.0005, 0.002), "sigma_rad": 0.005},
+    "lost": _lost,
+    "late": _late,
+    **dict.fromkeys(("duplicated", "reordered", "not_a_number", "malformed"), _message),
+    "network_cut": _few,
+    "killed": _lab,
+    "stopped": _lab,
+    "disk_full": lambda _: {},
+    "second_controller": lambda _: {},
+}
+_OUTSIDE: dict[str, Callable[[_Dice], dict[str, Any]]] = {
+    "slip": _robot,
+    "id_swap": lambda dice: {"robots": tuple(dice.rng.permutation(dice.robots)[:2].tolist())},
+    "duplicate_tag": _robot,
+    "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.005, 0.1), "sigma_rad": 0.1},
+    "pose_delay": lambda dice: {"delay_s": dice.between(0.1, 0.25)},
+    # A gate that does not run closes nothing: what stops the wheels then is the robot's own affair.
+    "killed": lambda dice: {"process": dice.one(dice.drivers)},
+    "stopped": lambda dice: {"process": dice.one(dice.drivers)},
+    "clock_step": lambda dice: {
+        "process": dice.one(["controller", "tracker", "supervisor", *dice.drivers]),
+        "step_s": dice.one((-1.0, -0.05, 0.05, 1.0)),
+    },
+}
+KINDS = tuple(dict.fromkeys((*_INSIDE, *_OUTSIDE)))
+
+
+def plan(config: Config, seed: int) -> Plan:
+    """Return a seed's storm: the same one for the same seed and fleet."""
+    dice = _Dice(config, generator(seed, "storm"))
+    calm = dice.likely(_CALM)
+    pool = [(kind, make, False) for kind, make in _INSIDE.items()]
+    pool += [] if calm else [(kind, make, True) for kind, make in _OUTSIDE.items()]
+    faults, outside_s, healed_s = [], math.inf, 0.0
+    for _ in range(1 + int(dice.rng.integers(_MOST))):
+        kind, make, breaks = dice.one(pool)
+        at_s = dice.between(0.0, WINDOW_S - _SHORTEST_S)
+        duration_s = round(min(dice.duration(), WINDOW_S - at_s), 3)
+        faults.append(_FAULTS.validate_python({"kind": kind, "at_s": at_s, "duration_s": duration_s, **make(dice)}))
+        outside_s = min(outside_s, at_s if breaks else math.inf)
+        healed_s = max(healed_s, at_s + duration_s)
+    acts = [Act(dice.between(0.0, WINDOW_S), dice.one(_REQUESTS)) for _ in range(int(dice.rng.integers(3)))]
+    return Plan(tuple(faults), tuple(sorted(acts)), max([healed_s, *(act.at_s for act in acts)]), outside_s)

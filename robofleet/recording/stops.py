@@ -1,0 +1,85 @@
+"""Every stop of a robot while a run was on: when, why, and how long it took."""
+
+from bisect import bisect_right
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.recording.run import Run
+from robofleet.safety.gate import GateStatus
+from robofleet.safety.supervisor import Event, Phase
+
+_WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why
+_SOON = 3  # statuses: a gate may close before the news that the run ended is here
+_ASKED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
+_GOING_ON = (Phase.ARMED, Phase.RUNNING)
+
+
+def stops(run: Run) -> list[dict[str, Any]]:
+    """Return the stops in order: gates that closed, and robots that the controller let stand with an open gate.
+
+    ``t_s`` counts from the run's first tick. ``target_ms`` and ``output_ms``: from the issue of the newest nonce
+    echoed to a target and to an output of zero, on the driver's clock; None where that was not seen. A controlled stop
+    that ends the run is none.
+    """
+    found: list[dict[str, Any]] = []
+    if not len(run.ticks):
+        return found
+    start_ns = int(run.ticks["stamp_ns"][0])
+    for row, status in enumerate(run.statuses):
+        opened = status["gate"] == GateStatus.OPEN
+        for k in 1 + np.flatnonzero(opened[:-1] & ~opened[1:]):
+            if int(status["stamp_ns"][k]) > start_ns and (why := _cause(run, row, int(k))) is not None:
+                found.append(_stop(run, row, int(status["stamp_ns"][k]) - start_ns, why) | _times(status[k:]))
+        found += _lost(run, row, start_ns)
+    return sorted(found, key=lambda stop: stop["t_s"])
+
+
+def _stop(run: Run, row: int, after_ns: int, why: str) -> dict[str, Any]:
+    stop = {"t_s": round(after_ns / 1e9, 4), "robot": run.config.platoon[row].id, "cause": why}
+    return stop | {"target_ms": None, "output_ms": None}
+
+
+def _cause(run: Run, row: int, k: int) -> str | None:
+    """Return why a gate closed, and for which cause of the run or of this robot; None where the run had ended."""
+    status, places = run.statuses[row], run.status_places[row]
+    last = int(np.searchsorted(status["stamp_ns"], int(status["stamp_ns"][k]) + _WHY_WITHIN_NS)) - 1
+    soon = places[min(k + _SOON, last)]
+    gate = named(GateStatus, int(status["gate"][k]))
+    before = bisect_right(run.states, places[k], key=lambda change: change[0]) - 1
+    for place, state in run.states[max(0, before) :]:
+        if place > soon and (place > places[last] or state.cause in _ASKED):
+            break  # what somebody asks for closes no gate beforehand
+        if state.phase == Phase.IDLE:
+            return None
+        own = halt_cause(state, row)
+        if own or state.phase not in _GOING_ON:
+            return f"{gate}: {own or run_cause(state, run.config.groups[0].robots)}"
+    return gate
+
+
+def _times(closed: NDArray[Any]) -> dict[str, float | None]:
+    """Return how long target and output took, from the statuses since a gate closed."""
+    again = np.flatnonzero(closed["gate"] == GateStatus.OPEN)
+    until = closed[: again[0]] if len(again) else closed
+    still = np.flatnonzero((until["left_output_rad_s"] == 0.0) & (until["right_output_rad_s"] == 0.0))
+    output_ns = int(until["output_after_ns"][still[0]]) if len(still) else -1
+    target_ns = int(closed["target_after_ns"][0])
+    output_ns = output_ns if output_ns >= target_ns else -1  # of an earlier stop: the wheels stood already
+    return {
+        name: None if ns < 0 else round(ns / 1e6, 2)
+        for name, ns in (("target_ms", target_ns), ("output_ms", output_ns))
+    }
+
+
+def _lost(run: Run, row: int, start_ns: int) -> list[dict[str, Any]]:
+    """Return when the controller let a robot stand because no image shows it, where its gate was open."""
+    status, found = run.statuses[row], []
+    for k in np.flatnonzero(np.diff(run.items["lost"][:, row], prepend=0.0) > 0):
+        at_ns = int(run.ticks["stamp_ns"][k])
+        newest = int(np.searchsorted(status["stamp_ns"], at_ns, side="right")) - 1
+        if newest < 0 or status["gate"][newest] == GateStatus.OPEN:
+            found.append(_stop(run, row, at_ns - start_ns, "not seen by the tracker"))
+    return found

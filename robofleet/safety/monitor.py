@@ -1,0 +1,175 @@
+"""What the supervisor makes of what it sees: a fleet's view becomes events of the run. No I/O.
+
+An event is told again as long as what it tells of lasts, so a run cannot be resumed into it. Only changes are told
+once: a restart, ticks that were overrun, the tracker's news.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+from math import hypot
+from typing import NamedTuple
+
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.vehicles.interface import WIRED_STOP
+
+_MS = 1_000_000
+_S = 1_000_000_000
+
+SILENT_NS = 500 * _MS  # 25 statuses or 15 ticks: a process or its network; the gates closed after 120 ms
+TRACKER_SILENT_NS = 250 * _MS  # 7 images: every robot is driven by its wheels' word alone, some 50 mm by now
+STALE_TICKS = 15  # an image that knows no newer tick was held back: the controller does not use it
+OVERRUNS = 3  # in a row: 132 ms without a command, more than a gate waits; so the wheels did stop
+LATE_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
+LOST_NS = 2 * _S  # not a hand that passes: somebody must look
+LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
+CLOSEST_M = 0.005  # between two bodies: the barrier keeps far more, so it has failed
+INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or something must be moved by hand
+LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must keep
+OPERATOR_NS = _S  # 5 signs of life: the terminal is gone, or its machine sleeps
+ARMED_NS, ARMED_ROBOT_NS = 30 * _S, 3 * _S  # twice what the slowest checks take, and each robot's trial
+HELD_NS = 60 * _S  # whoever held the run has forgotten it: it must not be resumed by chance later
+
+
+class MonitorSettings(NamedTuple):
+    """What is known of the fleet beforehand; robots in the group's order."""
+
+    build: int  # of every process
+    body_radius: tuple[float, ...]  # [m]
+    arena: tuple[float, float]  # sides [m]; its centre is the origin
+    attended: bool  # the operator's terminal must give signs of life
+
+
+class Memory(NamedTuple):
+    """What one view does not tell."""
+
+    view: FleetView | None = None  # the one before
+    phase: Phase = Phase.IDLE
+    since_ns: int = 0  # when it began
+    sessions: tuple[int, ...] = ()  # that held the robots' leases when they were proved
+    infeasible_ns: tuple[int, ...] = ()  # since when the filter finds no answer; NEVER: it does
+
+
+def watch(
+    memory: Memory, settings: MonitorSettings, phase: Phase, view: FleetView
+) -> tuple[Memory, tuple[Happening, ...]]:
+    """Return what happened since the last view and what still stands; processes first, then robot by robot."""
+    now_ns, before = view.now_ns, memory.view or view
+    running = phase is Phase.RUNNING
+    since = memory.infeasible_ns or (NEVER,) * len(view.robots)
+    infeasible_ns = tuple(
+        (at_ns or now_ns) if running and robot.filtered == 2 else NEVER
+        for at_ns, robot in zip(since, view.robots, strict=True)
+    )
+    started = phase in (Phase.RUNNING, Phase.HOLD)
+    sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
+    memory = Memory(view, phase, memory.since_ns if phase is memory.phase else now_ns, sessions, infeasible_ns)
+    happenings = [
+        *_host(before, memory, settings, view),
+        *_controller(before, settings, phase, view),
+        *_tracker(before, settings, view),
+        *view.news,
+    ]
+    for row, robot in enumerate(view.robots):
+        happenings += _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
+        happenings += _body(row, robot, phase)
+        happenings += _place(row, robot, settings)
+        if infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
+            happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
+        if running and robot.blocked:
+            happenings.append(Happening(Event.DEADLOCKED, row))
+    return memory, (*happenings, *_neighbours(settings, view))
+
+
+def _host(before: FleetView, memory: Memory, settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+    """Look at this process itself, its disk and its operator."""
+    if abs(view.now_ns - before.now_ns) > SILENT_NS:
+        yield Happening(Event.SUPERVISOR_STALLED)
+    if settings.attended and view.now_ns - view.operator_ns > OPERATOR_NS:
+        yield Happening(Event.OPERATOR_LOST)
+    if view.free_bytes < LEAST_FREE_BYTES:
+        yield Happening(Event.DISK_FULL)
+    lasted_ns = view.now_ns - memory.since_ns
+    if memory.phase is Phase.ARMED and lasted_ns > ARMED_NS + ARMED_ROBOT_NS * len(view.robots):
+        yield Happening(Event.ARMED_TOO_LONG)
+    if memory.phase is Phase.HOLD and lasted_ns > HELD_NS:
+        yield Happening(Event.HELD_TOO_LONG)
+
+
+def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view: FleetView) -> Iterator[Happening]:
+    if view.controller_ns == NEVER:
+        return
+    if view.now_ns - view.controller_ns > SILENT_NS:
+        yield Happening(Event.CONTROLLER_SILENT)
+    if before.controller_epoch not in (0, view.controller_epoch):
+        yield Happening(Event.CONTROLLER_RESTARTED)
+    if view.controller_build != settings.build:
+        yield Happening(Event.OTHER_BUILD)
+    # Two single ones cannot be taken for three in a row: a view lies between them.
+    if phase is Phase.RUNNING and view.overruns - before.overruns >= OVERRUNS:
+        yield Happening(Event.TICKS_OVERRUN, NOBODY, view.overruns - before.overruns)
+
+
+def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+    if view.tracker_ns == NEVER:
+        return
+    stale = view.image_tick != 0 and view.tick - view.image_tick > STALE_TICKS
+    if view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale:
+        yield Happening(Event.TRACKER_SILENT)
+    if before.tracker_epoch not in (0, view.tracker_epoch):
+        yield Happening(Event.TRACKER_RESTARTED)
+    if view.tracker_build != settings.build:
+        yield Happening(Event.OTHER_BUILD)
+
+
+def _driver(
+    row: int, before: RobotView, session: int, build: int, robot: RobotView, now_ns: int
+) -> Iterator[Happening]:
+    if robot.heard_ns == NEVER:
+        return
+    if now_ns - robot.heard_ns > SILENT_NS:
+        yield Happening(Event.DRIVER_SILENT, row)
+    if before.boot_id not in (0, robot.boot_id):
+        yield Happening(Event.DRIVER_RESTARTED, row)
+    if robot.build != build:
+        yield Happening(Event.OTHER_BUILD, row)
+    if robot.session != session:
+        yield Happening(Event.LEASE_LOST, row)
+
+
+def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
+    """Look at what a robot says of itself."""
+    # A short press is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
+    if robot.faults & WIRED_STOP or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE):
+        yield Happening(Event.WIRED_STOP, row)
+    elif robot.latch and not (robot.latch == Latch.DRILL and phase is Phase.ARMED):
+        yield Happening(Event.GATE_LATCHED, row, robot.latch)
+    if faults := robot.faults & ~WIRED_STOP:
+        yield Happening(Event.ROBOT_FAULT, row, faults)
+    if 0.0 <= robot.battery < LOWEST_BATTERY:
+        yield Happening(Event.BATTERY_LOW, row, robot.battery)
+
+
+def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:
+    """Look at where a robot is; where it was seen long ago says nothing of the walls."""
+    if robot.seen_ns == NEVER:
+        return
+    if robot.unseen_ns >= LOST_NS:
+        yield Happening(Event.TAG_LOST, row)
+    elif robot.unseen_ns >= LATE_NS or robot.lost:
+        yield Happening(Event.TAG_LATE, row)
+    else:
+        (x, y, _), (length, width), radius = robot.pose, settings.arena, settings.body_radius[row]
+        if abs(x) + radius > length / 2 or abs(y) + radius > width / 2:
+            yield Happening(Event.OUTSIDE_ARENA, row)
+
+
+def _neighbours(settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+    """Look at every two robots; one that is not seen now may still stand where it was seen last."""
+    seen = [row for row, robot in enumerate(view.robots) if robot.seen_ns != NEVER]
+    for one, other in combinations(seen, 2):
+        (x, y, _), (other_x, other_y, _) = view.robots[one].pose, view.robots[other].pose
+        bodies = settings.body_radius[one] + settings.body_radius[other]
+        if hypot(x - other_x, y - other_y) - bodies < CLOSEST_M:
+            yield Happening(Event.TOO_CLOSE, one, other)

@@ -1,0 +1,195 @@
+"""Timed faults of ``config/troubles.py``: when each acts, and what it does to a robot and to a disk.
+
+Nothing of this is made where a configuration has no faults. ``faulty_bus.py`` and ``faulty_poses.py`` hold the rest.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from robofleet.clock import Clock, S
+from robofleet.comms.keys import ENABLE, STATE, TICK, Topic
+from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.config.slices import generator
+from robofleet.config.tree import Config
+from robofleet.config.troubles import Fault
+from robofleet.safety.supervisor import Phase
+from robofleet.vehicles.interface import (
+    WIRED_STOP,
+    BodyTrouble,
+    Driver,
+    DriverReading,
+    SimulatedDriver,
+    TruePose,
+    WheelSpeeds,
+)
+
+_NEVER = math.inf
+_SLIP = 0.5
+_LOW_CHARGE = 0.05
+
+
+class Injection:
+    """One fault, from when until when it acts [ns], and how often it had an effect."""
+
+    def __init__(self, fault: Fault, number: int) -> None:
+        self.fault: Any = fault  # each kind has keys of its own
+        self.number = number
+        self.start_ns = self.end_ns = _NEVER
+        self.effects = 0
+
+    def acts(self, now_ns: int) -> bool:
+        """Return whether it acts now."""
+        return self.start_ns <= now_ns < self.end_ns
+
+    def strike(self, now_ns: int) -> bool:
+        """Return whether it acts now, and count it."""
+        acts = self.start_ns <= now_ns < self.end_ns
+        self.effects += acts
+        return acts
+
+    def start(self, from_ns: int) -> None:
+        """Fix its times, from the instant that they count from."""
+        fault = self.fault
+        self.start_ns = from_ns + round((fault.at_s or 0.0) * S)
+        self.end_ns = _NEVER if fault.duration_s is None else self.start_ns + round(fault.duration_s * S)
+
+
+def struck(injections: Iterable[Injection], now_ns: int) -> bool:
+    """Return whether one of them acts now, and count each that does."""
+    return sum(injection.strike(now_ns) for injection in injections) > 0
+
+
+class Schedule:
+    """Every fault of a run. Lockstep has one for all processes; in real time each process has its own."""
+
+    def __init__(self, config: Config, clock: Clock) -> None:
+        self.now_ns = clock.now_ns  # of the world: it does not jump
+        self.injections = tuple(Injection(fault, number) for number, fault in enumerate(config.faults))
+        self.processes = config.processes
+        self.robots = tuple(robot.id for robot in config.robots)
+        self.begun = False
+        self._seed = config.run.seed
+        self._bodies: dict[str, Driver] = {}
+        for injection in self.injections:
+            if injection.fault.at_s is None:
+                injection.start(clock.now_ns())
+
+    def of(self, *kinds: str, **keys: str) -> tuple[Injection, ...]:
+        """Return the injections of some kinds, of those whose keys have these values."""
+        return tuple(
+            injection
+            for injection in self.injections
+            if injection.fault.kind in kinds
+            and all(getattr(injection.fault, key) == value for key, value in keys.items())
+        )
+
+    def begin(self, now_ns: int) -> None:
+        """Let the run have begun; only the first time counts."""
+        if not self.begun:
+            self.begun = True
+            for injection in self.injections:
+                if injection.fault.at_s is not None:
+                    injection.start(now_ns)
+
+    def hear(self, topic: Topic, payload: bytes, now_ns: int) -> None:
+        """Learn from what a process hears that the run has begun."""
+        if topic is STATE and (state := RUN_STATE.decode(payload)) is not None:
+            running = state.phase == Phase.RUNNING
+        elif topic is ENABLE and (enable := ENABLE_LAYOUT.decode(payload)) is not None:
+            running = enable.phase == Phase.RUNNING
+        else:
+            head = TICK_RECORD.decode_head(payload) if topic is TICK else None
+            running = head is not None and head[3] >= 0
+        if running:
+            self.begin(now_ns)
+
+    def rng(self, *key: str) -> np.random.Generator:
+        """Return the randomness of one part of the faults."""
+        return generator(self._seed, "faults", *key)
+
+    def body_trouble(self, robot: str) -> Callable[[], BodyTrouble] | None:
+        """Return what tells what is wrong with a simulated robot; None if there will never be anything."""
+        stuck, slip = self.of("motor_stuck", robot=robot), self.of("slip", robot=robot)
+
+        def trouble() -> BodyTrouble:
+            now_ns = self.now_ns()
+            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0)
+
+        return trouble if stuck or slip else None
+
+    def driver(self, robot: str, make: Callable[[], Driver]) -> Driver:
+        """Return a robot's driver with its faults. A simulated robot outlives lockstep's process that drove it."""
+        body = self._bodies.get(robot)
+        if body is None:
+            body = self._bodies[robot] = make()
+        faulty = FaultySimulatedDriver if isinstance(body, SimulatedDriver) else FaultyDriver
+        return faulty(body, self, robot)
+
+    def truth(self, robot: str) -> TruePose:
+        """Return where a simulated robot is, whether its driver's process lives or not."""
+        body = self._bodies[robot]
+        assert isinstance(body, SimulatedDriver)
+        return body.truth()
+
+    def disk_is_full(self) -> bool:
+        """Return whether the disk takes nothing now."""
+        return struck(self.of("disk_full"), self.now_ns())
+
+
+class FaultyDriver:
+    """A driver whose robot reads wrongly."""
+
+    def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
+        self._driver, self._now_ns = driver, schedule.now_ns
+        self._low, self._pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        """Command the wheels."""
+        self._driver.write(wheels)
+
+    def read(self) -> DriverReading:
+        """Return the reading as it is now."""
+        reading, now_ns = self._driver.read(), self._now_ns()
+        if struck(self._low, now_ns):
+            reading = reading._replace(battery=_LOW_CHARGE)
+        if struck(self._pressed, now_ns):
+            reading = reading._replace(faults=reading.faults | WIRED_STOP)
+        return reading
+
+    def close(self) -> None:
+        """Motors off."""
+        self._driver.close()
+
+
+class FaultySimulatedDriver(FaultyDriver):
+    """The same for a robot that does not exist."""
+
+    def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
+        super().__init__(driver, schedule, robot)
+        assert isinstance(driver, SimulatedDriver)
+        self.truth = driver.truth
+
+
+class SteppedClock:
+    """A process's clock in lockstep, which jumps when a fault says so."""
+
+    def __init__(self, clock: Clock, schedule: Schedule, process: str) -> None:
+        self._clock = clock
+        self._steps = [(i, round(i.fault.step_s * S)) for i in schedule.of("clock_step", process=process)]
+
+    def offset_ns(self) -> int:
+        """Return by how much it is ahead of the others' [ns]."""
+        now_ns = self._clock.now_ns()
+        return sum(step_ns for injection, step_ns in self._steps if injection.acts(now_ns))
+
+    def now_ns(self) -> int:
+        """Return the process's instant [ns]."""
+        return self._clock.now_ns() + self.offset_ns()
+
+    def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
+        """Do nothing, as lockstep's clock."""
+        self._clock.sleep_until(instant_ns - self.offset_ns(), precise=precise)

@@ -1,0 +1,260 @@
+"""A bus as one process sees it through a bad network: the faults act where messages are received."""
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from itertools import count
+from struct import pack, unpack_from
+
+import numpy as np
+
+from robofleet.clock import MS, Clock, S
+from robofleet.comms.bus import Answer, Bus, Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic
+from robofleet.simulation.faults import Injection, Schedule, struck
+
+_TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
+_OF_ONE_ROBOT = (COMMAND, ENABLE, STATUS)
+_SENDERS = {
+    COMMAND: "controller", LEASE: "controller", TICK: "controller", ENABLE: "supervisor", STATE: "supervisor",
+    POSES: "tracker", NEWS: "tracker", REQUEST: "operator",
+}  # fmt: skip
+_STAMPS = {TRUTH: 9, TICK: 17}  # bytes before the stamp by which a simulated world and its camera are timed
+_HELD = 1024  # messages of one subscription
+_APART_NS = 30_000  # between messages that were held back: what a router needs for each
+_AGAIN_NS = MS  # after a message its copy comes
+_P99 = 2.3263  # standard deviations
+
+
+class FaultyBus:
+    """Wraps the bus of one process. ``simulated_router``: lockstep has no router to kill or to stop but this one."""
+
+    def __init__(
+        self, bus: Bus, schedule: Schedule, process: str, clock: Clock, *, simulated_router: bool = False
+    ) -> None:
+        self._bus, self._schedule, self._process, self._clock = bus, schedule, process, clock
+        self._simulated_router = simulated_router
+        self.alive = True  # a killed process's subscriptions wake nobody
+
+    def publisher(self, topic: Topic, name: str = "") -> Publish:
+        """Return the function that publishes on a topic."""
+        publish, at = self._bus.publisher(topic, name), _STAMPS.get(topic)
+        if at is None or not self._clock_steps:
+            return publish
+
+        def restamped(payload: bytes) -> None:
+            (stamp_ns,) = unpack_from("<q", payload, at)
+            publish(payload[:at] + pack("<q", stamp_ns - self._ahead_ns()) + payload[at + 8 :])
+
+        return restamped
+
+    def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
+        """Subscribe to a topic."""
+        woken = self._guarded(wake)
+        fate = _Fate(self._schedule, self._process, topic, name, self._cuts(topic, name))
+        if fate.harmless and self._simulated_router and not self._clock_steps:
+            return self._bus.newest(topic, name, woken)
+        subscription = _FaultySubscription(self._schedule, topic, fate, woken, self._ahead_ns)
+        self._bus.listen(topic, name, subscription.put)
+        return subscription
+
+    def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
+        """Pass every message on as it arrives."""
+        self._bus.listen(topic, name, put)
+
+    def stream(self, expression: str, capacity: int) -> Stream:
+        """Subscribe to a simulated world: no network lies between."""
+        return self._bus.stream(expression, capacity)
+
+    def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
+        """Return the function that takes the next request that comes through."""
+        take, cuts = self._bus.serve(topic, name, self._guarded(wake)), self._cuts(topic, name)
+        now_ns = self._schedule.now_ns
+
+        def through() -> Request | None:
+            while (request := take()) is not None and struck(cuts, now_ns()):
+                pass
+            return request
+
+        return through if cuts else take
+
+    def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
+        """Send a request; it is lost, if so, where it should arrive."""
+        return self._bus.ask(topic, name, payload)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.close()
+
+    @property
+    def _clock_steps(self) -> bool:
+        return bool(self._schedule.of("clock_step", process=self._process))
+
+    def _ahead_ns(self) -> int:
+        return self._clock.now_ns() - self._schedule.now_ns()
+
+    def _guarded(self, wake: Wake | None) -> Wake | None:
+        if wake is None or not self._schedule.of("killed", process=self._process):
+            return wake
+        return lambda instant_ns: wake(instant_ns) if self.alive else None
+
+    def _cuts(self, topic: Topic, name: str) -> tuple[Injection, ...]:
+        """Return the cuts that lie between this process and the sender of a topic."""
+        sender = f"driver-{name}" if topic is STATUS else _SENDERS.get(topic, self._process)
+        cuts = tuple(
+            cut
+            for cut in self._schedule.of("network_cut")
+            if (sender in cut.fault.processes) != (self._process in cut.fault.processes)
+        )
+        return cuts + (self._schedule.of("killed", "stopped", process="router") if self._simulated_router else ())
+
+
+class _FaultySubscription:
+    """Messages of one key, after what the faults did to them."""
+
+    def __init__(
+        self, schedule: Schedule, topic: Topic, fate: "_Fate", wake: Wake | None, ahead_ns: Callable[[], int]
+    ) -> None:
+        self._schedule, self._topic, self._fate, self._ahead_ns = schedule, topic, fate, ahead_ns
+        self._wake: Wake = wake or (lambda _: None)
+        self._coming: deque[tuple[int, bytes]] = deque(maxlen=_HELD)
+        self._held: list[tuple[int, int, bytes]] = []  # when it is there, in which order, what
+        self._order = count()
+        self.arrival_ns = 0
+
+    def put(self, arrival_ns: int, payload: bytes) -> None:
+        """Take what the network brings, from any thread."""
+        self._coming.append((arrival_ns, payload))
+        self._wake(arrival_ns)
+
+    def take(self) -> bytes | None:
+        """Return the newest message that is there."""
+        now_ns = self._schedule.now_ns()
+        while self._coming and self._coming[0][0] <= now_ns:
+            arrival_ns, payload = self._coming.popleft()
+            if not self._schedule.begun:
+                self._schedule.hear(self._topic, payload, arrival_ns)
+            for release_ns, what in self._fate.of(arrival_ns, payload):
+                if len(self._held) < _HELD:
+                    heapq.heappush(self._held, (release_ns, next(self._order), what))
+                    if release_ns > now_ns:
+                        self._wake(release_ns)
+        newest = None
+        while self._held and self._held[0][0] <= now_ns:
+            there_ns, _, newest = heapq.heappop(self._held)
+            self.arrival_ns = there_ns + self._ahead_ns()
+        return newest
+
+
+class _Fate:
+    """What becomes of the messages on one key on their way to one process."""
+
+    def __init__(self, schedule: Schedule, process: str, topic: Topic, name: str, cuts: tuple[Injection, ...]) -> None:
+        self._rng = schedule.rng(process, topic.key, name)
+        self._at_nan = 14 if topic is STATE else -8  # the only double of a run's state stands in its head
+        self._cuts = cuts
+        self._behind: bytes | None = None
+        self._held_until_ns = 0
+        robot = name if topic in _OF_ONE_ROBOT else None
+        mine = [i for i in schedule.of(*_ACTS) if topic in map(_TOPICS.__getitem__, i.fault.topics)]
+        self._faults = [i for i in mine if i.fault.robot in (None, robot)]
+        self._bursts = {
+            i.number: _Bursts(schedule.rng("bursts", str(i.number), robot or ""), i.fault.share, i.fault.burst_s)
+            for i in self._faults
+            if i.fault.kind == "lost" and i.fault.burst_s
+        }
+
+    @property
+    def harmless(self) -> bool:
+        """Whether nothing will ever happen to them."""
+        return not (self._faults or self._cuts)
+
+    def of(self, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        """Return what arrives in the place of a message, and when."""
+        for cut in self._cuts:
+            if cut.strike(arrival_ns):
+                return self._held_back(cut, payload)
+        arriving = [(arrival_ns, payload)]
+        for injection in self._faults:
+            if injection.acts(arrival_ns) and arriving:
+                after = _ACTS[injection.fault.kind](self, injection, *arriving[0])
+                injection.effects += after != arriving[:1]
+                arriving[:1] = after
+        return arriving
+
+    def _held_back(self, cut: Injection, payload: bytes) -> list[tuple[int, bytes]]:
+        if not (getattr(cut.fault, "held_back", False) or cut.fault.kind == "stopped") or math.isinf(cut.end_ns):
+            return []
+        self._held_until_ns = max(self._held_until_ns + _APART_NS, int(cut.end_ns))
+        return [(self._held_until_ns, payload)]
+
+    def _lost(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        bursts = self._bursts.get(injection.number)
+        if bursts is not None:
+            lost = bursts.down(arrival_ns - int(injection.start_ns))
+        else:
+            lost = self._rng.random() < injection.fault.share
+        return [] if lost else [(arrival_ns, payload)]
+
+    def _late(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        median_s, p99_s = injection.fault.median_s, injection.fault.p99_s
+        late_s = median_s * (p99_s / median_s) ** (self._rng.standard_normal() / _P99)
+        return [(arrival_ns + round(late_s * S), payload)]
+
+    def _duplicated(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        twice = self._rng.random() < injection.fault.share
+        return [(arrival_ns, payload), (arrival_ns + _AGAIN_NS, payload)][: 1 + twice]
+
+    def _reordered(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        before, self._behind = self._behind, None
+        if before is not None:
+            return [(arrival_ns, payload), (arrival_ns + _APART_NS, before)]
+        if self._rng.random() < injection.fault.share:
+            self._behind = payload  # until the next one was there
+            return []
+        return [(arrival_ns, payload)]
+
+    def _not_a_number(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        if self._rng.random() < injection.fault.share:
+            at = self._at_nan % len(payload)
+            payload = payload[:at] + pack("<d", math.nan) + payload[at + 8 :]
+        return [(arrival_ns, payload)]
+
+    def _malformed(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
+        if self._rng.random() < injection.fault.share:
+            cut_short, too_long, other_version = payload[: len(payload) // 2], payload + b"\0", b"\xff" + payload[1:]
+            payload = (cut_short, too_long, other_version)[self._rng.integers(3)]
+        return [(arrival_ns, payload)]
+
+
+_ACTS = {
+    "lost": _Fate._lost,
+    "late": _Fate._late,
+    "duplicated": _Fate._duplicated,
+    "reordered": _Fate._reordered,
+    "not_a_number": _Fate._not_a_number,
+    "malformed": _Fate._malformed,
+}
+
+
+class _Bursts:
+    """When a link is down. Every process draws the same: what is lost, is lost in the air."""
+
+    def __init__(self, rng: np.random.Generator, share: float, longest_s: float) -> None:
+        self._intervals = self._drawn(rng, longest_s * S, longest_s * S / 2 * (1 / share - 1))
+        self._from_ns, self._to_ns = next(self._intervals)
+
+    def down(self, since_ns: int) -> bool:
+        """Return whether the link is down at an instant, counted from the fault's start; never an earlier one."""
+        while since_ns >= self._to_ns:
+            self._from_ns, self._to_ns = next(self._intervals)
+        return self._from_ns <= since_ns
+
+    @staticmethod
+    def _drawn(rng: np.random.Generator, longest_ns: float, mean_gap_ns: float) -> Iterator[tuple[float, float]]:
+        to_ns = 0.0
+        while True:  # gaps have a least length: two bursts must not make one that is longer than the longest
+            from_ns = to_ns + mean_gap_ns * rng.uniform(0.5, 1.5)
+            to_ns = from_ns + longest_ns * rng.uniform()
+            yield from_ns, to_ns

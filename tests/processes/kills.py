@@ -1,0 +1,212 @@
+"""Kill -9 and SIGSTOP the processes of a running fleet, one by one, and read how long its wheels went on.
+
+    python -m tests.processes.kills --times 25
+
+Real processes over Zenoh. The times are the drivers' own (``RobotStatus``): from the issue of the newest nonce that
+their last command and their last permission echoed, to a target of zero and to an output of zero.
+"""
+
+import argparse
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robofleet.clock import MS, S, WallClock
+from robofleet.comms.bus import Inbox
+from robofleet.comms.endpoint import bind_endpoint
+from robofleet.comms.keys import STATE, STATUS
+from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
+from robofleet.comms.requests import asked
+from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.config.load import load_config, resolved_yaml
+from robofleet.safety.supervisor import Phase
+
+PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+ROBOTS = ("r1", "r2")
+VICTIMS = ("controller", "router", "supervisor", "tracker")
+TARGET_MS, OUTPUT_MS = 130.0, 230.0
+_WITHIN_S = 40.0
+CLOCK = WallClock()
+
+
+def wait(condition: Callable[[], Any], within_s: float, what: str) -> None:
+    """Return as soon as the condition holds; AssertionError after a while."""
+    deadline_ns = CLOCK.now_ns() + round(within_s * S)
+    while not condition():
+        assert CLOCK.now_ns() < deadline_ns, f"waited {within_s} s for {what}"
+        CLOCK.sleep_until(CLOCK.now_ns() + 2 * MS)
+
+
+class Fleet:
+    """The processes of a run without a launcher: whoever kills one starts it again."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        endpoint = bind_endpoint("tcp/127.0.0.1:0")
+        robots = f"groups.0.robots=[{', '.join(ROBOTS)}]"
+        config = load_config(PLATOON, [robots, f"bus.endpoint={endpoint}", "tracker.source=truth"])
+        self.config = config.model_copy(update={"robots": tuple(config.robot(robot) for robot in ROBOTS)})
+        self._file = folder / "config.yaml"
+        self._file.write_text(resolved_yaml(self.config))
+        self._processes: dict[str, tuple[subprocess.Popen[bytes], socket.socket]] = {}
+        self.start("router")
+        for name in ("supervisor", "tracker", "controller", *(f"driver-{robot}" for robot in ROBOTS)):
+            self.start(name)
+        self.bus = ZenohBus(config.arena.name, endpoint, "kills", CLOCK)
+        self._state = Inbox(self.bus.newest(STATE), RUN_STATE)
+        self._inboxes = {robot: Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS) for robot in ROBOTS}
+        self.state: RunState | None = None
+        self.statuses: dict[str, RobotStatus] = {}
+
+    def start(self, name: str) -> None:
+        """Start a process and wait until it does its work."""
+        kind, _, robot = name.partition("-")
+        ours, theirs = socket.socketpair()
+        command = [sys.executable, "-m", "robofleet", kind, str(self._file), *(["--robots", robot] if robot else [])]
+        with theirs, (self._folder / f"{name}.log").open("ab") as log:
+            process = subprocess.Popen(
+                [*command, "--lifeline", str(theirs.fileno())], pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            )  # fmt: skip
+        ours.settimeout(_WITHIN_S)
+        assert ours.recv(64), f"{name} did not start: {(self._folder / f'{name}.log').read_text()}"
+        self._processes[name] = process, ours
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal; a killed process is gone when this returns."""
+        process, lifeline = self._processes[name]
+        process.send_signal(number)
+        if number == signal.SIGKILL:
+            process.wait()
+            lifeline.close()
+
+    def listen(self) -> None:
+        """Take what came."""
+        self.state = self._state.take() or self.state
+        for robot, inbox in self._inboxes.items():
+            if (status := inbox.take()) is not None:
+                self.statuses[robot] = status
+
+    def ask(self, request: bytes) -> bytes:
+        """Ask the supervisor."""
+        return asked(self.bus, CLOCK, "supervisor", request)
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        """Listen until something is true."""
+
+        def holds() -> bool:
+            self.listen()
+            return bool(condition())
+
+        wait(holds, _WITHIN_S, f"{what}; state {self.state}, {self.statuses}")
+
+    def drive(self) -> None:
+        """Bring the fleet to where every wheel turns."""
+
+        def started() -> bool:
+            if self.state is None or self.state.phase in (Phase.FAULT, Phase.ESTOP):
+                self.ask(b"reset")
+            elif self.state.phase == Phase.HOLD:
+                self.ask(b"stop")
+            elif self.state.phase == Phase.IDLE:
+                self.ask(b"start")
+            CLOCK.sleep_until(CLOCK.now_ns() + 50 * MS)
+            return self.state is not None and self.state.phase == Phase.RUNNING
+
+        self.until(started, "a run")
+        self.until(lambda: all(turns(status) for status in self.statuses.values()), "turning wheels")
+
+    def at_rest(self) -> bool:
+        """Whether every gate is closed and every output zero."""
+        return all(status.gate != 0 and not turns(status) for status in self.statuses.values())
+
+    def close(self) -> None:
+        """End every process."""
+        self.bus.close()
+        for process, lifeline in reversed(self._processes.values()):
+            lifeline.close()
+            try:
+                process.wait(2)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def turns(status: RobotStatus) -> bool:
+    """Whether the gate lets anything through to a wheel."""
+    return bool(status.left_output_rad_s or status.right_output_rad_s)
+
+
+def strike(
+    fleet: Fleet, victim: str, number: int, rng: np.random.Generator, held_s: float
+) -> list[tuple[float, float]]:
+    """Kill or stop a process of a running fleet; return each robot's times to zero target and output [ms].
+
+    AssertionError if a wheel turns after the process is back, before somebody starts a run.
+    """
+    fleet.drive()
+    CLOCK.sleep_until(CLOCK.now_ns() + round(rng.uniform(0.2, 0.6) * S))
+    before = {robot: status.nonce for robot, status in fleet.statuses.items()}
+    fleet.signal(victim, number)
+    CLOCK.sleep_until(CLOCK.now_ns() + round(held_s * S))
+    if number == signal.SIGKILL:
+        fleet.start(victim)
+    else:
+        fleet.signal(victim, signal.SIGCONT)
+    after_ns = {robot: nonce + round(held_s * S) for robot, nonce in before.items()}
+    fleet.until(lambda: all(fleet.statuses[r].nonce > ns for r, ns in after_ns.items()), "news of the drivers")
+    fleet.until(fleet.at_rest, "rest")
+    angles = {robot: status.left_angle_rad for robot, status in fleet.statuses.items()}
+    still_ns = CLOCK.now_ns() + S // 2
+    while CLOCK.now_ns() < still_ns:
+        fleet.listen()
+        assert fleet.at_rest(), f"{victim}: a wheel turns again: {fleet.statuses}"
+        CLOCK.sleep_until(CLOCK.now_ns() + 5 * MS)
+    for robot, status in fleet.statuses.items():
+        assert abs(status.left_angle_rad - angles[robot]) < 0.5, f"{victim}: {robot}'s wheel was turned"
+    return [(s.target_after_ns / MS, s.output_after_ns / MS) for s in fleet.statuses.values()]
+
+
+def main() -> None:
+    """Strike every victim so many times; exit 1 if a wheel went on for too long."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--times", type=int, default=25, help="of each process")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(arguments.seed)
+    worst: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_STATE_HOME"] = folder
+        fleet = Fleet(Path(folder))
+        try:
+            for k in range(arguments.times):
+                for victim in VICTIMS:
+                    number = (signal.SIGKILL, signal.SIGSTOP)[int(rng.integers(2))]
+                    worst[victim] += strike(fleet, victim, number, rng, float(rng.uniform(0.4, 3.0)))
+                print(f"{k + 1} of {arguments.times}", file=sys.stderr)
+        finally:
+            fleet.close()
+    print(f"{'struck':<12}{'times':>6}{'to zero target, ms':>22}{'to zero output, ms':>22}")
+    for victim, times in worst.items():
+        target, output = np.array(times).T
+        print(f"{victim:<12}{len(times) // len(ROBOTS):>6}{_shown(target):>22}{_shown(output):>22}")
+    figures = np.array([time for times in worst.values() for time in times])
+    if (figures > (TARGET_MS, OUTPUT_MS)).any():
+        raise SystemExit(1)
+
+
+def _shown(values: np.ndarray) -> str:
+    return f"{np.median(values):.0f} (worst {values.max():.0f})"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""``robofleet run`` as an operator starts it: real processes, files for what it says, and a terminal if asked for."""
+
+import fcntl
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import yaml
+
+from robofleet.clock import MS, S, WallClock
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+GONE_WITHIN_S = 2.0
+CLOCK = WallClock()
+
+
+def of_robots(*ids: str) -> tuple[str, ...]:
+    """Return the options of a run of the platoon's first robots only, without pixels: it starts sooner."""
+    robots = yaml.safe_load(PLATOON.read_text())["robots"][: len(ids)]
+    assert [robot["id"] for robot in robots] == list(ids)
+    fewer = f"robots={json.dumps(robots)}", f"groups.0.robots={json.dumps(ids)}"
+    return "--set", "tracker.source=truth", "--set", fewer[0], "--set", fewer[1]
+
+
+ALONE = of_robots("r1")
+
+
+def wait(condition: Callable[[], Any], within_s: float) -> bool:
+    """Return as soon as the condition holds, or False after a while."""
+    deadline_ns = CLOCK.now_ns() + round(within_s * S)
+    while not condition():
+        if CLOCK.now_ns() > deadline_ns:
+            return False
+        CLOCK.sleep_until(CLOCK.now_ns() + 10 * MS)
+    return True
+
+
+def own_folders(folder: Path) -> dict[str, str]:
+    """Return an environment in which runs leave their files in a folder."""
+    for name in ("runtime", "state"):
+        (folder / name).mkdir(exist_ok=True)
+    return os.environ | {"XDG_RUNTIME_DIR": str(folder / "runtime"), "XDG_STATE_HOME": str(folder / "state")}
+
+
+def _take_terminal() -> None:
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+class RealRun:
+    """A run; with ``terminal`` it has one of its own, whose other end is ``keyboard``."""
+
+    def __init__(self, folder: Path, *arguments: str, terminal: bool = False) -> None:
+        self._environment = own_folders(folder)
+        self._stdout, self._stderr, self.folder = folder / "stdout", folder / "stderr", folder / "run"
+        self.latches = folder / "state" / "robofleet" / "platoon"
+        command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(PLATOON), "--out", str(self.folder)]
+        self.keyboard, theirs = pty.openpty() if terminal else (None, subprocess.DEVNULL)
+        with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
+            self.launcher = subprocess.Popen(
+                [*command, "--json", *arguments], stdin=theirs, stdout=out, stderr=err, env=self._environment,
+                start_new_session=terminal,
+                preexec_fn=_take_terminal if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
+            )  # fmt: skip
+        if terminal:
+            os.close(theirs)
+
+    def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
+        """Do something to the run from another terminal."""
+        command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
+        return subprocess.run(command, env=self._environment, capture_output=True, text=True, timeout=20, check=False)
+
+    def press(self, keys: bytes) -> None:
+        """Press keys in the run's terminal."""
+        assert self.keyboard is not None
+        os.write(self.keyboard, keys)
+
+    def close_terminal(self) -> None:
+        """Close the window of the run's terminal."""
+        if self.keyboard is not None:
+            os.close(self.keyboard)
+            self.keyboard = None
+
+    @property
+    def said(self) -> str:
+        return self._stderr.read_text()
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Return what was printed, which is what was written."""
+        printed = json.loads(self._stdout.read_text())
+        assert printed == json.loads((self.folder / "summary.json").read_text())
+        return dict(printed)
+
+    def latched(self) -> dict[str, int]:
+        """Return what every robot's driver keeps of its latch for its next start."""
+        return {file.stem: json.loads(file.read_text())["latch"] for file in sorted(self.latches.glob("*.json"))}
+
+    def wait_until_running(self) -> None:
+        self.wait_for(lambda: "\nrunning" in self.said)
+
+    def wait_for(self, condition: Callable[[], Any]) -> None:
+        """Wait for something to happen in a run that has not ended."""
+        assert wait(lambda: condition() or self.launcher.poll() is not None, 60), self.said
+        assert self.launcher.poll() is None, self.said
+
+    def ended(self, within_s: float) -> int:
+        assert wait(lambda: self.launcher.poll() is not None, within_s), self.said
+        return int(self.launcher.returncode)
+
+    def children(self, *words: str) -> list[psutil.Process]:
+        """Return the living processes of this run, found by their config's path; all of them or those with words."""
+        found = []
+        for process in psutil.process_iter(["cmdline", "status"]):
+            line = process.info["cmdline"] or []
+            mine = str(self.folder / "config.yaml") in line and process.info["status"] != psutil.STATUS_ZOMBIE
+            if mine and all(word in line for word in words):
+                found.append(process)
+        return found
+
+    def kill(self, *words: str) -> None:
+        (process,) = self.children(*words)
+        process.kill()
+
+    def nothing_is_left(self) -> bool:
+        return wait(lambda: not self.children(), GONE_WITHIN_S)
+
+    def clean_up(self) -> None:
+        """End whatever is left."""
+        for process in (self.launcher, *self.children()):
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+        self.launcher.wait()
+        self.close_terminal()

@@ -1,0 +1,244 @@
+"""What a driver must remember: leases are given once, latches outlive a restart, a full disk gives nothing away."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.comms.keys import LEASE
+from robofleet.processes.keeping import FileKeeping, Kept, MemoryKeeping
+from robofleet.safety.gate import GateStatus, Latch, LeaseAction
+from robofleet.vehicles.interface import STOP, WheelSpeeds
+
+Make = Callable[..., Any]
+FORWARD = WheelSpeeds(3.0, 4.0)
+OTHER = 55
+
+
+class Disk(MemoryKeeping):
+    """A memory that may be full, and that knows when it was written to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.full = False
+        self.tries: list[tuple[str, Kept]] = []
+
+    def save(self, robot: str, kept: Kept) -> None:
+        self.tries.append((robot, kept))
+        if self.full:
+            raise OSError(28, "No space left on device")
+        super().save(robot, kept)
+
+
+@pytest.fixture
+def disk() -> Disk:
+    return Disk()
+
+
+@pytest.fixture
+def stand(stand: Any, driver_of: Make, disk: Disk) -> Any:
+    stand.restart = lambda seed: setattr(stand, "node", driver_of(stand.bench, "r1", "r2", keeping=disk, seed=seed))
+    stand.restart(1)
+    return stand
+
+
+def test_the_epoch_is_on_disk_before_the_answer_is_out(stand: Any, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = []
+    save = disk.save
+    monkeypatch.setattr(disk, "save", lambda *what: (answers.append(answer.take()), save(*what)))
+    answer = stand.bench.bus.ask(LEASE, "r1", b"\2" + (99).to_bytes(8, "little") + b"\1")
+    stand.node.step(stand.bench.now_ns)
+    assert answers == [None]
+    assert disk.load("r1").epoch == 1
+    assert answer.take() is not None
+
+
+def test_no_epoch_is_given_twice_whatever_restarts(stand: Any) -> None:
+    epochs = []
+    for seed in range(2, 6):
+        epochs.append(stand.ask("r1").epoch)
+        stand.restart(seed)
+    assert epochs == [1, 2, 3, 4]
+
+
+def test_a_second_controller_is_refused_until_the_first_is_silent_or_is_taken_over(stand: Any) -> None:
+    stand.run(S // 5)
+    answer = stand.ask("r1", session=OTHER)
+    assert (answer.granted, answer.session) == (0, stand.SESSION)
+    assert stand.ask("r1", LeaseAction.TAKE_OVER, OTHER).granted == 0  # in motion
+    stand.run(S // 2, enables=False)
+    assert stand.made["r1"].target == STOP
+    assert stand.ask("r1", session=OTHER).granted == 0  # at rest, but not silent
+    assert stand.ask("r1", LeaseAction.TAKE_OVER, OTHER).granted == 1
+    stand.run(S // 5)
+    assert stand.made["r1"].target == STOP
+    assert stand.newest("r1").session == OTHER
+    assert stand.ask("r1").granted == 0
+    stand.bench.run(stand.node, S)
+    assert stand.ask("r1").granted == 1
+
+
+def test_a_released_robot_comes_to_rest_and_is_free(stand: Any) -> None:
+    stand.run(S // 5)
+    assert stand.ask("r1", LeaseAction.RELEASE, OTHER).granted == 0
+    released_ns = stand.bench.now_ns
+    assert stand.ask("r1", LeaseAction.RELEASE).granted == 1
+    stand.bench.run(stand.node, 110 * MS)
+    stopped_ns = next(at for at, wheels in stand.made["r1"].writes if at > released_ns and wheels == STOP)
+    assert 20 * MS < stopped_ns - released_ns <= 60 * MS  # 4 rad/s at 150 rad/s^2, with limited acceleration
+    assert stand.newest("r1").gate == GateStatus.NO_LEASE
+    assert stand.ask("r1", session=OTHER).granted == 1
+
+
+@pytest.mark.parametrize("payload", [b"", b"\2rubbish", b"\2" + bytes(8) + b"\7", b"\2" + bytes(8) + b"\1"])
+def test_a_request_that_says_nothing_gets_nothing(stand: Any, payload: bytes) -> None:
+    stand.bench.bus.ask(LEASE, "r1", payload)
+    stand.bench.run(stand.node, 25 * MS)
+    status = stand.newest("r1")
+    assert (status.session, status.epoch, status.gate) == (0, 0, GateStatus.NO_LEASE)
+    assert stand.ask("r1").granted == 1
+
+
+def test_a_full_disk_refuses_the_lease_and_says_so_once(
+    stand: Any, disk: Disk, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand.ask("r1", session=OTHER)
+    stand.ask("r1", LeaseAction.RELEASE, OTHER)
+    disk.full = True
+    for _ in range(3):
+        answer = stand.ask("r1")
+        assert (answer.granted, answer.epoch, answer.session) == (0, 1, 0)
+    stand.bench.run(stand.node, 25 * MS)
+    assert stand.newest("r1").gate == GateStatus.NO_LEASE
+    assert capsys.readouterr().err.splitlines() == [
+        "r1: its lease and its latch cannot be kept: [Errno 28] No space left on device"
+    ]
+    disk.full = False
+    answer = stand.ask("r1")
+    assert (answer.granted, answer.epoch) == (1, 2)
+
+
+def test_a_latch_that_cannot_be_kept_holds_all_the_same_and_is_kept_when_it_can_be(stand: Any, disk: Disk) -> None:
+    stand.run(S // 5)
+    disk.full = True
+    stand.enable("r1", latch=Latch.EMERGENCY_STOP)
+    stand.run(S // 2)
+    assert (stand.newest("r1").gate, stand.made["r1"].target) == (GateStatus.LATCHED, STOP)
+    disk.full = False
+    stand.run(S // 5)
+    assert disk.load("r1").latch is Latch.EMERGENCY_STOP
+
+
+def test_a_latch_outlives_a_restart_and_a_drill_does_not(stand: Any, disk: Disk) -> None:
+    for robot, latch in (("r1", Latch.EMERGENCY_STOP), ("r2", Latch.DRILL)):
+        stand.acquire(robot)
+        stand.enable(robot, latch=latch)
+        stand.bench.run(stand.node, 25 * MS)
+        assert stand.newest(robot).latch == latch
+    stand.restart(2)
+    stand.bench.run(stand.node, 25 * MS)
+    assert [stand.newest(robot).latch for robot in ("r1", "r2")] == [Latch.EMERGENCY_STOP, Latch.NONE]
+    stand.enable("r1", clear=stand.newest("r1").latch_id)
+    stand.bench.run(stand.node, 25 * MS)
+    assert stand.newest("r1").latch == Latch.NONE
+    stand.restart(3)
+    stand.bench.run(stand.node, 25 * MS)
+    assert stand.newest("r1").latch == Latch.NONE
+
+
+def test_the_disk_is_slow_and_no_other_robot_waits_for_it(
+    stand: Any, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are stopped at once: when r1's latch goes to the disk, r2's wheels have been told."""
+    stand.acquire("r1")
+    stand.run(S // 5, robot="r2")
+    assert stand.made["r2"].target == FORWARD
+    told: list[Any] = []
+    monkeypatch.setattr(disk, "save", lambda robot, _: told.append((robot, stand.made["r2"].target)))
+    for robot in ("r1", "r2"):
+        stand.enable(robot, latch=Latch.EMERGENCY_STOP)
+    stand.bench.wait(5 * MS)
+    stand.node.step(stand.bench.now_ns)
+    assert [robot for robot, _ in told] == ["r1", "r2"]
+    assert all(wheels.left < FORWARD.left for _, wheels in told)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    return tmp_path / "robofleet" / "lab"
+
+
+def test_what_is_kept_is_found_again(folder: Path) -> None:
+    keeping = FileKeeping("lab")
+    assert keeping.load("r1") == Kept()
+    for kept in (Kept(3, Latch.WIRED_STOP, 2), Kept(4, Latch.NONE, 2)):
+        keeping.save("r1", kept)
+        assert FileKeeping("lab").load("r1") == kept
+    assert FileKeeping("lab").load("r2") == Kept()
+    assert FileKeeping("elsewhere").load("r1") == Kept()
+    assert [file.name for file in folder.iterdir()] == ["r1.json"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "rubbish",
+        "[]",
+        "3",
+        "null",
+        "{}",
+        '{"epoch": 1, "latch": 9, "latch_id": 1}',
+        '{"epoch": 1, "latch": 0}',
+        '{"epoch": -1, "latch": 0, "latch_id": 0}',
+        '{"epoch": 1, "latch": 0, "latch_id": -1}',
+        '{"epoch": 2147483648, "latch": 0, "latch_id": 0}',
+        '{"epoch": 1, "latch": 0, "latch_id": 2147483648}',
+        '{"epoch": 1.5, "latch": 0, "latch_id": 0}',
+        '{"epoch": 1, "latch": 0, "latch_id": "1"}',
+        '{"epoch": 1, "latch": 2, "latch_id": 0}',
+        b"\xff\xfe\0",
+    ],
+)
+def test_a_damaged_memory_latches_and_says_which_file(
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str | bytes
+) -> None:
+    folder.mkdir(parents=True)
+    (folder / "r1.json").write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+    assert f"r1: {folder / 'r1.json'}: cannot be read" in capsys.readouterr().err
+
+
+def test_a_memory_that_is_no_file_latches(folder: Path) -> None:
+    (folder / "r1.json").mkdir(parents=True)
+    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+
+
+def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path, stand: Any, driver_of: Make) -> None:
+    folder.mkdir(parents=True)
+    (folder / "r1.json").write_text("rubbish")
+    stand.node = driver_of(stand.bench, "r1", keeping=FileKeeping("lab"), seed=7)
+    stand.run(S // 5)
+    assert stand.newest("r1").latch == Latch.MEMORY_LOST
+    assert stand.made["r1"].target == STOP
+    stand.enable("r1", clear=stand.newest("r1").latch_id)
+    stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.OPEN
+    assert json.loads((folder / "r1.json").read_text())["latch"] == 0
+
+
+def test_a_memory_is_replaced_whole_or_not_at_all(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keeping = FileKeeping("lab")
+    keeping.save("r1", Kept(3, Latch.NONE, 2))
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        keeping.save("r1", Kept(4, Latch.NONE, 2))
+    assert keeping.load("r1") == Kept(3, Latch.NONE, 2)

@@ -1,0 +1,142 @@
+"""A running arena, reached from another terminal."""
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from robofleet.clock import WallClock
+from robofleet.config.tree import Config
+from robofleet.processes import arena_file, operator
+from robofleet.processes.arena_file import ArenaBusyError, claimed, running
+from tests.processes.realrun import ALONE, GONE_WITHIN_S, PLATOON, RealRun, wait
+
+Start = Callable[..., RealRun]
+ConfigOf = Callable[..., Config]
+
+
+@pytest.fixture
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder in which launchers of this test leave their files."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path / "robofleet"
+
+
+def test_hold_status_resume_stop(real_run: Start) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    assert run.robofleet("hold", "platoon").stdout == "ok\n"
+    run.wait_for(lambda: "\nheld: hold requested" in run.said)
+    found = json.loads(run.robofleet("status", "--json").stdout)
+    assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
+    assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
+    (robot,) = found["robots"]
+    assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == ("r1", "no enable", "none", None)
+    assert 0 < robot["battery"] <= 1
+    assert 0 <= robot["age_ms"] < 100
+
+    second = run.robofleet("run", str(PLATOON), "--out", str(run.folder / "second"))
+    assert second.returncode == 2
+    assert f"the arena platoon has a run already, in {run.folder} since " in second.stderr
+    assert f"`kill {run.launcher.pid}`" in second.stderr
+    assert not (run.folder / "second").exists()
+
+    refused = run.robofleet("reset")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert refused.stderr.startswith("refused: ")
+    assert run.robofleet("resume").stdout == "ok\n"
+    run.wait_for(lambda: run.said.count("\nrunning") == 2)
+
+    stopped = run.robofleet("stop")
+    assert (stopped.returncode, stopped.stderr) == (0, "")
+    assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
+    assert run.ended(5) == 1
+    assert run.latched() == {"r1": 2}
+    assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
+
+
+def test_latches_outlive_a_run_until_they_are_reset(real_run: Start, tmp_path: Path) -> None:
+    kept = tmp_path / "state" / "robofleet" / "platoon" / "r1.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps({"epoch": 4, "latch": 2, "latch_id": 7}))
+    refused = real_run(*ALONE)
+    assert refused.ended(60) == 1
+    assert "fault: start was refused: r1: the gate is latched: " in refused.said
+    assert "`robofleet run --reset` does it" in refused.said
+    assert refused.latched() == {"r1": 2}
+    run = real_run(*ALONE, "--duration", "0.5", "--out", str(tmp_path / "again"), "--reset")
+    assert run.ended(60) == 0
+    assert run.latched() == {"r1": 0}
+
+
+def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    (router,) = run.children("router")
+    router.send_signal(signal.SIGSTOP)
+    stopped = run.robofleet("stop")
+    assert stopped.returncode == 1
+    assert "does not answer: the launcher was told to end every process" in stopped.stderr
+    assert wait(lambda: not run.children("driver"), GONE_WITHIN_S)
+    assert run.ended(5) == 1
+    assert run.children() == []
+
+
+def test_without_a_run_there_is_nothing_to_stop(real_run: Start) -> None:
+    run = real_run("--duration", "-1")  # refused
+    assert run.ended(20) == 2
+    for command in ("stop", "hold", "resume", "reset", "status"):
+        done = run.robofleet(command)
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", "no arena has a run\n"), command
+
+
+def test_stop_waits_for_no_heavy_library() -> None:
+    import subprocess
+    import sys
+
+    heavy = "[n for n in ('numpy', 'numba', 'cv2', 'matplotlib', 'pydantic') if n in sys.modules]"
+    code = f"import sys, robofleet.cli, robofleet.processes.operator; print({heavy})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_file_that_was_left_behind_is_removed(runtime: Path, platoon_of: ConfigOf) -> None:
+    with claimed(platoon_of(), Path("somewhere"), WallClock()):
+        (there,) = running()
+        left_behind = (runtime / "platoon.json").read_text()
+    assert there.arena == "platoon"
+    assert there.robots == ("r1", "r2", "r3", "r4")
+    assert running() == []
+    (runtime / "platoon.json").write_text(left_behind)  # its launcher was killed
+    assert running() == []
+    assert not (runtime / "platoon.json").exists()
+
+
+def test_an_arena_has_one_run(runtime: Path, platoon_of: ConfigOf) -> None:
+    with claimed(platoon_of(), Path("somewhere"), WallClock()):
+        with pytest.raises(ArenaBusyError, match="has a run already"), claimed(platoon_of(), Path(), WallClock()):
+            pass
+        assert len(running()) == 1, "who was refused takes nothing away"
+    with claimed(platoon_of(), Path(), WallClock()):
+        assert len(running()) == 1
+
+
+def test_of_several_arenas_one_is_named(runtime: Path, platoon_of: ConfigOf) -> None:
+    clock = WallClock()
+    with claimed(platoon_of(), Path(), clock), claimed(platoon_of("arena.name=lab"), Path(), clock):
+        assert operator.chosen("lab").arena == "lab"
+        with pytest.raises(operator.NoArenaError, match="name one of lab, platoon"):
+            operator.chosen(None)
+        with pytest.raises(operator.NoArenaError, match=r"the arena attic has no run \(running: lab, platoon\)"):
+            operator.chosen("attic")
+
+
+def test_the_folder_is_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert running() == []
+    assert (tmp_path / "robofleet").stat().st_mode & 0o777 == 0o700
+    monkeypatch.setattr(arena_file.os, "getuid", lambda: -1)
+    with pytest.raises(PermissionError, match="belongs to somebody else"):
+        running()

@@ -1,0 +1,146 @@
+"""The operator's terminal in a real run: keys, the dead man's handle, and the terminal given back as it was."""
+
+import signal
+import subprocess
+import sys
+import termios
+from collections.abc import Callable
+
+from tests.processes.realrun import ALONE, RealRun, of_robots
+
+ATTENDED = (*ALONE, "--set", "run.attended=true")
+
+Start = Callable[..., RealRun]
+
+
+def mode(run: RealRun) -> list[object]:
+    """Return the terminal's mode, but for its speeds and characters."""
+    assert run.keyboard is not None
+    return termios.tcgetattr(run.keyboard)[:4]
+
+
+def test_one_key_is_the_emergency_stop(real_run: Start) -> None:
+    run = real_run(*ALONE, terminal=True)
+    before = mode(run)
+    run.wait_until_running()
+    assert mode(run) != before, "single keys, without Enter"
+    run.press(b"e")
+    assert run.ended(5) == 1
+    assert run.children() == []
+    assert mode(run) == before
+    assert run.latched() == {"r1": 2}
+    assert run.summary["outcome"] == "stopped"
+    assert run.summary["cause"].startswith("emergency stop (by key); every robot has latched its gate")
+    (stop,) = [stop for stop in run.summary["stops"] if stop["cause"] == "latched: emergency stop requested"]
+    assert stop["robot"] == "r1"
+    assert 0 <= stop["target_ms"] <= stop["output_ms"] <= 230
+
+
+def test_h_holds_r_resumes_q_ends(real_run: Start) -> None:
+    run = real_run(*ALONE, terminal=True)
+    run.wait_until_running()
+    run.press(b"h")
+    run.wait_for(lambda: "\nheld: hold requested" in run.said)
+    run.press(b"x")  # means nothing
+    run.press(b"r")
+    run.wait_for(lambda: run.said.count("\nrunning") == 2)
+    run.press(b"q")
+    assert run.ended(5) == 1
+    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator ended it")
+    assert run.latched() == {"r1": 0}
+
+
+def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(real_run: Start) -> None:
+    run = real_run(*of_robots("r1", "r2"), terminal=True)
+    before = mode(run)
+    run.wait_until_running()
+    (driver,) = run.children("driver", "r2")
+    driver.send_signal(signal.SIGSTOP)
+    run.press(b"\x03")
+    run.wait_for(lambda: "\nstopping" in run.said)
+    run.press(b"\x03")
+    assert run.ended(5) == 1
+    silent = "NOT acknowledged within 200 ms by r2: stop them by hand"
+    assert run.summary["cause"] == f"emergency stop (interrupted twice); {silent}"
+    assert run.latched() == {"r1": 2, "r2": 0}
+    assert run.nothing_is_left()
+    assert mode(run) == before
+
+
+def test_an_attended_run_stops_at_once_when_its_terminal_is_closed(real_run: Start) -> None:
+    run = real_run(*ATTENDED, terminal=True)
+    run.wait_until_running()
+    run.close_terminal()
+    assert run.ended(5) == 1
+    assert run.summary["cause"].startswith("emergency stop (the operator's terminal is gone); every robot")
+    assert run.latched() == {"r1": 2}
+
+
+def test_an_attended_run_stops_when_its_launcher_is_frozen(real_run: Start) -> None:
+    run = real_run(*ATTENDED, terminal=True)
+    run.wait_until_running()
+    run.launcher.send_signal(signal.SIGSTOP)
+    run.wait_for(lambda: run.latched() == {"r1": 2})
+    run.launcher.send_signal(signal.SIGCONT)
+    assert run.ended(5) == 1
+    assert run.summary["cause"].startswith("emergency stop (the operator's terminal is gone); every robot")
+
+
+def test_an_attended_run_without_a_terminal_is_refused(real_run: Start) -> None:
+    run = real_run(*ATTENDED)
+    assert run.ended(20) == 2
+    assert run.said == "run.attended: stdin is no terminal: start the run in one, or set it to false\n"
+    assert not run.folder.exists()
+
+
+IN_A_TERMINAL = """
+import os, pty, sys
+child, keyboard = pty.fork()
+if child == 0:
+    os.execv(sys.executable, [sys.executable, "-c", sys.argv[1]])
+said = b""
+try:
+    while more := os.read(keyboard, 999):
+        said += more
+except OSError:
+    pass
+print(said.decode())
+"""
+IN_THE_BACKGROUND = """
+import os, signal, termios
+from robofleet.processes.terminal import Terminal
+before = termios.tcgetattr(0)
+child = os.fork()
+if child == 0:
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGTTOU, signal.SIG_DFL)
+    with Terminal() as terminal:
+        os._exit(10 + terminal.present)
+_, status = os.waitpid(child, os.WUNTRACED)
+print("there" if Terminal().__enter__().present else "", os.WIFEXITED(status) and os.WEXITSTATUS(status))
+"""
+FAILING = """
+import termios
+from robofleet.processes.terminal import Terminal
+before = termios.tcgetattr(0)
+try:
+    with Terminal():
+        assert termios.tcgetattr(0) != before
+        raise RuntimeError
+except RuntimeError:
+    print("given back:", termios.tcgetattr(0) == before)
+"""
+
+
+def in_a_terminal(code: str) -> str:
+    command = [sys.executable, "-c", IN_A_TERMINAL, code]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
+
+
+def test_a_run_in_the_background_of_its_terminal_takes_no_keys() -> None:
+    """Reading there, or setting the mode, would stop the launcher and leave the robots driving."""
+    assert in_a_terminal(IN_THE_BACKGROUND) == "there 10"
+
+
+def test_the_terminal_is_given_back_after_an_exception() -> None:
+    assert in_a_terminal(FAILING) == "given back: True"

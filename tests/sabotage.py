@@ -1,0 +1,38 @@
+"""Checks taken out one by one, in a copy of a module that is never written to disk: the tests must notice."""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from itertools import product
+from types import ModuleType
+from typing import Any
+
+
+def sabotaged(module: ModuleType, old: str, new: str) -> ModuleType:
+    """Return the module with one piece of its source replaced."""
+    source = inspect.getsource(module)
+    assert source.count(old) == 1, f"{source.count(old)} places read {old!r}"
+    copy = ModuleType(module.__name__)
+    exec(compile(source.replace(old, new), str(module.__file__), "exec"), copy.__dict__)
+    return copy
+
+
+def notices(test: Callable[..., None], fixtures: Mapping[str, Callable[[], Any]]) -> bool:
+    """Whether a test, or what it calls, fails for any of its parameters; ``fixtures`` are made anew for each."""
+    for case in _cases(test):
+        wanted = set(inspect.signature(test).parameters) - set(case)
+        try:
+            test(**case, **{name: fixtures[name]() for name in wanted})
+        except (AssertionError, LookupError):
+            return True
+    return False
+
+
+def _cases(test: Callable[..., None]) -> Iterator[dict[str, Any]]:
+    """Give the keyword arguments of every case that a test's marks ask for."""
+    tables = []
+    for mark in getattr(test, "pytestmark", []):
+        names, rows = mark.args
+        names = [names] if isinstance(names, str) else names
+        tables.append([dict(zip(names, row if len(names) > 1 else [row], strict=True)) for row in rows])
+    for rows in product(*tables):
+        yield {name: value for row in rows for name, value in row.items()}

@@ -1,0 +1,165 @@
+"""A laboratory in which arming runs: plants behind gates that ramp, a controller that obeys, noisy images.
+
+What may be wrong with it is an attribute, or is done to the view before arming sees it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import ModuleType
+from typing import ClassVar
+
+import numpy as np
+
+from robofleet.safety import arming
+from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import Event, Happening
+from robofleet.safety.view import FleetView, RobotView
+from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import STOP, Imperfections, WheelSpeeds
+from robofleet.vehicles.plant import Plant
+
+MS, S = 1_000_000, 1_000_000_000
+BUILD, SESSION = 77, 5
+DRIVE = DifferentialDrive(0.016, 0.105, 12.5, 0.2, 0.08, 150.0)
+BODY_M = 0.055
+WORN = Imperfections(0.08, 0.2244, 0.01, 0.5, 0.7, 0.03, 0.01, 0.02, 0.2, 0.1, 2400.0)
+_STEP_NS, _STATUS_NS, _TICK_NS = 10 * MS, 20 * MS, 30 * MS
+_RAMP = 1.5  # a step [rad/s]
+
+Alter = Callable[[FleetView], FleetView]
+
+
+class Lab:
+    """Robots in a row, 0.3 m apart, heading every way."""
+
+    program: ClassVar[ModuleType] = arming
+
+    def __init__(
+        self, robots: int = 3, seed: int = 1, faults: Mapping[int, Mapping[str, object]] | None = None
+    ) -> None:
+        rng = np.random.default_rng(seed)
+        self.rng, self.now_ns, self.tick = rng, S, 0
+        self.settings = ArmingSettings(
+            BUILD, (0.016,) * robots, (0.105,) * robots, (BODY_M,) * robots, (0.3 * robots + 0.3, 1.0)
+        )
+        self.plants = [
+            Plant(
+                DRIVE,
+                replace(WORN, **(faults or {}).get(row, {})),  # type: ignore[arg-type]
+                (0.3 * (row - (robots - 1) / 2), 0.0, float(rng.uniform(-math.pi, math.pi))),
+                rng,
+            )
+            for row in range(robots)
+        ]
+        self.tags = list(range(robots))  # whose body carries the tag of this row
+        self.encoders: dict[int, Callable[[float], float]] = {}  # what the left one makes of the truth
+        self.silent_encoders = False
+        self.stuck: set[int] = set()
+        self.runaway: set[int] = set()  # what it was asked for last goes on
+        self.deaf: set[int] = set()  # to the e-stop
+        self.stubborn: set[int] = set()  # latched for ever
+        self.obeys = True  # the controller
+        self.period_ns = 40 * MS  # of the supervisor
+        self.noise = (0.0003, 0.0003, 0.004)
+        self.alter: Alter = lambda view: view
+        self.outputs = [STOP] * robots
+        self.commands = [STOP] * robots
+        self.state = self.program.begin(self.now_ns)
+        self.stages: list[tuple[Stage, int, int]] = []  # with the robot and the stroke, as they came
+        self.view = FleetView(
+            self.now_ns,
+            (RobotView(build=BUILD, session=SESSION),) * robots,
+            controller_build=BUILD,
+            tracker_build=BUILD,
+        )
+
+    def arm(self, within_s: float = 200.0) -> Happening | None:
+        """Run until arming has its verdict."""
+        return self.run(within_s)
+
+    def run(self, seconds: float, done: Callable[[ArmingState], bool] = lambda _: False) -> Happening | None:
+        end_ns = self.now_ns + round(seconds * S)
+        while self.now_ns < end_ns and not done(self.state):
+            self.now_ns += _STEP_NS
+            self._move()
+            if self.now_ns % _STATUS_NS == 0:
+                self._report()
+            if self.now_ns % _TICK_NS == 0:
+                self._tick()
+            if self.now_ns % self.period_ns == 0:
+                seen = self.alter(self.view._replace(now_ns=self.now_ns))
+                self.state, happening = self.program.step(self.state, self.settings, seen)
+                now = self.state.stage, self.state.probed, self.state.stroke
+                if not self.stages or self.stages[-1] != now:
+                    self.stages.append(now)
+                if happening is not None:
+                    return happening
+        return None
+
+    def _move(self) -> None:
+        for row, plant in enumerate(self.plants):
+            command = self.commands[row]
+            self.outputs[row] = WheelSpeeds(*(_ramp(a, b) for a, b in zip(self.outputs[row], command, strict=True)))
+            plant.step(self.outputs[row], 0.01, blocked=row in self.stuck)
+
+    def _report(self) -> None:
+        robots = []
+        for row, (plant, seen) in enumerate(zip(self.plants, self.view.robots, strict=True)):
+            r = plant.reading()
+            left = self.encoders.get(row, lambda angle: angle)(r.left_angle)
+            moving = (r.left_angle, r.right_angle, r.left_speed, r.right_speed)
+            moving = (0.0,) * 4 if self.silent_encoders else (left, *moving[1:])
+            robots.append(seen._replace(heard_ns=self.now_ns, battery=r.battery, latch=self._latch(row, seen.latch)))
+            robots[-1] = robots[-1]._replace(
+                left_angle=moving[0], right_angle=moving[1], left_speed=moving[2], right_speed=moving[3],
+                left_output=self.outputs[row].left, right_output=self.outputs[row].right,
+            )  # fmt: skip
+        self.view = self.view._replace(robots=tuple(robots))
+
+    def _latch(self, row: int, latch: int) -> int:
+        if self.state.latch and row not in self.deaf:
+            return self.state.latch
+        return Latch.NONE if self.state.clear and row not in self.stubborn else latch
+
+    def _tick(self) -> None:
+        """The controller's tick, and an image that is taken and seen at it."""
+        self.tick += 1
+        for row in range(len(self.plants)):
+            probed = self.obeys and row == self.state.probed
+            wheels = STROKES[self.state.stroke] if probed else STOP
+            if wheels != STOP or row not in self.runaway:
+                self.commands[row] = WheelSpeeds(*(PROBE_RAD_S * wheel for wheel in wheels))
+        bodies = [plant.truth()[:3] for plant in self.plants]
+        image = self.view.image + 1
+        poses = [
+            tuple(a + s * self.rng.standard_normal() for a, s in zip(bodies[tag], self.noise, strict=True))
+            for tag in self.tags
+        ]
+        self.view = self.view._replace(
+            controller_ns=self.now_ns, tick=self.tick, tracker_ns=self.now_ns, image=image, image_tick=self.tick,
+            robots=tuple(
+                robot._replace(seen_ns=self.now_ns, image=image, pose=pose)
+                for robot, pose in zip(self.view.robots, poses, strict=True)
+            ),
+        )  # fmt: skip
+
+
+def _ramp(now: float, to: float) -> float:
+    return now + min(_RAMP, max(-_RAMP, to - now))
+
+
+def one(row: int, **fields: object) -> Alter:
+    """Return what changes one robot's view."""
+
+    def alter(view: FleetView) -> FleetView:
+        robots = list(view.robots)
+        robots[row] = robots[row]._replace(**fields)
+        return view._replace(robots=tuple(robots))
+
+    return alter
+
+
+PROVED = Happening(Event.PROVED)

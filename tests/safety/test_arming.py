@@ -1,0 +1,135 @@
+"""Arming lets a healthy fleet start, and refuses every other one by name."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from robofleet.safety.arming import Stage
+from robofleet.safety.supervisor import NOBODY, Event
+from tests.safety.arming_lab import MS, PROVED, Lab, S
+from tests.safety.arming_scenarios import HEALTHY, REFUSED, Scenario
+
+WIRINGS = {
+    "swapped": Event.WHEELS_SWAPPED,
+    "left_reversed": Event.LEFT_REVERSED,
+    "right_reversed": Event.RIGHT_REVERSED,
+    "both_reversed": Event.BOTH_REVERSED,
+}
+
+
+@pytest.mark.parametrize("prepare", HEALTHY.values(), ids=HEALTHY)
+def test_a_healthy_fleet_is_proved(prepare: Callable[[Lab], None]) -> None:
+    lab = Lab(3)
+    prepare(lab)
+    assert lab.arm() == PROVED
+    assert lab.state.stage is Stage.DONE
+
+
+@pytest.mark.parametrize("scenario", REFUSED.values(), ids=REFUSED)
+def test_what_is_wrong_is_named(scenario: Scenario) -> None:
+    lab = Lab(3)
+    scenario.prepare(lab)
+    happening = lab.arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) == (scenario.event, scenario.robot)
+    assert scenario.detail is None or happening.detail == scenario.detail
+    early, late = scenario.between_s
+    assert early <= (lab.now_ns - S) / S <= late
+
+
+@pytest.mark.parametrize("encoders", [True, False])
+@pytest.mark.parametrize(("wiring", "event"), WIRINGS.items())
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_faulty_wiring_is_named_after_one_stroke(wiring: str, event: Event, seed: int, encoders: bool) -> None:
+    lab = Lab(3, seed, {1: {"wiring": wiring}})
+    lab.silent_encoders = not encoders
+    happening = lab.arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) == (event, 1)
+    assert max(stroke for _, probed, stroke in lab.stages if probed == 1) == 1
+
+
+@pytest.mark.parametrize("error", [0.2, -0.2, 1 / 1.2 - 1])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_wheel_radius_that_is_a_fifth_off_is_found(error: float, seed: int) -> None:
+    happening = Lab(3, seed, {2: {"wheel_gain_error": error}}).arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) == (Event.WRONG_GAIN, 2)
+    assert happening.detail == pytest.approx(1 + error, abs=0.07)
+
+
+def test_without_encoders_what_was_asked_stands_for_them() -> None:
+    lab = Lab(2, faults={1: {"wheel_gain_error": -0.3}})
+    lab.silent_encoders = True
+    happening = lab.arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) == (Event.WRONG_GAIN, 1)
+
+
+def test_robots_that_cannot_tell_whether_they_rest_are_given_time() -> None:
+    lab = Lab(2, faults={row: {"motor_lag": 0.12} for row in range(2)})
+    lab.silent_encoders = True
+    assert lab.arm() == PROVED
+
+
+@pytest.mark.parametrize("robots", [1, 4, 20])
+def test_a_robot_takes_one_and_a_half_seconds_and_stands_about_where_it_stood(robots: int) -> None:
+    lab = Lab(robots)
+    before = [plant.truth() for plant in lab.plants]
+    assert lab.arm() == PROVED
+    assert (lab.now_ns - S) / S <= 0.4 + 1.5 * robots
+    for old, plant in zip(before, lab.plants, strict=True):
+        now = plant.truth()
+        assert math.hypot(now.x - old.x, now.y - old.y) < 0.008
+        assert abs(math.remainder(now.psi - old.psi, math.tau)) < 0.04
+
+
+def test_one_robot_at_a_time_goes_forth_and_back_and_stands_between() -> None:
+    lab = Lab(2)
+    lab.arm()
+    a_robot = [1, 0, 2, 0]
+    wiggled = [(probed, stroke) for stage, probed, stroke in lab.stages if stage is Stage.WIGGLE and probed != NOBODY]
+    assert wiggled == [(0, stroke) for stroke in a_robot] + [(1, stroke) for stroke in a_robot]
+
+
+@pytest.mark.parametrize("wiring", ["straight", *WIRINGS])
+def test_nobody_leaves_the_room_that_the_checks_leave_it(wiring: str) -> None:
+    """Wheels that go on for ever, whatever way they go, are stopped within the 53 mm that were kept free."""
+    lab = Lab(2, faults={0: {"wiring": wiring}})
+    lab.runaway = {0}
+    start = lab.plants[0].truth()
+    furthest = 0.0
+    while (happening := lab.run(0.01)) is None:
+        now = lab.plants[0].truth()
+        furthest = max(furthest, math.hypot(now.x - start.x, now.y - start.y))
+    spins = wiring in ("left_reversed", "right_reversed")  # and gets nowhere: it is refused because it does not rest
+    assert (happening.event, happening.robot) == (Event.NOT_AT_REST if spins else Event.WRONG_GAIN, 0)
+    assert furthest < 0.053
+
+
+def test_three_images_of_a_robot_at_rest_are_looked_at_before_the_next_stroke() -> None:
+    """However often the supervisor looks."""
+    lab = Lab(2)
+    lab.period_ns = 10 * MS
+    lab.run(10.0, done=lambda state: state.wiggle.rest_tick is not None and state.probed == 0)
+    at_rest = lab.view.image
+    lab.run(10.0, done=lambda state: state.stroke == 2)
+    assert lab.view.image >= at_rest + 3
+
+
+def test_a_proved_fleet_is_asked_for_nothing() -> None:
+    lab = Lab(2)
+    lab.arm()
+    assert (lab.state.probed, lab.state.stroke, lab.state.latch, lab.state.clear) == (NOBODY, 0, 0, False)
+    assert lab.run(0.5) is None
+
+
+def test_the_drill_is_asked_of_all_and_taken_back() -> None:
+    lab = Lab(3)
+    lab.run(1.0, done=lambda state: bool(state.latch))
+    assert not any(robot.latch for robot in lab.view.robots)
+    lab.run(1.0, done=lambda state: state.clear)
+    assert all(robot.latch for robot in lab.view.robots)
+    lab.run(1.0, done=lambda state: state.stage is Stage.WIGGLE)
+    assert not any(robot.latch for robot in lab.view.robots)

@@ -1,0 +1,292 @@
+"""What the supervisor makes of what it sees: each threshold from both sides, and what must raise nothing."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from robofleet.safety import monitor
+from robofleet.safety.gate import Latch
+from robofleet.safety.monitor import Memory, MonitorSettings
+from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.vehicles.interface import WIRED_STOP
+
+MS = 1_000_000
+S = 1000 * MS
+NOW = 1000 * S
+BUILD, SESSION = 77, 5
+SETTINGS = MonitorSettings(BUILD, (0.05, 0.06, 0.05), (3.0, 2.0), attended=True)
+UNATTENDED = SETTINGS._replace(attended=False)
+ACTIVE = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
+
+Change = Callable[[FleetView], FleetView]
+
+
+def healthy(now_ns: int = NOW) -> FleetView:
+    robots = tuple(
+        RobotView(
+            heard_ns=now_ns, build=BUILD, session=SESSION, boot_id=10 + row, battery=0.9, seen_ns=now_ns,
+            image=30, pose=(0.5 * row - 0.5, 0.0, 1.0),
+        )
+        for row in range(3)
+    )  # fmt: skip
+    return FleetView(
+        now_ns, robots, controller_ns=now_ns, controller_epoch=3, controller_build=BUILD, tick=600, overruns=7,
+        tracker_ns=now_ns, tracker_epoch=4, tracker_build=BUILD, image=30, image_tick=599, operator_ns=now_ns,
+    )  # fmt: skip
+
+
+def fleet(**changes: Any) -> Change:
+    return lambda view: view._replace(**changes)
+
+
+def robot(row: int, **changes: Any) -> Change:
+    return lambda view: view._replace(
+        robots=tuple(r._replace(**changes) if k == row else r for k, r in enumerate(view.robots))
+    )
+
+
+def told(
+    change: Change,
+    phase: Phase = Phase.RUNNING,
+    *,
+    before: Change = lambda view: view,
+    settings: MonitorSettings = SETTINGS,
+) -> list[Happening]:
+    """Return what is told of a view that was changed, 40 ms after a healthy one."""
+    memory, _ = monitor.watch(Memory(), settings, phase, before(healthy(NOW - 40 * MS)))
+    return list(monitor.watch(memory, settings, phase, change(healthy()))[1])
+
+
+def follow(views: list[FleetView], phase: Phase) -> list[list[Happening]]:
+    """Return what is told of each view in turn."""
+    memory, all_told = Memory(), []
+    for view in views:
+        memory, happenings = monitor.watch(memory, SETTINGS, phase, view)
+        all_told.append(list(happenings))
+    return all_told
+
+
+AGO = {
+    name: NOW - ns for name, ns in {"500": 500 * MS, "501": 500 * MS + 1, "250": 250 * MS, "251": 250 * MS + 1}.items()
+}
+
+# Just not, just so, and what is told then.
+STANDING: list[tuple[Change, Change, Happening]] = [
+    (robot(1, heard_ns=AGO["500"]), robot(1, heard_ns=AGO["501"]), Happening(Event.DRIVER_SILENT, 1)),
+    (robot(1, heard_ns=NEVER, build=0), robot(1, build=BUILD + 1), Happening(Event.OTHER_BUILD, 1)),
+    (robot(2, latch=0), robot(2, latch=Latch.DRIVER_FAILED), Happening(Event.GATE_LATCHED, 2, 4)),
+    (robot(2, faults=0), robot(2, faults=WIRED_STOP), Happening(Event.WIRED_STOP, 2)),
+    (robot(2, latch=0), robot(2, latch=Latch.WIRED_STOP), Happening(Event.WIRED_STOP, 2)),
+    (robot(2, faults=0), robot(2, faults=6), Happening(Event.ROBOT_FAULT, 2, 6)),
+    (robot(0, battery=0.10), robot(0, battery=0.0999), Happening(Event.BATTERY_LOW, 0, 0.0999)),
+    (robot(0, battery=-1.0), robot(0, battery=0.0), Happening(Event.BATTERY_LOW, 0, 0.0)),
+    (robot(0, unseen_ns=100 * MS - 1), robot(0, unseen_ns=100 * MS), Happening(Event.TAG_LATE, 0)),
+    (robot(0, lost=False), robot(0, lost=True), Happening(Event.TAG_LATE, 0)),
+    (robot(0, pose=(-1.45, 0.0, 0.0)), robot(0, pose=(-1.4501, 0.0, 0.0)), Happening(Event.OUTSIDE_ARENA, 0)),
+    (robot(1, pose=(0.0, 0.94, 0.0)), robot(1, pose=(0.0, 0.9401, 0.0)), Happening(Event.OUTSIDE_ARENA, 1)),
+    (robot(1, pose=(0.3849, 0.0, 0.0)), robot(1, pose=(0.3851, 0.0, 0.0)), Happening(Event.TOO_CLOSE, 1, 2)),
+    (robot(0, pose=(0.0, 0.1151, 0.0)), robot(0, pose=(0.0, 0.1149, 0.0)), Happening(Event.TOO_CLOSE, 0, 1)),
+    (fleet(controller_ns=AGO["500"]), fleet(controller_ns=AGO["501"]), Happening(Event.CONTROLLER_SILENT)),
+    (fleet(controller_build=BUILD), fleet(controller_build=BUILD + 1), Happening(Event.OTHER_BUILD)),
+    (fleet(tracker_ns=AGO["250"]), fleet(tracker_ns=AGO["251"]), Happening(Event.TRACKER_SILENT)),
+    (fleet(image_tick=585), fleet(image_tick=584), Happening(Event.TRACKER_SILENT)),
+    (fleet(image_tick=0), fleet(image_tick=1), Happening(Event.TRACKER_SILENT)),
+    (fleet(tracker_build=BUILD), fleet(tracker_build=BUILD + 1), Happening(Event.OTHER_BUILD)),
+    (fleet(free_bytes=200_000_000), fleet(free_bytes=199_999_999), Happening(Event.DISK_FULL)),
+    (fleet(operator_ns=NOW - S), fleet(operator_ns=NOW - S - 1), Happening(Event.OPERATOR_LOST)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", ACTIVE)
+@pytest.mark.parametrize(("quiet", "loud", "happening"), STANDING)
+def test_what_stands_is_told_beyond_its_threshold_and_not_before(
+    quiet: Change, loud: Change, happening: Happening, phase: Phase
+) -> None:
+    assert told(quiet, phase) == []
+    assert told(loud, phase) == [happening]
+    assert told(loud, phase, before=loud) == [happening], "it is told as long as it stands"
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_nothing_is_told_of_a_healthy_fleet(phase: Phase) -> None:
+    assert follow([healthy(NOW + k * 40 * MS) for k in range(100)], phase) == [[]] * 100
+
+
+def test_a_tag_that_is_unseen_for_two_seconds_is_lost_and_no_longer_late() -> None:
+    assert told(robot(1, unseen_ns=2 * S - 1)) == [Happening(Event.TAG_LATE, 1)]
+    assert told(robot(1, unseen_ns=2 * S, lost=True)) == [Happening(Event.TAG_LOST, 1)]
+
+
+def test_a_robot_is_not_outside_where_it_was_seen_long_ago() -> None:
+    beyond = (1.6, 0.0, 0.0)
+    assert told(robot(2, pose=beyond, unseen_ns=100 * MS)) == [Happening(Event.TAG_LATE, 2)]
+    assert told(robot(2, pose=beyond, unseen_ns=100 * MS - 1)) == [Happening(Event.OUTSIDE_ARENA, 2)]
+
+
+def test_nothing_is_told_of_what_was_never_there() -> None:
+    """The checks before a start wait for it; a robot of which nothing is known is nowhere."""
+    nobody = FleetView(NOW, (RobotView(), RobotView(), RobotView()))
+    assert (
+        follow([nobody, nobody._replace(now_ns=NOW + 40 * MS)], Phase.ARMED) == [[Happening(Event.OPERATOR_LOST)]] * 2
+    )
+    only_unseen = robot(1, seen_ns=NEVER, pose=(9.0, 0.0, 0.0), unseen_ns=3 * S, lost=True)
+    assert told(only_unseen) == []
+    on_top = robot(1, seen_ns=NEVER, pose=(0.5, 0.0, 0.0))
+    assert told(on_top) == []
+
+
+def test_a_robot_that_is_not_seen_still_stands_in_the_way() -> None:
+    assert told(robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)) == [
+        Happening(Event.TAG_LATE, 1),
+        Happening(Event.TOO_CLOSE, 1, 2),
+    ]
+
+
+@pytest.mark.parametrize("phase", ACTIVE)
+@pytest.mark.parametrize(
+    ("change", "happening"),
+    [
+        (robot(2, boot_id=99), Happening(Event.DRIVER_RESTARTED, 2)),
+        (fleet(controller_epoch=99), Happening(Event.CONTROLLER_RESTARTED)),
+        (fleet(tracker_epoch=99), Happening(Event.TRACKER_RESTARTED)),
+        (fleet(news=(Happening(Event.POSE_JUMPED, 1, 0.3),)), Happening(Event.POSE_JUMPED, 1, 0.3)),
+    ],
+)
+def test_a_change_is_told_once(change: Change, happening: Happening, phase: Phase) -> None:
+    views = [healthy(NOW), change(healthy(NOW + 40 * MS)), change(healthy(NOW + 80 * MS))._replace(news=())]
+    assert follow(views, phase) == [[], [happening], []]
+
+
+def test_a_first_start_is_no_restart() -> None:
+    assert told(fleet(), before=robot(0, boot_id=0)) == []
+    assert told(fleet(), before=fleet(controller_epoch=0, tracker_epoch=0)) == []
+
+
+def test_three_ticks_overrun_in_a_row_are_told_while_the_fleet_drives() -> None:
+    assert told(fleet(overruns=9)) == []
+    assert told(fleet(overruns=10)) == [Happening(Event.TICKS_OVERRUN, NOBODY, 3)]
+    for phase in set(Phase) - {Phase.RUNNING}:
+        assert told(fleet(overruns=10), phase) == []
+    single = [healthy(NOW + 40 * k * MS)._replace(overruns=k) for k in range(20)]
+    assert follow(single, Phase.RUNNING) == [[]] * 20, "one and one and one are not three in a row"
+
+
+@pytest.mark.parametrize("session", [0, SESSION + 1])
+def test_a_lease_that_another_controller_or_nobody_holds_is_lost_once_the_run_was_proved(session: int) -> None:
+    given_up = robot(1, session=session)
+    views = [healthy(NOW), *(given_up(healthy(NOW + k * 40 * MS)) for k in (1, 2))]
+    for phase in (Phase.RUNNING, Phase.HOLD):
+        lost = [Happening(Event.LEASE_LOST, 1)]
+        assert follow(views, phase) == [[], lost, lost], "it stands"
+    for phase in (Phase.IDLE, Phase.ARMED, Phase.FAULT, Phase.ESTOP):
+        assert follow(views, phase) == [[], [], []], "the checks before a start look at leases themselves"
+
+
+def test_all_leases_taken_at_once_are_lost_too() -> None:
+    taken = healthy()
+    for row in range(3):
+        taken = robot(row, session=SESSION + 1)(taken)
+    assert told(lambda _: taken) == [Happening(Event.LEASE_LOST, row) for row in range(3)]
+
+
+def test_a_lease_that_changed_between_two_runs_counts_from_the_second() -> None:
+    memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, healthy(NOW))
+    other = healthy(NOW + 40 * MS)
+    for row in range(3):
+        other = robot(row, session=9)(other)
+    memory, _ = monitor.watch(memory, SETTINGS, Phase.IDLE, other)
+    assert monitor.watch(memory, SETTINGS, Phase.RUNNING, other._replace(now_ns=NOW + 80 * MS))[1] == ()
+
+
+def test_a_drill_latches_gates_while_armed_and_at_no_other_time() -> None:
+    drilled = robot(0, latch=Latch.DRILL)
+    assert told(drilled, Phase.ARMED) == []
+    for phase in set(Phase) - {Phase.ARMED}:
+        assert told(drilled, phase) == [Happening(Event.GATE_LATCHED, 0, Latch.DRILL)]
+
+
+def test_a_wired_stop_that_was_pressed_shortly_is_seen_by_its_latch_but_can_be_reset() -> None:
+    pressed = robot(0, latch=Latch.WIRED_STOP)
+    for phase in set(Phase) - {Phase.IDLE}:
+        assert told(pressed, phase) == [Happening(Event.WIRED_STOP, 0)]
+    assert told(pressed, Phase.IDLE) == [Happening(Event.GATE_LATCHED, 0, Latch.WIRED_STOP)]
+    assert told(robot(0, faults=WIRED_STOP), Phase.IDLE) == [Happening(Event.WIRED_STOP, 0)]
+
+
+def test_a_latch_of_another_version_is_a_latch() -> None:
+    assert told(robot(0, latch=200)) == [Happening(Event.GATE_LATCHED, 0, 200)]
+
+
+def test_a_robot_can_report_its_e_stop_and_a_fault_at_once() -> None:
+    assert told(robot(0, faults=WIRED_STOP | 2)) == [Happening(Event.WIRED_STOP, 0), Happening(Event.ROBOT_FAULT, 0, 2)]
+
+
+def test_a_filter_without_an_answer_is_told_after_half_a_second_of_driving() -> None:
+    def told_at(infeasible_for_ms: int, phase: Phase, filtered: int = 2) -> list[Happening]:
+        views = [robot(2, filtered=filtered)(healthy(NOW + k * 20 * MS)) for k in range(infeasible_for_ms // 20 + 1)]
+        return follow(views, phase)[-1]
+
+    assert told_at(480, Phase.RUNNING) == []
+    assert told_at(500, Phase.RUNNING) == [Happening(Event.FILTER_INFEASIBLE, 2)]
+    assert told_at(600, Phase.HOLD) == []
+    assert told_at(600, Phase.RUNNING, filtered=1) == []
+
+
+def test_a_filter_that_found_an_answer_in_between_is_given_its_time_again() -> None:
+    stuck, free = robot(2, filtered=2), robot(2, filtered=1)
+    views = [(free if k == 15 else stuck)(healthy(NOW + k * 20 * MS)) for k in range(40)]
+    assert follow(views, Phase.RUNNING) == [[]] * 40
+    assert follow([*views, stuck(healthy(NOW + 820 * MS))], Phase.RUNNING)[-1] == [
+        Happening(Event.FILTER_INFEASIBLE, 2)
+    ]
+
+
+def test_robots_that_block_each_other_are_told_while_they_drive() -> None:
+    assert told(robot(1, blocked=True)) == [Happening(Event.DEADLOCKED, 1)]
+    assert told(robot(1, blocked=True), Phase.HOLD) == []
+
+
+@pytest.mark.parametrize("jump_ns", [500 * MS + 1, -500 * MS - 1])
+def test_a_supervisor_that_stood_still_or_whose_clock_jumped_says_so_of_itself(jump_ns: int) -> None:
+    views = [healthy(NOW), healthy(NOW + jump_ns), healthy(NOW + jump_ns + 40 * MS)]
+    assert follow(views, Phase.RUNNING) == [[], [Happening(Event.SUPERVISOR_STALLED)], []]
+    short = jump_ns - 1 if jump_ns > 0 else jump_ns + 1
+    assert follow([healthy(NOW), healthy(NOW + short)], Phase.RUNNING) == [[], []]
+
+
+@pytest.mark.parametrize(
+    ("phase", "limit_ns", "event"),
+    [(Phase.ARMED, 39 * S, Event.ARMED_TOO_LONG), (Phase.HOLD, 60 * S, Event.HELD_TOO_LONG)],
+)
+def test_patience_ends(phase: Phase, limit_ns: int, event: Event) -> None:
+    memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, healthy(NOW - 400 * MS))
+    for ns in range(0, limit_ns + 1, 250 * MS):
+        memory, happenings = monitor.watch(memory, SETTINGS, phase, healthy(NOW + ns))
+        assert happenings == ()
+    memory, happenings = monitor.watch(memory, SETTINGS, phase, healthy(NOW + limit_ns + 1))
+    assert happenings == (Happening(event),)
+    fresh, _ = monitor.watch(memory, SETTINGS, Phase.RUNNING, healthy(NOW + limit_ns + 2))
+    assert monitor.watch(fresh, SETTINGS, phase, healthy(NOW + limit_ns + 3))[1] == (), "it begins anew"
+
+
+def test_running_needs_no_patience() -> None:
+    views = [healthy(NOW + k * 400 * MS) for k in range(400)]
+    assert follow(views, Phase.RUNNING) == [[]] * 400
+
+
+def test_an_operator_is_missed_only_where_one_must_attend() -> None:
+    assert told(fleet(operator_ns=NEVER), settings=UNATTENDED) == []
+    assert told(fleet(operator_ns=NEVER)) == [Happening(Event.OPERATOR_LOST)]
+
+
+def test_everything_that_is_wrong_is_told_at_once() -> None:
+    def worse(view: FleetView) -> FleetView:
+        for change in (robot(0, battery=0.01), robot(2, boot_id=1, latch=2), fleet(tracker_ns=NOW - S, free_bytes=0)):
+            view = change(view)
+        return view
+
+    assert {h.event for h in told(worse)} == {
+        Event.BATTERY_LOW, Event.DRIVER_RESTARTED, Event.GATE_LATCHED, Event.TRACKER_SILENT, Event.DISK_FULL,
+    }  # fmt: skip
