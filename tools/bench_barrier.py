@@ -47,8 +47,8 @@ def _crossing(count: int) -> list[Row]:
             if np.hypot(*u[i]) < 0.05:
                 goals[i] = cells[rng.integers(len(cells))]
             u[i] *= drive.max_speed / np.hypot(*u[i])
-            u_x, u_y = u[i].tolist()
-            asked = wheels_from_body(*body_from_point(u_x, u_y, psi, l), drive.wheel_radius, drive.wheel_base)
+            v, omega = body_from_point(float(u[i, 0]), float(u[i, 1]), psi, l)
+            asked = wheels_from_body(v, omega, drive.wheel_radius, drive.wheel_base)
             ratio = feasible_ratio(*asked, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
             u[i], wheels[i] = ratio * u[i], ratio * np.array(asked)
         if k % _PEER_EVERY == 0:
