@@ -66,7 +66,9 @@ def _no_ramp(patch: Patch) -> None:
 
 def _slow_ramp(patch: Patch) -> None:
     follow = gate._follow
-    patch.setattr(gate, "_follow", lambda state, target, acceleration, now: follow(state, target, acceleration / 9, now))
+    patch.setattr(
+        gate, "_follow", lambda state, target, acceleration, now: follow(state, target, acceleration / 9, now)
+    )
 
 
 def _no_limit(patch: Patch) -> None:

@@ -45,7 +45,7 @@ def test_the_table_shows_what_was_measured_beside_the_paper(
     assert "target 250" in row(text, "spacing,")
     assert "75.0" in row(text, "tags found")
     assert "21.0, 21.0" in row(text, "exposure to wheel")
-    assert "r2 at 0.7 s: no enable" in row(text, "robots stopped")
+    assert "r2 at 0.7 s: no enable" in row(text, "robots stopped on the way")
     assert "of 300" in row(text, "overruns")
     assert "not measured" not in text
     assert "(simulation)" in text

@@ -19,6 +19,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.storm.bodies import apart, rolling_on
 from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
+from robofleet.processes.storm.forger import Forger
 from robofleet.processes.storm.gates import GateAudit
 from robofleet.processes.storm.ledger import Ledger, Outage
 from robofleet.processes.storm.schedule import Plan, plan
@@ -67,6 +68,8 @@ class _Player:
         self._ledger = Ledger()
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
+        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.platoon}
+        self._forger = Forger(config.arena.name, self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
         self._answer: Answer | None = None
@@ -83,7 +86,11 @@ class _Player:
         run_ns = lockstep.clock.now_ns()
         for at_s, request in self._restless():
             lockstep.advance(run_ns / S + at_s - lockstep.clock.now_ns() / S)
-            self._look() if request is None else self._ask(request)
+            if request is None:
+                self._look()
+                self._forger.forge(self._rng)
+            else:
+                self._ask(request)
         lockstep.advance(run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S)
         self._again(_AGAIN_S + (run_ns - started_ns) / S)
         lockstep.close()
