@@ -111,7 +111,7 @@ def test_a_robots_row_says_why_it_may_not_move(view: View) -> None:
     view.gate("r3", GateStatus.NO_ENABLE, Latch.NONE)
     view.state(Phase.RUNNING, robots=(WELL, RobotState(0, 0, Event.TAG_LATE), WELL, WELL))
     shown = view.shown("running")
-    assert row(shown, "r1").endswith("wired stop")
+    assert row(shown, "r1").rstrip().endswith("wired stop")
     assert "its tag is not seen" in row(shown, "r2")
     assert "no enable" in row(shown, "r3")
     assert "open" in row(shown, "r4")
