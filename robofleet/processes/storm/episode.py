@@ -54,12 +54,14 @@ def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
     storm = plan(config, seed)
     tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": storm.faults})
-    gc.disable()  # nothing here is cyclic but what ends with the episode
+    gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode
     try:
-        return _Player(tree, storm).play()
+        player = _Player(tree, storm)
+        episode = player.play()
+        player.forget()
+        return episode
     finally:
         gc.enable()
-        gc.collect()
 
 
 class _Player:
@@ -100,6 +102,11 @@ class _Player:
             frozenset(self._states.events()), self._injected(), (lockstep.clock.now_ns() - started_ns) / S,
             run_ns / S, self._longest_queue, self._crowded,
         )  # fmt: skip
+
+    def forget(self) -> None:
+        """Let go of the hundred thousand messages at once: the garbage collector need not look at them."""
+        self._lockstep.recording.messages.clear()
+        self._ledger.forget()
 
     def _restless(self) -> Iterator[tuple[float, bytes | None]]:
         """Yield what is asked and when; None: whatever brings a fleet that stands back to running."""
