@@ -176,8 +176,8 @@ def test_ticks_overruns_and_what_was_refused(story: Make, figures: Make, add_sta
     told = story(ticks=301)
     recording = told.recording()
     recording.elapsed_s = 4.95
-    add_status(recording, "r2", told.stamp(-2), rejected=2)
-    add_status(recording, "r2", told.stamp(5), rejected=8)
+    add_status(recording, "r2", told.stamp(-1), rejected=1)
+    add_status(recording, "r2", told.stamp(5), rejected=6)
     s = figures(recording)
     assert (s["ticks"], s["duration_s"]) == (301, pytest.approx(9.9))
     assert s["real_time_factor"] == pytest.approx(2)
