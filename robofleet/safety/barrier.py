@@ -37,7 +37,7 @@ LEFT_ALONE, CHANGED, NO_ANSWER = 0, 1, 2
 _TOLERANCE = 1e-9  # of a row [m/s]
 _CHECKED = 1e-6  # of the answer [m/s]
 _INSIDE = 1.0 - 1e-9  # a wheel stays inside its limit whatever is rounded later
-_WANTED = 0.02  # slower than this nobody is held [m/s]
+_WANTED = 0.5  # of its top speed: who asks for less waits, as behind a robot that stalls, and is not held
 _GRANTED = 0.1  # of what was wanted; with less a robot does not get on
 _WITHDRAWING = 0.5  # of its top speed, at most
 _AROUND_S = 0.5  # held for so long, a robot turns aside
@@ -160,7 +160,7 @@ def _filter(
         wanted, granted = v * v + l * omega * l * omega, v * along + l * omega * across
         if not met:
             held[i] = max(0, held[i] - 1)
-        elif wanted > _WANTED * _WANTED and granted < _GRANTED * wanted:
+        elif wanted > (_WANTED * bodies[i, 4]) ** 2 and granted < _GRANTED * wanted:
             held[i] += 1
         if along != v or across != l * omega:
             how[i] = CHANGED

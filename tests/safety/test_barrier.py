@@ -301,6 +301,9 @@ def test_what_is_not_a_number_makes_a_robot_stand(what: str, bad: float) -> None
 
 def test_two_robots_that_face_each_other_pass_on_the_right_after_half_a_second() -> None:
     s, barrier = face_to_face(D + 2 * KEEPOUT.ahead), Barrier(KEEPOUT, (BODY,) * 2)
+    waiting = [body(answer(s, barrier).wheels[0])[1] for _ in range(TICKS_3_S)]
+    assert waiting == pytest.approx([0.0] * TICKS_3_S, abs=1e-9), "who asks for little waits"
+    s = s._replace(wheels=np.full((2, 2), 8.0))
     turns = [body(answer(s, barrier).wheels[0])[1] for _ in range(20)]
     first = next(k for k, omega in enumerate(turns) if omega < -0.1)
     assert 14 <= first <= 16
