@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import bench_barrier
 import bench_tracker
 import cv2
 import numba
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from robofleet.clock import S, stopwatch_ns
 from robofleet.config.load import load_config
+from robofleet.config.slices import drive as drive_of
 from robofleet.config.slices import knots
 from robofleet.config.tree import Config
 from robofleet.control.bicycle import bicycle_plant
@@ -32,7 +34,9 @@ from robofleet.experiments.baselines.choice import Key, MissingLibraryError, bui
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
 from robofleet.experiments.paper import parameters_of
 from robofleet.processes.lockstep import Lockstep
+from robofleet.safety import gate
 from robofleet.vehicles.bicycle import ZHOU_2017
+from robofleet.vehicles.interface import WheelSpeeds
 
 ROOT = Path(__file__).resolve().parents[1]
 Row = dict[str, Any]
@@ -46,7 +50,15 @@ def main() -> None:
     as_json = parser.parse_args().json
     cv2.setNumThreads(1)
     config = load_config(ROOT / "configs" / "platoon.yaml")
-    rows = [*bench_tracker.rows(), *nearest_points(config), *bicycle_updates(), *closed_curve(), *lockstep()]
+    rows = [
+        *bench_tracker.rows(),
+        *nearest_points(config),
+        *bicycle_updates(),
+        *bench_barrier.rows(),
+        *closed_curve(),
+        *gate_steps(),
+        *lockstep(),
+    ]
     if as_json:
         print(json.dumps({"rows": rows}))
         return
@@ -150,6 +162,27 @@ def closed_curve() -> list[Row]:
         what = f"{loop.duration:g} s of the closed curve, plant at {1e3 * loop.plant_step:g} ms"
         rows.append(_row(what, f"robofleet, {who}", seconds, "s", loop.duration / seconds))
     return rows
+
+
+def gate_steps() -> list[Row]:
+    """What every command costs on its way to the wheels; the ratio is to 20 us, what it may."""
+    robot = load_config(ROOT / "configs" / "platoon.yaml").robots[0]
+    drive, now = drive_of(robot), S
+    state, _ = gate.step(gate.GateState(1), drive, gate.Inputs(lease=(1, gate.LeaseAction.ACQUIRE)), now)
+    costs: dict[str, list[int]] = {"command and enable": [], "command": [], "nothing": []}
+    for k in range(1, 3001):
+        command = gate.Command(1, 1, k, 1, now, WheelSpeeds(3.0 + k % 2, 4.0))
+        enable = gate.Permission(1, k, 1, now, gate.Latch.NONE, 0, 12.5)
+        both = gate.Inputs(command, enable)
+        for what, inputs in zip(costs, (both, both._replace(permission=None), gate.Inputs()), strict=True):
+            began = stopwatch_ns()
+            after, _ = gate.step(state, drive, inputs, now)
+            costs[what].append(stopwatch_ns() - began)
+            if inputs is both:
+                following = after
+        state, now = following, now + 5_000_000
+    medians = {what: statistics.median(taken) / 1e3 for what, taken in costs.items()}
+    return [_row("gate, one step", f"robofleet, {what}", cost, "us", cost / 20.0) for what, cost in medians.items()]
 
 
 def lockstep() -> list[Row]:

@@ -108,8 +108,9 @@ class Children:
         for child in self.children:
             code = child.process.poll()
             if code is not None and not child.killed:
-                how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-                raise RunError(f"the {child.name} was {how}{child.last_lines()}")
+                if code < 0:
+                    raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
+                raise RunError(f"the {child.name} ended with exit code {code}{child.last_lines()}")
 
     def reap(self, clock: Clock) -> None:
         """End every child: the router last, so that the others can take their leave; kill what does not answer."""

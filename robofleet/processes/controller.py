@@ -28,6 +28,7 @@ from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
 from robofleet.tracking.estimator import CARRIED, UNUSED
+from robofleet.vehicles.differential_drive import feasible_ratio
 
 _UNSEEN = [math.nan] * 3
 _PHASES = tuple(Phase)
@@ -61,6 +62,7 @@ class Controller:
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._behaviour = fleet.behaviour(config)
         self._filter, self._barrier = fleet.fleet_filter(config), fleet.barrier(config)
+        self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, [robot.id for robot in robots])
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._state = Inbox(bus.newest(STATE), RUN_STATE)
@@ -147,7 +149,9 @@ class Controller:
         """Let the robot that is being tried do its stroke."""
         row, stroke = self._probe
         if row < len(decisions) and stroke < len(STROKES):
-            decisions[row, WHEELS] = PROBE_RAD_S * np.array(STROKES[stroke])
+            drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
+            ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
+            decisions[row, WHEELS] = ratio * left, ratio * right
 
     def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""

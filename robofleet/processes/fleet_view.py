@@ -1,4 +1,4 @@
-"""What the supervisor hears, gathered into one view: the newest of every message, and every image."""
+"""What the supervisor hears, gathered into one view: the newest of every message, and all news."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.tracking.events import TrackerEvent
 
-_STREAM = 64  # images or news between two looks: more means that the network stood still
+_STREAM = 64  # news between two looks
 
 _NEWS = {
     TrackerEvent.CAMERA_STALLED: Event.CAMERA_STALLED,
@@ -44,7 +44,7 @@ class FleetListener:
         self._free_bytes = free_bytes
         self.statuses = Statuses(bus, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
-        self._poses = bus.stream(key(arena, POSES, CAMERA), _STREAM)
+        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._news = bus.stream(key(arena, NEWS, CAMERA), _STREAM)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._robots = [RobotView()] * len(robots)
@@ -57,9 +57,8 @@ class FleetListener:
         self.hear_robots(now_ns)
         if (record := self._ticks.take()) is not None:
             self._take_tick(record, now_ns)
-        for _, payload in self._poses.drain():
-            if (image := FLEET_POSES.decode(payload)) is not None:
-                self._take_image(image, now_ns)
+        if (image := self._poses.take()) is not None:
+            self._take_image(image, now_ns)
         self._fleet = self._fleet._replace(
             now_ns=now_ns,
             robots=tuple(self._robots),

@@ -120,6 +120,7 @@ class Launcher:
         except EmergencyError as why:
             return self._emergency(str(why))
         finally:
+            fleet.reap(self._clock)  # before the bus is left: that may take seconds when the router is stopped
             bus.close()
 
     def _follow(self) -> Outcome:

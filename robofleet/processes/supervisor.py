@@ -58,11 +58,12 @@ class Supervisor:
         robots = config.platoon
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
+        speeds = tuple(drive.max_speed for drive in drives)
         build, arena = slices.build(config), config.arena.size_m
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = tuple(robot.id for robot in robots)
         self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
-        self._monitoring = MonitorSettings(build, radii, arena, attended)
+        self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
         self._arming = ArmingSettings(
             build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
         )
@@ -172,7 +173,7 @@ class Supervisor:
         phase, held = self._status.phase, latched(self._view, self._ids)
         if phase is Phase.IDLE and held and self._view.now_ns < self._resets_end_ns:
             return
-        answer = f"refused: {', '.join(held)}: the gate is latched again: look at the robot" if held else "ok"
+        answer = f"refused: {', '.join(held)}: the gate stays latched: look at the robot, then reset" if held else "ok"
         for request in self._resets:
             request.reply((answer if phase is Phase.IDLE else f"refused: {WAY_OUT[phase]}").encode())
         self._resets, self._clear = [], [0] * len(self._ids)
@@ -208,7 +209,7 @@ class Supervisor:
             for row, seen in enumerate(self._view.robots)
         )
         for row, (old, new) in enumerate(zip(before, self._robots, strict=True)):
-            if new.cause not in (old.cause, Event.NOTHING) and self._status.phase is not Phase.IDLE:
+            if new.cause not in (old.cause, Event.NOTHING) and self._status.phase is Phase.RUNNING:
                 self._say(f"stands: {describe(causes[row], self._ids)}")
         if self._naming_ns is not None and self._view.now_ns >= self._naming_ns:
             self._naming_ns = None

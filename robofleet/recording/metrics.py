@@ -48,8 +48,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "filtered_fraction": _rounded((run.items["filtered"] > 0).mean()) if len(run.t) else None,
         "stops": stops(run),
         "rejected": {
-            robot.id: int(status["rejected"][-1]) if len(status) else None
-            for robot, status in zip(config.platoon, run.statuses, strict=True)
+            robot.id: _rejected(run, status) for robot, status in zip(config.platoon, run.statuses, strict=True)
         },
     }
 
@@ -209,6 +208,14 @@ def _latency(run: Run) -> Figures | None:
             "exposure_to_tick": _percentiles(to_tick[run.ticks["exposure_ns"] > 0], (50, 99)),
         },
     }
+
+
+def _rejected(run: Run, status: NDArray[Any]) -> int | None:
+    """Messages that a driver refused since the run began: before, whoever held the lease last may still be heard."""
+    if not len(status) or not len(run.ticks):
+        return None
+    before = max(0, int(np.searchsorted(status["stamp_ns"], run.ticks["stamp_ns"][0])) - 1)
+    return int(status["rejected"][-1]) - int(status["rejected"][before])
 
 
 def _percentiles(values: Array, percents: tuple[int, ...]) -> Figures | None:

@@ -50,8 +50,7 @@ def wiring_fault(leg: Leg) -> Fault | None:
     l, r = leg.asked
     explanations = (
         (Event.NOTHING, (l, r)),
-        (Event.DID_NOT_MOVE, (0.0, 0.0)),
-        (Event.DID_NOT_MOVE, (0.0, r)),
+        (Event.DID_NOT_MOVE, (0.0, r)),  # the nearest one too if neither wheel rolled
         (Event.DID_NOT_MOVE, (l, 0.0)),
         (Event.LEFT_REVERSED, (-l, r)),
         (Event.RIGHT_REVERSED, (l, -r)),

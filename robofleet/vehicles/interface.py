@@ -98,14 +98,15 @@ class DriverContext:
 class Driver(Protocol):
     """One robot. Found by the entry-point group ``robofleet.drivers``, or as ``module:Class`` in the config.
 
-    The class is called with one :class:`DriverContext`.
+    The class is called with one :class:`DriverContext`. Whatever it raises afterwards stops and latches this robot
+    alone; it is then told and asked again every 10 ms.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:
-        """Command the wheels [rad/s]. Called only by the gate's process."""
+        """Command the wheels [rad/s]. Called only by the gate's process; raises if the robot cannot be told."""
 
     def read(self) -> DriverReading:
-        """Return the newest reading without waiting for the robot."""
+        """Return the newest reading without waiting for the robot; raises if there can be none."""
 
     def close(self) -> None:
         """Motors off. Idempotent."""

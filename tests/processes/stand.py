@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from robofleet.clock import MS, S
-from robofleet.comms.bus import Answer
+from robofleet.comms.bus import Answer, Inbox
 from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
+from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
 from robofleet.comms.messages import (
     Enable,
     FleetPoses,
@@ -84,6 +85,7 @@ class Stand:
         self.tick = self._image = self._news = 0
         self.epoch = 3  # of the controller
         arming.step = prove
+        self._heard = {robot: Inbox(bench.bus.newest(ENABLE, robot), ENABLE_LAYOUT) for robot in ROBOTS}
         self.node = Supervisor(
             bench.config, bench.bus, bench.clock, self.woken.append, np.random.default_rng(1),
             free_bytes=lambda: self.free_bytes, attended=attended, say=self.said.append,
@@ -138,8 +140,8 @@ class Stand:
 
     def _talk(self) -> None:
         for name, robot in self.robots.items():
-            if enables := self.bench.heard(ENABLE, name):
-                robot.hear(enables[-1])
+            if (enable := self._heard[name].take()) is not None:
+                robot.hear(enable)
             if name not in self.silent:
                 self.bench.say(STATUS, robot.status(self.bench.now_ns, self.build), name)
 

@@ -9,8 +9,8 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
 from robofleet.comms.messages import Enable, WheelCommand
-from robofleet.safety.gate import GateStatus
-from robofleet.vehicles.interface import STOP, WheelSpeeds
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.vehicles.interface import STOP, WIRED_STOP, WheelSpeeds
 
 Make = Callable[..., Any]
 FORWARD = WheelSpeeds(3.0, 4.0)
@@ -178,3 +178,48 @@ def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Any, recordi
     assert stand.made["r2"].target == STOP
     stand.node.close()
     assert (stand.made["r1"].closed, stand.made["r2"].closed) == (1, 1)
+
+
+def test_a_witness_sees_every_decision_and_none_is_made_where_nothing_can_change(
+    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+) -> None:
+    seen: list[tuple[str, int, Any, Any, Any]] = []
+    bench = bench_of(platoon_of(*recorded(0)))
+    node = driver_of(bench, "r1", witness=lambda *what: seen.append(what))
+    bench.run(node, S)
+    assert len(seen) == 1  # disarmed: a hundred loops, and nobody asked
+    robot = recording_driver.made["r1"]
+    robot.faults = WIRED_STOP
+    bench.run(node, S)
+    assert len(seen) == 2
+    name, _, inputs, state, output = seen[-1]
+    assert (name, inputs.latch, state.latch, output.output) == ("r1", Latch.WIRED_STOP, Latch.WIRED_STOP, STOP)
+    robot.faults = 0
+    bench.run(node, S)
+    assert len(seen) == 2
+
+
+def test_a_clock_that_is_set_back_stops_the_wheels_by_the_loop_that_sees_it(stand: Any) -> None:
+    stand.run(S // 5)
+    boot_id, back_ns = stand.newest("r1").boot_id, 100 * MS
+    stand.bench.clock._now_ns -= back_ns
+    set_back_ns = stand.bench.now_ns
+    next_ns = stand.node.step(set_back_ns)
+    assert set_back_ns < next_ns <= set_back_ns + 10 * MS
+    stand.bench.run(stand.node, 90 * MS)
+    assert stand.made["r1"].target == STOP
+    status = stand.newest("r1")
+    assert (status.boot_id, status.target_after_ns, status.gate) == (boot_id + 1, -1, GateStatus.NO_ENABLE)
+    stand.run(S // 5)
+    assert stand.made["r1"].target == FORWARD
+
+
+def test_a_command_that_waits_for_its_permission_reaches_the_wheels_with_it(stand: Any) -> None:
+    stand.acquire("r1")
+    stand.command("r1", exposure_ns=5)
+    stand.bench.run(stand.node, 25 * MS)
+    assert (stand.newest("r1").applied_exposure_ns, stand.newest("r1").applied_ns) == (0, 0)
+    stand.enable("r1")
+    enabled_ns = stand.bench.now_ns
+    stand.bench.run(stand.node, 25 * MS)
+    assert (stand.newest("r1").applied_exposure_ns, stand.newest("r1").applied_ns) == (5, enabled_ns)

@@ -11,10 +11,7 @@ from robofleet.clock import WallClock
 from robofleet.config.tree import Config
 from robofleet.processes import arena_file, operator
 from robofleet.processes.arena_file import ArenaBusyError, claimed, running
-from tests.processes.realrun import RealRun
-
-TRUTH = ("--set", "tracker.source=truth")
-ALL_LATCHED = dict.fromkeys(("r1", "r2", "r3", "r4"), 2)
+from tests.processes.realrun import ALONE, GONE_WITHIN_S, PLATOON, RealRun, wait
 
 Start = Callable[..., RealRun]
 ConfigOf = Callable[..., Config]
@@ -27,69 +24,64 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "robofleet"
 
 
-def test_stop_latches_every_gate_and_ends_the_run(real_run: Start) -> None:
-    run = real_run(*TRUTH)
+def test_hold_status_resume_stop(real_run: Start) -> None:
+    run = real_run(*ALONE)
     run.wait_until_running()
+    assert run.robofleet("hold", "platoon").stdout == "ok\n"
+    run.wait_for(lambda: "\nheld: hold requested" in run.said)
+    found = json.loads(run.robofleet("status", "--json").stdout)
+    assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
+    assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
+    (robot,) = found["robots"]
+    assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == ("r1", "no enable", "none", None)
+    assert 0 < robot["battery"] <= 1
+    assert 0 <= robot["age_ms"] < 100
+
+    second = run.robofleet("run", str(PLATOON), "--out", str(run.folder / "second"))
+    assert second.returncode == 2
+    assert f"the arena platoon has a run already, in {run.folder} since " in second.stderr
+    assert f"`kill {run.launcher.pid}`" in second.stderr
+    assert not (run.folder / "second").exists()
+
+    refused = run.robofleet("reset")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert refused.stderr.startswith("refused: ")
+    assert run.robofleet("resume").stdout == "ok\n"
+    run.wait_for(lambda: run.said.count("\nrunning") == 2)
+
     stopped = run.robofleet("stop")
     assert (stopped.returncode, stopped.stderr) == (0, "")
     assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
     assert run.ended(5) == 1
-    assert run.latched() == ALL_LATCHED
+    assert run.latched() == {"r1": 2}
     assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
 
 
-def test_a_robot_that_does_not_answer_is_named(real_run: Start) -> None:
-    run = real_run(*TRUTH)
-    run.wait_until_running()
-    (driver,) = run.children("driver", "r3")
-    driver.send_signal(signal.SIGSTOP)
-    stopped = run.robofleet("stop")
-    assert stopped.returncode == 1
-    assert "NOT acknowledged within 200 ms by r3: stop them by hand" in stopped.stderr
-    assert run.ended(5) == 1
-    assert run.latched() == ALL_LATCHED | {"r3": 0}
+def test_latches_outlive_a_run_until_they_are_reset(real_run: Start, tmp_path: Path) -> None:
+    kept = tmp_path / "state" / "robofleet" / "platoon" / "r1.json"
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps({"epoch": 4, "latch": 2, "latch_id": 7}))
+    refused = real_run(*ALONE)
+    assert refused.ended(60) == 1
+    assert "fault: start was refused: r1: the gate is latched: " in refused.said
+    assert "`robofleet run --reset` does it" in refused.said
+    assert refused.latched() == {"r1": 2}
+    run = real_run(*ALONE, "--duration", "0.5", "--out", str(tmp_path / "again"), "--reset")
+    assert run.ended(60) == 0
+    assert run.latched() == {"r1": 0}
 
 
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:
-    run = real_run(*TRUTH)
+    run = real_run(*ALONE)
     run.wait_until_running()
     (router,) = run.children("router")
     router.send_signal(signal.SIGSTOP)
     stopped = run.robofleet("stop")
     assert stopped.returncode == 1
     assert "does not answer: the launcher was told to end every process" in stopped.stderr
+    assert wait(lambda: not run.children("driver"), GONE_WITHIN_S)
     assert run.ended(5) == 1
-    assert run.nothing_is_left()
-
-
-def test_hold_status_resume(real_run: Start) -> None:
-    run = real_run(*TRUTH)
-    run.wait_until_running()
-    assert run.robofleet("hold", "platoon").stdout.startswith("ok")
-    run.wait_for(lambda: "\nheld: hold requested" in run.said)
-    found = json.loads(run.robofleet("status", "--json").stdout)
-    assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
-    assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
-    assert [robot["id"] for robot in found["robots"]] == list(ALL_LATCHED)
-    for robot in found["robots"]:
-        assert (robot["gate"], robot["latch"]) == ("no enable", "none")
-        assert 0 < robot["battery"] <= 1
-        assert 0 <= robot["age_ms"] < 100
-    assert run.robofleet("resume").stdout.startswith("ok")
-    run.wait_for(lambda: run.said.count("\nrunning") == 2)
-    shown = run.robofleet("status")
-    assert "platoon: running" in shown.stdout
-    assert all(robot in shown.stdout for robot in ALL_LATCHED)
-
-
-def test_a_second_run_on_an_arena_is_refused(real_run: Start) -> None:
-    run = real_run(*TRUTH)
-    run.wait_for(lambda: "starting" in run.said)
-    second = run.robofleet("run", "configs/platoon.yaml", "--out", str(run.folder / "second"))
-    assert second.returncode == 2
-    assert f"the arena platoon has a run already, in {run.folder} since " in second.stderr
-    assert f"`kill {run.launcher.pid}`" in second.stderr
-    assert not (run.folder / "second").exists()
+    assert run.children() == []
 
 
 def test_without_a_run_there_is_nothing_to_stop(real_run: Start) -> None:

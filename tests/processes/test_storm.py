@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -36,7 +37,7 @@ def test_every_fault_heals_by_the_time_that_the_plan_names_and_every_kind_comes(
 
 def _overlap(faults: Iterable[Any]) -> bool:
     times = sorted((fault.at_s, fault.at_s + fault.duration_s) for fault in faults)
-    return any(later[0] < earlier[1] for earlier, later in zip(times, times[1:], strict=False))
+    return any(later[0] < earlier[1] for earlier, later in pairwise(times))
 
 
 def test_fifty_storms_leave_every_invariant_standing(fleet: Config) -> None:

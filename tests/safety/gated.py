@@ -17,7 +17,7 @@ DRIVE = DifferentialDrive(
     motor_lag=0.08,
     max_wheel_acceleration=150.0,
 )
-WHEELS = WheelSpeeds(3.0, -4.0)
+WHEELS, FAST = WheelSpeeds(3.0, -4.0), WheelSpeeds(12.5, -12.5)
 
 Step = Callable[[GateState, DifferentialDrive, Inputs, int], tuple[GateState, GateOutput]]
 
@@ -90,3 +90,12 @@ def opened(step: Step, wheels: WheelSpeeds = WHEELS) -> Gate:
     gate.command(wheels=wheels)
     assert gate.out.output == wheels
     return gate
+
+
+def written(gate: Gate, ns: int) -> list[tuple[int, WheelSpeeds]]:
+    """Return (instant, output) of every step while a gate is left alone, the present one first."""
+    seen, end = [(gate.now, gate.out.output)], gate.now + ns
+    while gate.out.deadline_ns is not None and gate.out.deadline_ns <= end:
+        gate.now = gate.out.deadline_ns
+        seen.append((gate.now, gate.give().output))
+    return seen

@@ -9,8 +9,10 @@ from itertools import product
 from typing import Any
 
 from robofleet.safety import gate
-from tests.safety import test_gate
+from tests.safety import test_gate, test_gate_latches, test_gate_stopping
 from tests.safety.gated import Step
+
+_TESTS = (test_gate, test_gate_stopping, test_gate_latches)
 
 # What is taken out: a piece of the gate's source, and what stands there instead.
 SABOTAGES: dict[str, tuple[str, str]] = {
@@ -21,8 +23,8 @@ SABOTAGES: dict[str, tuple[str, str]] = {
     "an old permission after that": ("enabled=(_NEVER, 0), moved_by=_NEVER", "moved_by=_NEVER"),
     "a stop's time after that": (", moved_by=_NEVER\n", "\n"),
     "the robot's own stop": ("if inputs.latch:", "if False:"),
-    "the gravest latch": ("if latch <= state.latch:", "if False:"),
-    "equally grave latches": ("if latch <= state.latch:", "if latch < state.latch:"),
+    "the gravest latch": ("if latch <= state.latch else state._replace(latch", "if False else state._replace(latch"),
+    "equally grave latches": ("latch <= state.latch else", "latch < state.latch else"),
     "a latch's own number": ("latch_id=state.latch_id + 1", "latch_id=state.latch_id"),
     "boot": ("message.boot_id == state.boot_id and ", ""),
     "a nonce of the future": (
@@ -64,7 +66,7 @@ SABOTAGES: dict[str, tuple[str, str]] = {
     "a lease that lapsed": ("state.session == 0 or lapsed or action", "state.session == 0 or action"),
     "a takeover": (" or action is LeaseAction.TAKE_OVER", ""),
     "when a lease lapses": (">= LAPSE_NS", "> LAPSE_NS"),
-    "a new epoch": ("epoch=state.epoch + 1, session", "session"),
+    "a new epoch": ("epoch=epoch, session", "session"),
     "the time of a grant": ("heard_ns=now_ns, seq=0", "seq=0"),
     "numbers from the start": ("seq=0, command_nonce=_NEVER, limit", "command_nonce=_NEVER, limit"),
     "the former holder's command": ("seq=0, command_nonce=_NEVER, limit=0.0", "seq=0, limit=0.0"),
@@ -149,7 +151,8 @@ def sabotaged(old: str, new: str) -> Step:
 
 def cases() -> Iterator[tuple[str, Callable[[Step], None]]]:
     """Yield the name of every test of the gate, with each of its parameters, and what runs it."""
-    for name, function in vars(test_gate).items():
+    functions = [item for module in _TESTS for item in vars(module).items()]
+    for name, function in functions:
         if not name.startswith("test_") or "step" not in inspect.signature(function).parameters:
             continue
         marks = [mark.args for mark in getattr(function, "pytestmark", [])]

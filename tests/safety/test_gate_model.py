@@ -1,77 +1,242 @@
-"""The gate against a model that remembers everything it was ever sent."""
+"""The gate beside a model that states its rules anew and remembers everything it was ever sent."""
 
 import math
+from dataclasses import dataclass, field
+from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import settings
 from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from robofleet.safety.gate import VALID_NS, Command, GateState, GateStatus, Permission, step
-from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.safety.gate import Command, GateState, GateStatus, Inputs, Latch, LeaseAction, Permission, step
 from robofleet.vehicles.interface import STOP, WheelSpeeds
+from tests.safety.gated import BOOT, DRIVE, MS, NOW, OTHER, SESSION, S
 
-BOOT, START = 3, 10_000_000_000
-MS = 1_000_000
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
-
-boots = st.sampled_from([BOOT, BOOT, BOOT, 4])
-ages = st.sampled_from([-1, 0, 1, 40 * MS, VALID_NS - 1, VALID_NS, VALID_NS + 1]) | st.integers(-5, VALID_NS + 5)
-speeds = st.sampled_from([0.0, 5.0, -12.5, 12.62, 12.63, math.nan, math.inf]) | st.floats()
-commands = st.none() | st.tuples(boots, ages, st.tuples(speeds, speeds))
-permissions = st.none() | st.tuples(boots, ages, st.booleans())
-rounds = st.lists(st.tuples(st.integers(0, 130 * MS), commands, permissions), min_size=1, max_size=12)
+FRESH_NS, RAMP_S = 120 * MS, 12.5 * 1.01 / 150.0
+AGES = st.sampled_from([-1, 0, 0, 0, 1, 40 * MS, FRESH_NS - 1, FRESH_NS]) | st.integers(-5, FRESH_NS + 5)
+MOSTLY_RIGHT = st.sampled_from([0, 0, 0, 0, 0, 0, 1, -1])
+SPEEDS = st.sampled_from([0.0, 5.0, -12.5, 12.62, 12.63, 10.0, math.nan, math.inf]) | st.floats(-13.0, 13.0)
+SESSIONS = st.sampled_from([SESSION, SESSION, SESSION, OTHER, 0])
+WAITS = st.sampled_from([0, 1, 5 * MS, 7 * MS, 33 * MS, 60 * MS, 119 * MS, FRESH_NS, S]) | st.integers(0, 250 * MS)
 
 
-def allowed(wheels: tuple[float, float]) -> bool:
+@dataclass
+class Told:
+    """Everything that was accepted, and what follows from it."""
+
+    boot: int = BOOT
+    commands: list[Command] = field(default_factory=list)  # accepted, of all leases
+    permissions: list[Permission] = field(default_factory=list)  # accepted, since the clock ran on
+    given_at: int = 0  # how many of both there were when the lease was given
+    permitted_from: int = 0
+    epoch: int = 0
+    holder: int = 0
+    heard: int = 0
+    latch: Latch = Latch.NONE
+    latches: int = 0
+    refused: int = 0
+
+    def command(self) -> Command | None:
+        """Return the command that counts."""
+        return self.commands[-1] if len(self.commands) > self.given_at else None
+
+    def limit(self) -> float:
+        """Return what the newest permission permits; one before the lease or before a reset permits nothing."""
+        return self.permissions[-1].limit if len(self.permissions) > self.permitted_from else 0.0
+
+
+def fits(wheels: WheelSpeeds) -> bool:
     if not all(map(math.isfinite, wheels)):
         return False
-    body = 0.016 * abs(wheels[0] + wheels[1]) / 2.0
-    return max(map(abs, wheels)) <= 12.5 * 1.01 and body <= 0.2 * 1.01
+    return max(map(abs, wheels)) <= 12.5 * 1.01 and 0.016 * abs(sum(wheels)) / 2.0 <= 0.16 * 1.01
 
 
-@settings(deadline=None, derandomize=True, max_examples=300)
-@given(rounds)
-def test_wheels_turn_only_by_a_valid_command_and_a_valid_permission(
-    script: list[tuple[int, tuple[int, int, tuple[float, float]] | None, tuple[int, int, bool] | None]],
-) -> None:
-    state, now, refused = GateState(BOOT), START, 0
-    newest_command: tuple[int, tuple[float, float]] | None = None
-    newest_enable: tuple[int, bool] | None = None
-    for wait, c, p in script:
-        now += wait
-        state, output = step(
-            state,
-            DRIVE,
-            None if c is None else Command(c[0], now - c[1], WheelSpeeds(*c[2])),
-            None if p is None else Permission(p[0], now - p[1], p[2]),
-            now,
+class GateMachine(RuleBasedStateMachine):
+    """Messages right and wrong, waits, stops, resets, leases and a clock that is set back, in any order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now, self.told, self.state = NOW, Told(), GateState(BOOT)
+        self.pressed, self.turning = Latch.NONE, False
+        self.deadline: int | None = None
+        self.was_open, self.closed_since = False, NOW
+        self.after()
+
+    # What happens.
+
+    @rule(ns=WAITS)
+    def wait(self, ns: int) -> None:
+        """The driver steps the gate at every deadline."""
+        end = self.now + ns
+        while self.deadline is not None and self.deadline <= end:
+            assert self.deadline > self.now
+            self.now = self.deadline
+            self.after()
+        self.now = end
+        self.after()
+
+    @rule(wheels=st.sampled_from([(9.0, -4.0), (-12.5, 7.0), (12.62, 0.0), (10.0, 10.0), (-10.0, -10.05), (1.0, 12.6)]))
+    def drive(self, wheels: tuple[float, float]) -> None:
+        """A healthy robot, controller and supervisor; what was latched is reset."""
+        told, self.pressed, self.turning = self.told, Latch.NONE, False
+        if told.latch:
+            self.enable(0, 0, 0, 0, Latch.NONE, 0, 0.0)
+        if not told.holder:
+            self.lease(SESSION, LeaseAction.ACQUIRE)
+        self.enable(0, 0, 0, 0, Latch.NONE, None, 12.5)
+        self.command(0, 0, 0, told.holder, 0, wheels)
+
+    @rule(
+        boot=MOSTLY_RIGHT, age=AGES, epoch=MOSTLY_RIGHT, session=SESSIONS, seq=MOSTLY_RIGHT,
+        wheels=st.tuples(SPEEDS, SPEEDS),
+    )  # fmt: skip
+    def command(self, boot: int, age: int, epoch: int, session: int, seq: int, wheels: tuple[float, float]) -> None:
+        told = self.told
+        last = max((c.seq for c in told.commands if c.epoch == told.epoch), default=0)
+        sent = Command(
+            told.epoch + epoch, session, last + 1 + seq, told.boot + boot, self.now - age, WheelSpeeds(*wheels)
         )
-        if c is not None:
-            if c[0] == BOOT and 0 <= c[1] < VALID_NS and allowed(c[2]):
-                newest_command = now - c[1], c[2]
-            else:
-                refused += 1
-        if p is not None:
-            if p[0] == BOOT and 0 <= p[1] < VALID_NS:
-                newest_enable = now - p[1], p[2]
-            else:
-                refused += 1
-        may = newest_enable is not None and newest_enable[1] and now - newest_enable[0] < VALID_NS
-        told = newest_command is not None and now - newest_command[0] < VALID_NS
-        assert state.refused == refused
-        assert (output.status is GateStatus.OPEN) == (may and told)
-        if output.status is GateStatus.OPEN:
-            assert newest_command is not None
-            assert output.target == newest_command[1]
-            assert output.deadline_ns is not None
-            assert now < output.deadline_ns <= now + VALID_NS
-            assert step(state, DRIVE, None, None, output.deadline_ns - 1)[1].target == output.target
-            assert step(state, DRIVE, None, None, output.deadline_ns)[1].target == STOP
+        fine = boot == 0 and 0 <= age < FRESH_NS and epoch == 0 and session == told.holder != 0
+        if fine and sent.seq > last and fits(sent.wheels):
+            told.commands.append(sent)
+            told.heard = self.now
+            self.after(command=sent)
         else:
-            assert output == (STOP, GateStatus.NO_COMMAND if may else GateStatus.NO_ENABLE, None)
+            told.refused += 1
+            self.after(refused=True, command=sent)
+
+    @rule(
+        boot=MOSTLY_RIGHT, age=AGES, epoch=MOSTLY_RIGHT, seq=MOSTLY_RIGHT,
+        latch=st.sampled_from([Latch.NONE] * 6 + [Latch.DRILL, Latch.EMERGENCY_STOP]),
+        clear=st.none() | MOSTLY_RIGHT, limit=st.sampled_from([12.5, 12.5, 9.0, 4.0, 0.0]),
+    )  # fmt: skip
+    def enable(self, boot: int, age: int, epoch: int, seq: int, latch: Latch, clear: int | None, limit: float) -> None:
+        told = self.told
+        newest = max(((p.nonce, p.seq) for p in told.permissions), default=(-1, 0))
+        clears = 0 if clear is None else told.latches + clear
+        sent = Permission(
+            told.epoch + epoch, newest[1] + 1 + seq, told.boot + boot, self.now - age, latch, clears, limit
+        )
+        fine = boot == 0 and 0 <= age < FRESH_NS and (epoch == 0 or latch) and (sent.nonce, sent.seq) > newest
+        if not fine:
+            told.refused += 1
+            self.after(refused=True, permission=sent)
+            return
+        told.permissions.append(sent)
+        if latch:
+            self.hold(latch)
+            told.permitted_from = len(told.permissions)
+        elif told.latch and clears == told.latches and self.at_rest() and not self.pressed:
+            told.latch = Latch.NONE
+            told.permitted_from = len(told.permissions)
+        self.after(permission=sent)
+
+    @rule(session=SESSIONS, action=st.sampled_from(LeaseAction))
+    def lease(self, session: int, action: LeaseAction) -> None:
+        told = self.told
+        if action is LeaseAction.RELEASE:
+            granted = session == told.holder != 0
+            told.holder = 0 if granted else told.holder
+        elif session in (0, told.holder):
+            granted = session != 0
+        else:
+            free = not told.holder or self.now - told.heard >= S or action is LeaseAction.TAKE_OVER
+            granted = free and self.at_rest()
+            if granted:
+                told.epoch, told.holder, told.heard = told.epoch + 1, session, self.now
+                told.given_at, told.permitted_from = len(told.commands), len(told.permissions)
+        assert self.after(lease=(session, action)).granted is granted
+
+    @rule(pressed=st.sampled_from([Latch.NONE, Latch.NONE, Latch.WIRED_STOP, Latch.DRIVER_FAILED]))
+    def press(self, pressed: Latch) -> None:
+        """The robot's own e-stop, or its driver."""
+        self.pressed = pressed
+        self.after()
+
+    @rule(turning=st.booleans())
+    def turn(self, turning: bool) -> None:
+        """A wheel is measured to turn, or not."""
+        self.turning = turning
+
+    @precondition(lambda self: len(self.told.commands) > 3)
+    @rule(ns=st.integers(1, 2 * S))
+    def set_back(self, ns: int) -> None:
+        """The clock."""
+        told = self.told
+        self.now -= ns
+        told.boot, told.heard = told.boot + 1, self.now
+        told.permissions, told.given_at, told.permitted_from = [], len(told.commands), 0
+        self.closed_since = self.now
+        self.after()
+
+    # What must hold.
+
+    def at_rest(self) -> bool:
+        return self.state.output == STOP and not self.turning
+
+    def hold(self, latch: Latch) -> None:
+        if latch > self.told.latch:
+            self.told.latch, self.told.latches = latch, self.told.latches + 1
+
+    def expected(self) -> tuple[WheelSpeeds, GateStatus]:
+        """Return what is allowed now, from all that was accepted."""
+        told, command = self.told, self.told.command()
+        enabled = bool(told.permissions) and self.now - told.permissions[-1].nonce < FRESH_NS
+        if told.latch:
+            return STOP, GateStatus.LATCHED
+        if not told.holder:
+            return STOP, GateStatus.NO_LEASE
+        if not (enabled and told.limit() > 0):
+            return STOP, GateStatus.NO_ENABLE
+        if command is None or self.now - command.nonce >= FRESH_NS:
+            return STOP, GateStatus.NO_COMMAND
+        if max(map(abs, command.wheels)) > 1.01 * told.limit():
+            return STOP, GateStatus.NO_ENABLE
+        return command.wheels, GateStatus.OPEN
+
+    def after(self, *, refused: bool = False, **arrived: Any) -> Any:
+        """Step the gate and hold what it did against the rules."""
+        before, told = self.state, self.told
+        self.hold(self.pressed)
+        inputs = Inputs(latch=self.pressed, turning=self.turning)
+        self.state, out = step(before, DRIVE, inputs._replace(**arrived), self.now)
+        if refused:
+            alone, _ = step(before, DRIVE, inputs, self.now)
+            assert self.state == alone._replace(refused=before.refused + 1)
+        assert (out.target, out.status) == self.expected()
+        state = self.state
+        assert (state.boot_id, state.epoch, state.session) == (told.boot, told.epoch, told.holder)
+        assert (state.latch, state.latch_id, state.refused) == (told.latch, told.latches, told.refused)
+        accepted = [(c.epoch, c.seq) for c in told.commands[-2:]]
+        assert accepted == sorted(set(accepted))
+        self.moved(before, out)
+        self.deadline = out.deadline_ns
+        return out
+
+    def moved(self, before: GateState, out: Any) -> None:
+        """Speed, acceleration, and the way of a stop."""
+        passed_s = max(0, self.now - before.at_ns) / S
+        for was, now, target in zip(before.output, out.output, out.target, strict=True):
+            assert abs(now) <= 12.5 * 1.01
+            assert abs(now - was) <= 150.0 * min(passed_s, 0.020) + 1e-9
+            assert min(was, target) - 1e-12 <= now <= max(was, target) + 1e-12  # towards the target, never past it
+        if out.target != STOP:
+            self.was_open = True
+            assert out.deadline_ns is not None
+            return
+        if self.was_open:
+            self.was_open, self.closed_since = False, self.now
+        if before.output != STOP and passed_s:
+            assert max(map(abs, out.output)) < max(map(abs, before.output))
+        if self.now - self.closed_since > (RAMP_S + 0.005) * S:
+            assert out.output == STOP  # with the 120 ms before: within 230 ms of the nonce
+        self.times()
+
+    def times(self) -> None:
+        target_ns, output_ns = self.state.target_after_ns, self.state.output_after_ns
+        assert -1 <= target_ns <= FRESH_NS
+        assert output_ns == -1 or target_ns <= output_ns <= 230 * MS
+
+
+TestGate = GateMachine.TestCase
+TestGate.settings = settings(deadline=None, derandomize=True, max_examples=200, stateful_step_count=40)

@@ -4,11 +4,13 @@ import gc
 import math
 from collections import Counter
 from collections.abc import Iterator
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from robofleet.clock import S
+from robofleet.comms.bus import Answer
 from robofleet.comms.keys import REQUEST, STATE, TRUTH, key
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
@@ -17,6 +19,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.storm.bodies import apart, rolling_on
 from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
+from robofleet.processes.storm.forger import Forger
 from robofleet.processes.storm.gates import GateAudit
 from robofleet.processes.storm.ledger import Ledger, Outage
 from robofleet.processes.storm.schedule import Plan, plan
@@ -25,7 +28,9 @@ from robofleet.safety.supervisor import Event, Phase
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
+_STAY_S = 0.3  # in which it does not stop once more
 _LOOK_S = 0.05  # the operator's eye
+_ROOM_M = 0.06  # what the wheels' trial before a start may ask for
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
 _NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
 
@@ -42,18 +47,21 @@ class Episode(NamedTuple):
     simulated_s: float
     run_s: float  # when the fleet ran first, on lockstep's clock
     longest_queue: int
+    crowded: bool  # robots met outside the envelope: somebody has to carry them apart before they run again
 
 
 def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
     storm = plan(config, seed)
     tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": storm.faults})
-    gc.disable()  # nothing here is cyclic but what ends with the episode
+    gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode
     try:
-        return _Player(tree, storm).play()
+        player = _Player(tree, storm)
+        episode = player.play()
+        player.forget()
+        return episode
     finally:
         gc.enable()
-        gc.collect()
 
 
 class _Player:
@@ -62,8 +70,13 @@ class _Player:
         self._ledger = Ledger()
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
+        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.platoon}
+        self._forger = Forger(config.arena.name, self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
+        self._answer: Answer | None = None
+        self._said = b""  # by the supervisor, to the newest request
+        self._crowded = False
         self._rng = generator(config.run.seed, "operator")
 
     def play(self) -> Episode:
@@ -75,7 +88,11 @@ class _Player:
         run_ns = lockstep.clock.now_ns()
         for at_s, request in self._restless():
             lockstep.advance(run_ns / S + at_s - lockstep.clock.now_ns() / S)
-            self._ask(request or _NEXT.get(lockstep.status.phase))
+            if request is None:
+                self._look()
+                self._forger.forge(self._rng)
+            else:
+                self._ask(request)
         lockstep.advance(run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S)
         self._again(_AGAIN_S + (run_ns - started_ns) / S)
         lockstep.close()
@@ -83,8 +100,13 @@ class _Player:
         return Episode(
             self._config.run.seed, storm, lockstep.recording.trace_hash or "", tuple(self._found),
             frozenset(self._states.events()), self._injected(), (lockstep.clock.now_ns() - started_ns) / S,
-            run_ns / S, self._longest_queue,
+            run_ns / S, self._longest_queue, self._crowded,
         )  # fmt: skip
+
+    def forget(self) -> None:
+        """Let go of the hundred thousand messages at once: the garbage collector need not look at them."""
+        self._lockstep.recording.messages.clear()
+        self._ledger.forget()
 
     def _restless(self) -> Iterator[tuple[float, bytes | None]]:
         """Yield what is asked and when; None: whatever brings a fleet that stands back to running."""
@@ -98,22 +120,43 @@ class _Player:
         end_s = lockstep.clock.now_ns() / S + within_s
         turned: set[str] = set()
         while lockstep.clock.now_ns() / S < end_s:
-            self._ask(_NEXT.get(lockstep.status.phase))
-            lockstep.advance(_LOOK_S)
-            if lockstep.status.phase is Phase.RUNNING:
-                turned |= self._ledger.turning()
-                if len(turned) == len(self._config.platoon):
-                    return
-            else:
+            self._look()
+            everybody = len(turned) == len(self._config.platoon)
+            lockstep.advance(_STAY_S if everybody else _LOOK_S)
+            if lockstep.status.phase is not Phase.RUNNING:
                 turned.clear()
-        words = lockstep.status.describe(self._config.groups[0].robots)
-        self._fail(
-            "it does not run again within 5 s", f"{lockstep.status.phase.name}: {words}; turned: {sorted(turned)}"
+            elif everybody:
+                return
+            turned |= self._ledger.turning()
+        self._crowded = self._plan.outside_s < math.inf and self._no_room()
+        if not self._crowded:
+            words = lockstep.status.describe(self._config.groups[0].robots)
+            numbers = f"{lockstep.status.phase.name}: {words}; answer {self._said!r}; turned: {sorted(turned)}"
+            self._fail("it does not run again within 5 s", numbers)
+
+    def _no_room(self) -> bool:
+        """Whether robots stand where none may start: their bodies nearly touch, or they are nearly in the wall."""
+        robots, arena = self._config.platoon, self._config.arena
+        keys = [key(arena.name, TRUTH, robot.id) for robot in robots]
+        poses = [TRUTH_LAYOUT.decode(self._lockstep.recording.messages[full][-1]) for full in keys]
+        bodies = [(p.x_m, p.y_m, r.vehicle.body_radius_m) for p, r in zip(poses, robots, strict=True) if p is not None]
+        half_x, half_y = (side / 2 - _ROOM_M for side in arena.size_m)
+        return any(abs(x) + r > half_x or abs(y) + r > half_y for x, y, r in bodies) or any(
+            math.hypot(x - x2, y - y2) < r + r2 + _ROOM_M for (x, y, r), (x2, y2, r2) in combinations(bodies, 2)
         )
 
-    def _ask(self, request: bytes | None) -> None:
+    def _look(self) -> None:
+        """Do what an operator does who wants the fleet to run."""
+        self._longest_queue = max(self._longest_queue, self._lockstep.backlog)
+        self._said = (self._answer and self._answer.take()) or self._said
+        request = _NEXT.get(self._lockstep.status.phase)
+        if request == b"start" and self._said.startswith(b"refused"):
+            request = b"reset"
         if request is not None:
-            self._lockstep.request(request)
+            self._ask(request)
+
+    def _ask(self, request: bytes) -> None:
+        self._said, self._answer = b"", self._lockstep.request(request)
 
     def _fail(self, invariant: str, numbers: str) -> None:
         self._found.append(Violation(invariant, self._lockstep.clock.now_ns() / S, "", numbers))

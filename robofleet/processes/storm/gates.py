@@ -21,6 +21,7 @@ from robofleet.vehicles.interface import STOP
 _VALID_NS = 120 * MS
 _TARGET_WITHIN_NS = 130 * MS
 _OUTPUT_WITHIN_NS = 230 * MS
+_RAMP_NS = _OUTPUT_WITHIN_NS - _TARGET_WITHIN_NS
 _LAPSE_NS = 1 * S
 _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
 _LIMIT = 1.01
@@ -216,7 +217,9 @@ class GateAudit:
         elapsed_ns = np.maximum(np.diff(true_ns), np.clip(np.diff(now_ns), 0, _CATCH_UP_NS))
         change = abs(np.diff(output, axis=0)).max(axis=1)
         fast = change > drive.max_wheel_acceleration * elapsed_ns / S + 1e-9
-        self._report("a wheel accelerates more than it may", true_ns[1:], fast & same, change / elapsed_ns * S)
+        self._report(
+            "a wheel accelerates more than it may", true_ns[1:], fast & same, change * S / np.maximum(elapsed_ns, 1.0)
+        )
         standing = np.asarray(~output.any(axis=1))
         closed = np.asarray(~target.any(axis=1))
         self.standing, self.moving = np.column_stack([true_ns, standing]), np.column_stack([true_ns, ~closed])
@@ -235,8 +238,8 @@ class GateAudit:
     def _out(self, true_ns: Array) -> NDArray[np.bool_]:
         """Return between which rows the driver itself did not run, or had its clock changed."""
         out = np.zeros(len(true_ns) - 1, dtype=np.bool_)
-        for outage in self._outages:
-            out |= (true_ns[:-1] <= outage.end_ns) & (true_ns[1:] >= outage.start_ns)
+        for outage in self._outages:  # its ramp to zero comes late, too
+            out |= (true_ns[:-1] <= outage.end_ns + _RAMP_NS) & (true_ns[1:] >= outage.start_ns)
         return out
 
     def _report(self, invariant: str, at_ns: Array, wrong: NDArray[np.bool_], figure: Array) -> None:

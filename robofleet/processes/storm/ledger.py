@@ -41,6 +41,11 @@ class Ledger:
         """Return the robots whose wheels are let turn now."""
         return {robot for robot, rows in self.decisions.items() if rows[-1].output.target != STOP}
 
+    def forget(self) -> None:
+        """Let go of everything."""
+        self.decisions.clear()
+        self.said_ns.clear()
+
     def witness(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
         """Keep what a gate decided."""
         self.decisions[robot].append(Decision(self._now_ns(), now_ns, inputs, state, output))

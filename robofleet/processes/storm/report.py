@@ -12,6 +12,7 @@ from robofleet.processes.storm.episode import Episode
 from robofleet.processes.storm.schedule import KINDS
 from robofleet.processes.storm.tally import REACTIONS, Tally
 from robofleet.processes.storm.workers import Watch
+from robofleet.safety.supervisor import Event
 
 _SHOWN = 5  # violations of one seed
 
@@ -51,9 +52,10 @@ def lines(episode: Episode, replay: str) -> Iterator[str]:
 def summarise(tally: Tally, elapsed_s: float) -> bool:
     """Print the tally; returns whether all held."""
     table = Table("fault", "times", "effects", "reaction", "seeds", title="what came, and what was done about it")
-    for row in range(max(len(KINDS), len(REACTIONS))):
+    events = sorted(event for event in Event if event and (tally.events[event] or event in REACTIONS))
+    for row in range(max(len(KINDS), len(events))):
         kind = KINDS[row] if row < len(KINDS) else ""
-        event = REACTIONS[row] if row < len(REACTIONS) else None
+        event = events[row] if row < len(events) else None
         fault = (kind, str(tally.scheduled[kind]), str(tally.injected[kind])) if kind else ("", "", "")
         table.add_row(*fault, *((event.name.lower(), str(tally.events[event])) if event else ("", "")))
     console = Console()
@@ -61,7 +63,8 @@ def summarise(tally: Tally, elapsed_s: float) -> bool:
     rate = tally.simulated_s / elapsed_s
     console.print(
         f"{tally.seeds} seeds, {len(tally.failed)} failed; {tally.simulated_s:.0f} s simulated in {elapsed_s:.0f} s"
-        f" ({rate:.0f} times real time); the longest queue held {tally.longest_queue} entries"
+        f" ({rate:.0f} times real time); at most {tally.longest_queue} steps were queued;"
+        f" after {tally.crowded} storms that left the envelope robots stood too close to start"
     )
     shortfalls = list(tally.shortfalls())
     for shortfall in shortfalls:

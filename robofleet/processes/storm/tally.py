@@ -24,6 +24,7 @@ class Tally:
         self.seeds = 0
         self.simulated_s = 0.0
         self.longest_queue = 0
+        self.crowded = 0
         self.scheduled: Counter[str] = Counter()  # faults
         self.injected: Counter[str] = Counter()  # their effects
         self.events: Counter[Event] = Counter()  # seeds in which each was a recorded cause
@@ -34,6 +35,7 @@ class Tally:
         self.seeds += 1
         self.simulated_s += episode.simulated_s
         self.longest_queue = max(self.longest_queue, episode.longest_queue)
+        self.crowded += episode.crowded
         self.scheduled.update(fault.kind for fault in episode.plan.faults)
         self.injected.update(episode.injected)
         self.events.update(episode.events)

@@ -1,0 +1,205 @@
+"""Each check that is taken out of a gate, of the supervisor or of the controller is found by a few storms."""
+
+from collections.abc import Callable, Iterator
+from itertools import count, islice
+from typing import Any
+
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.config.tree import Config
+from robofleet.processes.keeping import MemoryKeeping
+from robofleet.processes.storm.episode import play
+from robofleet.processes.storm.schedule import Plan, plan
+from robofleet.safety import gate, monitor, supervisor
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import Event, Phase
+from robofleet.vehicles.interface import WheelSpeeds
+
+Patch = pytest.MonkeyPatch
+Storms = Callable[[Plan], bool]
+_CREEP = WheelSpeeds(1.0, 1.0)
+_FEW = 5  # storms of the kind that can show it; the first that goes red ends a test
+_FAULTS = 3  # of such a storm: with many at once another one may end the run before
+
+
+@pytest.fixture(scope="module")
+def fleet(platoon_of: Callable[..., Config]) -> Config:
+    return platoon_of("tracker.source=truth")
+
+
+def _old_messages_count(patch: Patch) -> None:
+    patch.setattr(gate, "VALID_NS", 10 * S)
+
+
+def _obeying_also(patch: Patch, unless: Callable[[Any, Any, int], bool]) -> None:
+    """Let the gate obey fresh commands that it should refuse."""
+    take = gate._take_command
+
+    def taken(state: Any, drive: Any, command: Any, now_ns: int) -> Any:
+        after = take(state, drive, command, now_ns)
+        fresh = command.boot_id == state.boot_id and now_ns < command.nonce + gate.VALID_NS
+        if after.refused == state.refused or not fresh or unless(state, command, now_ns):
+            return after
+        return state._replace(seq=command.seq, command_nonce=command.nonce, wheels=command.wheels, heard_ns=now_ns)
+
+    patch.setattr(gate, "_take_command", taken)
+
+
+def _any_sequence_number(patch: Patch) -> None:
+    _obeying_also(patch, lambda state, command, _: (command.epoch, command.session) != (state.epoch, state.session))
+
+
+def _any_lease(patch: Patch) -> None:
+    _obeying_also(patch, lambda state, command, _: command.seq <= state.seq)
+
+
+def _refused_feeds_the_watchdog(patch: Patch) -> None:
+    take = gate._take_command
+
+    def taken(state: Any, drive: Any, command: Any, now_ns: int) -> Any:
+        after = take(state, drive, command, now_ns)
+        return after._replace(heard_ns=now_ns, command_nonce=max(after.command_nonce, now_ns - 10 * MS))
+
+    patch.setattr(gate, "_take_command", taken)
+
+
+def _no_ramp(patch: Patch) -> None:
+    follow = gate._follow
+    patch.setattr(gate, "_follow", lambda *args: follow(*args)._replace(output=args[1]))
+
+
+def _slow_ramp(patch: Patch) -> None:
+    follow = gate._follow
+    patch.setattr(gate, "_follow", lambda state, target, top, now_ns: follow(state, target, top / 9, now_ns))
+
+
+def _no_limit(patch: Patch) -> None:
+    take = gate._take_permission
+    patch.setattr(gate, "_take_permission", lambda *args: take(*args)._replace(limit=12.5))
+
+
+def _cleared_by_anything(patch: Patch) -> None:
+    take = gate._take_permission
+    patch.setattr(gate, "_take_permission", lambda state, *args: _clear(state, take(state, *args)))
+
+
+def _clear(before: Any, after: Any) -> Any:
+    return after._replace(latch=Latch.NONE) if before.latch is Latch.EMERGENCY_STOP else after
+
+
+def _latch_ignored(patch: Patch) -> None:
+    target = gate._target
+    patch.setattr(gate, "_target", lambda state, now_ns: target(state._replace(latch=Latch.NONE), now_ns))
+
+
+def _lease_for_everybody(patch: Patch) -> None:
+    patch.setattr(gate, "LAPSE_NS", 0)
+
+
+def _nothing_kept(patch: Patch) -> None:
+    patch.setattr(MemoryKeeping, "save", lambda *_: None)
+
+
+def _robot_goes_on(patch: Patch) -> None:
+    from drivers.simulated import SimulatedRobot
+
+    write = SimulatedRobot.write
+
+    def written(robot: SimulatedRobot, wheels: WheelSpeeds) -> None:
+        write(robot, wheels if max(map(abs, wheels)) > 2.0 else _CREEP)  # it never hears the end of a ramp
+
+    patch.setattr(SimulatedRobot, "write", written)
+
+
+def _unseen(*events: Event) -> Callable[[Patch], None]:
+    def blind(patch: Patch) -> None:
+        watch = monitor.watch
+
+        def watched(*args: Any) -> Any:
+            memory, happenings = watch(*args)
+            return memory, tuple(h for h in happenings if h.event not in events)
+
+        patch.setattr(monitor, "watch", watched)
+
+    return blind
+
+
+_BLIND = (Event.CAMERA_STALLED, Event.TRACKER_SILENT, Event.TAG_LATE, Event.TAG_LOST)
+
+
+def _no_cause(patch: Patch) -> None:
+    step = supervisor.step
+
+    def silent(status: Any, happening: Any) -> Any:
+        after = step(status, happening)
+        return after if after.phase is Phase.RUNNING else after._replace(cause=Event.NOTHING)
+
+    patch.setattr(supervisor, "step", silent)
+
+
+def _no_reset(patch: Patch) -> None:
+    step = supervisor.step
+    patch.setattr(supervisor, "step", lambda s, h: s if h.event is Event.RESET else step(s, h))
+
+
+def _any(_storm: Plan) -> bool:
+    return True
+
+
+def _estop(storm: Plan) -> bool:
+    return any(act.request == b"estop" for act in storm.acts)
+
+
+def _with(kind: str, process: str = "") -> Storms:
+    """Return which storms bring a long fault of a kind, to a process whose name begins like that."""
+
+    def brings(storm: Plan) -> bool:
+        return len(storm.faults) <= _FAULTS and any(
+            fault.kind == kind and fault.duration_s > 1.5 and getattr(fault, "process", "").startswith(process)
+            for fault in storm.faults
+        )
+
+    return brings
+
+
+def _seeds(fleet: Config, wanted: Storms) -> Iterator[int]:
+    return islice((seed for seed in count(1) if wanted(plan(fleet, seed))), _FEW)
+
+
+@pytest.mark.parametrize(
+    ("sabotage", "storms", "invariant"),
+    [
+        (_old_messages_count, _with("killed", "controller"), "the target is not zero without"),
+        (_any_sequence_number, _any, "a refused command"),
+        (_any_lease, _any, "a refused command"),
+        (_refused_feeds_the_watchdog, _any, "a refused command"),
+        (_no_ramp, _any, "a wheel accelerates"),
+        (_slow_ramp, _any, "the output was not zero 230 ms"),
+        (_no_limit, _any, "a refused enable"),
+        (_cleared_by_anything, _estop, "a latch was cleared"),
+        (_latch_ignored, _estop, "the target is not zero without"),
+        (_lease_for_everybody, _with("second_controller"), "the lease changed"),
+        (_nothing_kept, _with("killed", "driver"), "the lease changed"),
+        (_robot_goes_on, _any, "the robot is not at rest"),
+        (_unseen(Event.WIRED_STOP, Event.GATE_LATCHED), _with("wired_stop"), "nothing stopped"),
+        (_unseen(Event.BATTERY_LOW), _with("low_battery"), "nothing stopped"),
+        (_unseen(Event.TAG_LATE, Event.TAG_LOST), _with("pose_dropout"), "nothing stopped"),
+        (_unseen(Event.TAG_LATE, Event.TAG_TWICE), _with("duplicate_tag"), "nothing stopped"),
+        (_unseen(Event.DRIVER_SILENT, Event.DRIVER_RESTARTED), _with("stopped", "driver"), "nothing stopped"),
+        (_unseen(Event.CONTROLLER_SILENT, *_BLIND), _with("stopped", "controller"), "nothing stopped"),
+        (_unseen(*_BLIND), _with("camera_stalled"), "nothing stopped"),
+        (_unseen(*_BLIND), _with("stopped", "tracker"), "nothing stopped"),
+        (_unseen(Event.DISK_FULL), _with("disk_full"), "nothing stopped"),
+        (_no_cause, _with("wired_stop"), "without a cause"),
+        (_no_reset, _with("wired_stop"), "it does not run again"),
+    ],
+)
+def test_a_check_that_is_missing_is_found(
+    fleet: Config, monkeypatch: Patch, sabotage: Callable[[Patch], None], storms: Storms, invariant: str
+) -> None:
+    sabotage(monkeypatch)
+    for seed in _seeds(fleet, storms):
+        if any(invariant in violation.invariant for violation in play(fleet, seed).violations):
+            return
+    pytest.fail(f"{_FEW} storms have not found it")
