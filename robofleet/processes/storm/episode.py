@@ -29,6 +29,7 @@ from robofleet.safety.supervisor import Event, Phase
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
 _STAY_S = 0.3  # in which it does not stop once more
+_MOST_QUEUED = 2000  # of some twenty thousand steps of a storm; what a cut link holds back is among them
 _LOOK_S = 0.05  # the operator's eye
 _ROOM_M = 0.06  # what the wheels' trial before a start may ask for
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
@@ -182,6 +183,8 @@ class _Player:
             self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
+        if self._longest_queue > _MOST_QUEUED:
+            self._fail("a queue grows without bound", f"{self._longest_queue} steps")
         self._found += without_cause(self._states, config.groups[0].robots)
         self._found += unanswered(self._states, self._plan.faults, run_ns)
 
