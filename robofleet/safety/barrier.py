@@ -42,7 +42,7 @@ _GRANTED = 0.1  # of what was wanted; with less a robot does not get on
 _WITHDRAWING = 0.5  # of its top speed, at most
 _AROUND_S = 0.5  # held for so long, a robot turns aside
 _COS, _SIN = math.cos(math.radians(80.0)), math.sin(math.radians(80.0))  # by so much; less does not pass a crowd
-_BLOCKED_S = 10.0  # longer than most reasons to wait
+_BLOCKED_S = 3.0
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
 
 _arc = kernel(differential_drive.arc)
