@@ -19,6 +19,7 @@ from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.tracking.events import TrackerEvent
 
 _STREAM = 64  # news between two looks
+_MISSED = 3  # images without a tag: fewer may be one bad image after some that were lost on their way
 
 _NEWS = {
     TrackerEvent.CAMERA_STALLED: Event.CAMERA_STALLED,
@@ -49,6 +50,7 @@ class FleetListener:
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._robots = [RobotView()] * len(robots)
         self._measured_ns = [0] * len(robots)  # newest image in which each tag was measured, by the images' own stamps
+        self._missed = [0] * len(robots)  # images since then that came
         self._exposure_ns = 0  # of the newest image
         self._fleet = FleetView(0, ())
 
@@ -123,16 +125,19 @@ class FleetListener:
             image=image.seq,
             image_tick=image.echo_tick,
         )
+        self._missed = [missed + 1 for missed in self._missed]
         for tag, _, coasted_ns, *pose in image.poses:
             if (row := self._rows.get(tag)) is not None:
                 self._measured_ns[row] = image.exposure_ns - coasted_ns
+                self._missed[row] = _MISSED if coasted_ns else 0  # a tracker that predicts knows how long
                 if coasted_ns == 0:
                     self._robots[row] = self._robots[row]._replace(
                         seen_ns=now_ns, image=image.seq, pose=(pose[0], pose[1], pose[2])
                     )
         for row, robot in enumerate(self._robots):
             if robot.seen_ns != NEVER:
-                self._robots[row] = robot._replace(unseen_ns=image.exposure_ns - self._measured_ns[row])
+                unseen_ns = image.exposure_ns - self._measured_ns[row]
+                self._robots[row] = robot._replace(unseen_ns=unseen_ns if self._missed[row] >= _MISSED else 0)
 
     def _heard_news(self) -> tuple[Happening, ...]:
         """Return what the tracker told, of the camera and of our tags, in the run's own words."""

@@ -85,17 +85,17 @@ class Supervisor:
         self._resets: list[Request] = []  # that wait for the gates to be clear
         self._resets_end_ns = 0  # when they have waited long enough
         self._next_ns = clock.now_ns()
-        self._seq = 0
+        self._seq = self._enable_seq = 0
 
     def step(self, now_ns: int) -> int:
         """Listen, decide, and publish when due or when something changed.
 
         In between, robots whose link is bad are told again what was decided, with their newest nonce.
         """
-        request = self._request()
-        if request is None and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
+        request, hurried = self._request(), self._listener.statuses.hurried()
+        if hurried and request is None and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
             self._listener.hear_robots(now_ns)
-            for row in self._listener.statuses.hurried():
+            for row in hurried:
                 self._enable(row)
             return self._wakes_ns(now_ns)
         before = (self._status, self._checks, self._robots, self._clear)
@@ -247,10 +247,10 @@ class Supervisor:
     def _enable(self, row: int) -> None:
         status, phase = self._listener.statuses.newest[row], self._status.phase
         if status is not None:
-            self._seq += 1
+            self._enable_seq += 1
             latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else (self._checks or ArmingState()).latch
             enable = Enable(
-                status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
+                status.epoch, self._enable_seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
                 self._permitted[row],
             )  # fmt: skip
             self._enables[row](ENABLE_LAYOUT.encode(enable))

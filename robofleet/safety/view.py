@@ -25,7 +25,7 @@ class RobotView(NamedTuple):
     left_output: float = 0.0  # what the gate lets through
     right_output: float = 0.0
     seen_ns: int = NEVER  # newest image in which its tag was measured
-    unseen_ns: int = 0  # from that image to the newest one, by the images' own stamps
+    unseen_ns: int = 0  # from that image to the newest one, by the images' own stamps; 0: not three images yet
     image: int = 0  # number of that image
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in that image: x, y [m], psi [rad]; world
     estimate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the controller's, at its newest tick

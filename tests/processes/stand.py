@@ -60,7 +60,7 @@ class Robot:
     def status(self, now_ns: int, build: int) -> RobotStatus:
         self.nonce = now_ns - self.clock_ns
         healthy = RobotStatus(
-            1, 1, build, 5, self.boot_id, self.nonce, self.nonce, 0, 0, 0, 0, self.latch, self.latch_id, 0, -1, -1,
+            1, 1, build, 5, self.boot_id, self.nonce, self.nonce, 0, 0, 0, 0, self.latch, self.latch_id, 0, 0, -1, -1,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0,
         )  # fmt: skip
         return healthy._replace(**self.says)
