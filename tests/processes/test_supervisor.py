@@ -185,6 +185,21 @@ def test_a_tag_that_the_tracker_predicts_is_not_seen(stand: Stand) -> None:
     assert see(1002, 0, 60 * MS) == [1, 1, 1, 1]
 
 
+def test_a_tag_is_late_when_three_images_that_came_lack_it(stand: Stand) -> None:
+    """Images that the network lost say nothing of a tag."""
+    stand.running()
+    stand.silent.add("tracker")
+
+    def see(seq: int) -> int:
+        poses = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS if r != "r2")
+        stand.bench.say(POSES, FleetPoses(4, seq, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.run(40 * MS)
+        return int(stand.state.robots[1].permitted)
+
+    stand.run(80 * MS)  # two images are lost
+    assert [see(1000), see(1001), see(1002)] == [1, 1, 0]
+
+
 def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost(stand: Stand) -> None:
     stand.running()
     stand.hidden.add("r2")

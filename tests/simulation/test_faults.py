@@ -349,3 +349,20 @@ def test_a_cut_lets_nothing_through_and_brings_what_it_held_back_in_order(delive
 def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
     assert len(delivered("{kind: network_cut, processes: [tracker]}")) == 200
     assert len(delivered("{kind: network_cut, processes: [controller, driver-r1]}")) == 200
+
+
+def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_often() -> None:
+    lossy = PLATOON.parent / "faults" / "lossy.yaml"
+    run = Lockstep(load_config(PLATOON, ["tracker.source=truth", "run.duration_s=20"], lossy))
+    assert run.run() == ("completed", None)
+    assert run.faults is not None
+    assert all(injection.effects > 100 for injection in run.faults.injections)
+    for robot in ("r1", "r2", "r3", "r4"):
+        statuses = [ROBOT_STATUS.decode(p) for p in run.recording.messages[key("platoon", STATUS, robot)]]
+        told = len(run.recording.messages[key("platoon", COMMAND, robot)])
+        assert any(status is not None and status.hurry for status in statuses)
+        assert told > 100 * 20
+    healthy = Lockstep(load_config(PLATOON, ["tracker.source=truth", "run.duration_s=2"]))
+    healthy.run()
+    statuses = [ROBOT_STATUS.decode(p) for p in healthy.recording.messages[key("platoon", STATUS, "r1")]]
+    assert not any(status is not None and status.hurry for status in statuses)
