@@ -141,7 +141,7 @@ class Platoon:
         A leader that was stopped there must not turn round to the path's beginning, through those who follow it.
         """
         ahead = self.settings.point_ahead if self._offset == 0.0 else 0.0
-        x, y = differential_drive.point_from_pose(*leader.tolist(), ahead)
+        x, y = differential_drive.point_from_pose(leader[0], leader[1], leader[2], ahead)
         start_x, start_y = paths.point(self.path.coefficients, 0.0)
         if not np.hypot(x - start_x, y - start_y) > self.settings.spacing / 2.0:
             return 0.0
