@@ -9,26 +9,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robofleet.clock import S, WallClock, utc_now
+from robofleet.processes import commands
+from robofleet.processes.refusal import RefusedError, bad_input
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robofleet.config.tree import Config
-    from robofleet.processes.arena_file import ArenaFile
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+
+app.add_typer(commands.app)
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 Overrides = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
 ]
-ArenaName = Annotated[str | None, typer.Argument(metavar="[ARENA]", help="Which one, where several have a run.")]
-LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
-
-
-class RefusedError(Exception):
-    """Bad input; one line a fault."""
 
 
 @app.command()
@@ -58,7 +55,7 @@ def run(
         changes.append(f"run.seed={seed}")
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
     with ExitStack() as held:
-        with _bad_input():
+        with bad_input():
             tree = _checked(config, changes, faults, lockstep=lockstep)
             if not lockstep:
                 _refuse_unattended(tree)
@@ -88,7 +85,7 @@ def run(
 @app.command()
 def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
     """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved."""
-    with _bad_input():
+    with bad_input():
         tree = _checked(config, overrides, None, lockstep=False)
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
@@ -113,7 +110,7 @@ def paper(
     """
     from robofleet.experiments import paper as experiments  # noqa: PLC0415
 
-    with _bad_input():
+    with bad_input():
         try:
             names = experiments.chosen(experiment)
         except ValueError as error:
@@ -144,7 +141,7 @@ def storm(
     robofleet storm configs/platoon.yaml --seeds 50
     """
     source = "camera" if pixels else "truth"
-    with _bad_input():
+    with bad_input():
         tree = _checked(config, [f"tracker.source={source}"], None, lockstep=True)
     from robofleet.processes.storm import report, workers  # noqa: PLC0415
 
@@ -156,157 +153,15 @@ def storm(
         raise typer.Exit(1)
 
 
-@app.command()
-def stop(arena: ArenaName = None) -> None:
-    """Emergency stop of a running arena: every robot stands at once, and its gate stays latched."""
-    from robofleet.processes import operator  # noqa: PLC0415
-
-    _told(*operator.stop(_running(arena)))
-
-
-def _asking(what: str, described: str) -> None:
-    def command(arena: ArenaName = None) -> None:
-        from robofleet.processes import operator  # noqa: PLC0415
-
-        _told(*operator.ask(_running(arena), what))
-
-    app.command(what, help=described)(command)
-
-
-_asking("hold", "Let every robot of a running arena stand until it is resumed.")
-_asking("resume", "Go on after a hold.")
-_asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
-
-
-@app.command()
-def status(
-    arena: ArenaName = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
-) -> None:
-    """What a running arena says of itself: its phase and the cause, each robot's gate, latch and battery."""
-    from robofleet.processes import operator  # noqa: PLC0415
-
-    try:
-        found = operator.status(_running(arena))
-    except operator.UnreachableError as error:
-        _told(False, str(error))
-    if as_json:
-        print(json.dumps(found))
-    else:
-        from rich.console import Console  # noqa: PLC0415
-
-        from robofleet.recording.report import status_table  # noqa: PLC0415
-
-        Console().print(status_table(found))
-
-
-def _running(arena: str | None) -> "ArenaFile":
-    from robofleet.processes import operator  # noqa: PLC0415
-
-    try:
-        return operator.chosen(arena)
-    except (operator.NoArenaError, PermissionError) as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(2) from error
-
-
-def _told(done: bool, what: str) -> None:
-    """Print what came of a command: exit code 1 where it did not do what was asked."""
-    print(what, file=sys.stdout if done else sys.stderr)
-    if not done:
-        raise typer.Exit(1)
-
-
-def _process(name: str) -> None:
-    def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
-        from robofleet.processes import child  # noqa: PLC0415
-        from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-        getattr(child, name)(_for_one_process(config), Lifeline(lifeline))
-
-    app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
-
-
-for _name in ("router", "tracker"):
-    _process(_name)
-
-
-@app.command()
-def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
-    """The supervisor of a run, as a process of its own."""
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-    child.supervisor(_for_one_process(config), Lifeline(lifeline), config.parent)
-
-
-@app.command()
-def controller(
-    config: ConfigFile,
-    takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
-    lifeline: LifelineFd = None,
-) -> None:
-    """The controller of a run, as a process of its own."""
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-    child.controller(_for_one_process(config), Lifeline(lifeline), take_over=takeover)
-
-
-@app.command()
-def driver(
-    config: ConfigFile,
-    robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
-    lifeline: LifelineFd = None,
-) -> None:
-    """The drivers of some robots, as a process of its own."""
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-    tree = _for_one_process(config)
-    with _bad_input():
-        names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
-        known = [robot.id for robot in tree.robots]
-        for unknown in (name for name in names if name not in known):
-            raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
-    child.driver(tree, Lifeline(lifeline), names)
-
-
 def main() -> None:
     """Run a command."""
     app()
-
-
-@contextmanager
-def _bad_input() -> "Iterator[None]":
-    """End with exit code 2 and one line a fault."""
-    from robofleet.config.load import ConfigError  # noqa: PLC0415
-
-    try:
-        yield
-    except (ConfigError, RefusedError) as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(2) from error
 
 
 def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockstep: bool) -> "Config":
     from robofleet.processes.check import load_checked  # noqa: PLC0415
 
     return load_checked(config, overrides, faults, lockstep=lockstep)
-
-
-def _for_one_process(config: Path) -> "Config":
-    """Return the configuration of a run's process: it finds the others by a port that is named."""
-    from robofleet.config.load import load_config  # noqa: PLC0415
-
-    with _bad_input():
-        tree = load_config(config)
-        if tree.bus.endpoint.endswith(":0"):
-            raise RefusedError(
-                f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
-                "name one, for example tcp/127.0.0.1:7447"
-            )
-        return tree
 
 
 def _refuse_unattended(tree: "Config") -> None:

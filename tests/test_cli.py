@@ -35,8 +35,10 @@ PARTS = {
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder in which the operator stands."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -51,7 +53,7 @@ def refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]
 
     def run(*arguments: object) -> str:
         started: list[Any] = []
-        monkeypatch.setattr(cli, "_run", lambda *a, **k: started.append((a, k)))
+        monkeypatch.setattr(cli, "_summary", lambda *a, **k: started.append((a, k)))
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         result = robofleet("run", *arguments)
         assert result.exit_code == 2, result.output

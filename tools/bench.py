@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import bench_barrier
 import bench_tracker
 import cv2
 import numba
@@ -53,6 +54,7 @@ def main() -> None:
         *bench_tracker.rows(),
         *nearest_points(config),
         *bicycle_updates(),
+        *bench_barrier.rows(),
         *closed_curve(),
         *gate_steps(),
         *lockstep(),

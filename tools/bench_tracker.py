@@ -51,8 +51,8 @@ def _following(scene: Scene) -> list[Row]:
     for k in range(_ROUNDS * _LAP):
         poses = scene.poses[k % _LAP]
         centre = poses[:, 0] + 1j * poses[:, 1] + rng.normal(0.0, 4e-4, (2, len(poses))).T @ [1.0, 1j]
-        times.append(_timed(fit.fit, scene.images[k % _LAP], index, centre, poses[:, 2])[0])
-    return _percentiles(f"follow {len(index)} tags, 1920 x 1080", {"robofleet": times})
+        times.append(timed(fit.fit, scene.images[k % _LAP], index, centre, poses[:, 2])[0])
+    return percentiles(f"follow {len(index)} tags, 1920 x 1080", {"robofleet": times})
 
 
 def _whole(scene: Scene) -> list[Row]:
@@ -71,29 +71,29 @@ def _whole(scene: Scene) -> list[Row]:
     measured = 0
     for k in range(_ROUNDS * _LAP):
         image = scene.images[k % _LAP]
-        ms, sightings = _timed(tracker.track, image, S + k * _PERIOD_NS)
+        ms, sightings = timed(tracker.track, image, S + k * _PERIOD_NS)
         times["robofleet"].append(ms)
         measured += sum(pose.coasted_ns == 0 for pose in sightings.poses)
         if k % 12 == 0:  # the others are slow, and need no memory of the images between
             for who, detect in others.items():
-                times[who].append(_timed(detect, image)[0])
+                times[who].append(timed(detect, image)[0])
     share = measured / (_ROUNDS * _LAP * len(scene.targets))
     times[f"robofleet, {100 * share:.2f} % measured"] = times.pop("robofleet")
     order = [next(reversed(times)), *others]
     what = f"whole tracker, {len(scene.targets)} tags, 1920 x 1080"
-    return _percentiles(what, {who: times[who] for who in order})
+    return percentiles(what, {who: times[who] for who in order})
 
 
 def _acquisition(scene: Scene) -> list[Row]:
     detector = TagDetector(PhotometricFit(scene.geometry, scene.targets), scene.targets)
     found, times = 0, []
     for image in scene.images:
-        ms, findings = _timed(detector.detect, image)
+        ms, findings = timed(detector.detect, image)
         times.append(ms)
         found += len(findings.tags)
     share = found / (len(scene.targets) * len(scene.images))
     what = f"acquire {len(scene.targets)} tags in one image"
-    return _percentiles(what, {f"robofleet, {100 * share:.2f} % found": times})
+    return percentiles(what, {f"robofleet, {100 * share:.2f} % found": times})
 
 
 def _rendering() -> list[Row]:
@@ -101,8 +101,8 @@ def _rendering() -> list[Row]:
     for width, height, count in ((1280, 720, 4), (1920, 1080, 50)):
         renderer = _renderer(_geometry(width, height), (width, height), count)
         poses = [_circles(count, k) for k in range(_LAP)]
-        times = [_timed(renderer.render, p)[0] for p in poses * 3]
-        result += _percentiles(f"render {count} tags, {width} x {height}", {"robofleet": times})
+        times = [timed(renderer.render, p)[0] for p in poses * 3]
+        result += percentiles(f"render {count} tags, {width} x {height}", {"robofleet": times})
     return result
 
 
@@ -166,14 +166,15 @@ def _libraries() -> dict[str, Callable[[Image], object]]:
     return found
 
 
-def _timed(run: Callable[..., Any], *arguments: object) -> tuple[float, Any]:
+def timed(run: Callable[..., Any], *arguments: object) -> tuple[float, Any]:
     """Return how long a call takes [ms], and what it gives."""
     started = stopwatch_ns()
     result = run(*arguments)
     return (stopwatch_ns() - started) / 1e6, result
 
 
-def _percentiles(what: str, times: dict[str, list[float]]) -> list[Row]:
+def percentiles(what: str, times: dict[str, list[float]]) -> list[Row]:
+    """Return rows of the median and the 99th percentile [ms]; of peers the median alone."""
     result = []
     for label, percent in (("p50", 50), ("p99", 99)):
         values = {who: float(np.percentile(ms[3:], percent)) for who, ms in times.items()}

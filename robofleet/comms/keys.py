@@ -37,3 +37,14 @@ def key(arena: str, topic: Topic, name: str = "") -> str:
 def everything(arena: str) -> str:
     """Return the key expression of all that is said in an arena."""
     return f"rf/{arena}/**"
+
+
+def named(full: str) -> tuple[Topic, str] | None:
+    """Return the topic of a full key, and what it is about; None for an expression of many keys."""
+    tail = full.split("/", 2)[-1]
+    for topic in TOPICS:
+        before, _, after = topic.key.partition("{}")
+        name = tail[len(before) : len(tail) - len(after)]
+        if "*" not in full and tail == before + name + after and ("/" not in name) and ("{}" in topic.key or not name):
+            return topic, name
+    return None

@@ -34,6 +34,7 @@ class RobotStatus(NamedTuple):
     gate: int  # safety.gate.GateStatus
     latch: int  # safety.gate.Latch: what holds the gate closed until it is cleared
     latch_id: int  # counts the latches of this robot; who clears one names it
+    hurry: int  # 1: its link was bad a short while ago: what is said to it should be said often
     faults: int  # the robot's own bits; vehicles.interface.WIRED_STOP is the same for all
     target_after_ns: int  # last stop: from the issue of the newest nonce echoed to a target of zero; -1: none yet
     output_after_ns: int  # and to an output of zero
@@ -192,7 +193,7 @@ class LeaseAnswer(NamedTuple):
 
 
 WHEEL_COMMAND = Layout(WheelCommand, "IIQQQq", 2)
-ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIIqq", 7)
+ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIBIqq", 7)
 ENABLE = Layout(Enable, "IIQQBBI", 1)
 TRUTH = Layout(Truth, "IIq", 5)
 TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)

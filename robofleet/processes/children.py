@@ -28,10 +28,12 @@ class Child:
     """One process, and this end of its lifeline."""
 
     name: str
+    arguments: tuple[str, ...]
     process: "subprocess.Popen[bytes]"
     lifeline: socket.socket
     log: Path
     ready: bool = False
+    killed: bool = False  # by a fault that was asked for
 
     def last_lines(self) -> str:
         """Return the end of what it wrote."""
@@ -49,9 +51,12 @@ class Children:
 
     def start(self, name: str, *arguments: str) -> None:
         """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
+        self.children.append(self._started(name, arguments))
+
+    def _started(self, name: str, arguments: tuple[str, ...]) -> Child:
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
-        with theirs, log.open("wb") as output:
+        with theirs, log.open("ab") as output:
             command = [sys.executable, "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
             process = subprocess.Popen(
                 [*command, "--lifeline", str(theirs.fileno())],
@@ -62,7 +67,27 @@ class Children:
                 start_new_session=True,
                 env=os.environ | _CHILD_ENVIRONMENT,
             )
-        self.children.append(Child(name, process, ours, log))
+        return Child(name, arguments, process, ours, log)
+
+    def signal(self, name: str, number: signal.Signals) -> None:
+        """Send a signal to a child."""
+        self._named(name).process.send_signal(number)
+
+    def kill(self, name: str) -> None:
+        """Kill a child: it is not missed."""
+        child = self._named(name)
+        child.killed = True
+        child.process.kill()
+        child.process.wait()
+
+    def start_again(self, name: str) -> None:
+        """Start a child that was killed."""
+        child = self._named(name)
+        child.lifeline.close()
+        self.children[self.children.index(child)] = self._started(name, child.arguments)
+
+    def _named(self, name: str) -> Child:
+        return next(child for child in self.children if child.name == name)
 
     def wait_ready(self, clock: Clock, meanwhile: Callable[[], None]) -> None:
         """Return when every child has said that it is ready; ``meanwhile`` is called again and again, and may raise."""
@@ -82,7 +107,7 @@ class Children:
         """Raise RunError with its name and last lines if a child has died."""
         for child in self.children:
             code = child.process.poll()
-            if code is not None:
+            if code is not None and not child.killed:
                 if code < 0:
                     raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
                 raise RunError(f"the {child.name} ended with exit code {code}{child.last_lines()}")

@@ -7,11 +7,10 @@ import numpy as np
 
 from robofleet.clock import Clock, S, TickGrid
 from robofleet.comms.bus import Answer, Bus, Inbox
-from robofleet.comms.keys import CAMERA, COMMAND, LEASE, POSES, STATE, STATUS, TICK
+from robofleet.comms.keys import CAMERA, COMMAND, LEASE, POSES, STATE, TICK
 from robofleet.comms.messages import (
     FLEET_POSES,
     LEASE_REQUEST,
-    ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     WHEEL_COMMAND,
@@ -20,6 +19,7 @@ from robofleet.comms.messages import (
     RobotStatus,
     WheelCommand,
 )
+from robofleet.comms.statuses import HURRY_NS, Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.platoon import INPUTS, WHEELS
@@ -28,6 +28,7 @@ from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
 from robofleet.tracking.estimator import CARRIED, UNUSED
+from robofleet.vehicles.differential_drive import feasible_ratio
 
 _UNSEEN = [math.nan] * 3
 _PHASES = tuple(Phase)
@@ -61,11 +62,13 @@ class Controller:
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._behaviour = fleet.behaviour(config)
         self._filter, self._barrier = fleet.fleet_filter(config), fleet.barrier(config)
-        self._statuses = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
-        self._newest: list[RobotStatus | None] = [None] * len(robots)
+        self._drives = [slices.drive(robot) for robot in robots]
+        self._statuses = Statuses(bus, [robot.id for robot in robots])
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._state = Inbox(bus.newest(STATE), RUN_STATE)
         self._commands = [bus.publisher(COMMAND, robot.id) for robot in robots]
+        self._wheels = [[0.0, 0.0]] * len(robots)  # as commanded at the newest tick
+        self._seq = 0  # of the newest command
         self._publish_tick = bus.publisher(TICK)
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
@@ -78,7 +81,11 @@ class Controller:
         self._record = np.zeros((len(robots), 18))
 
     def step(self, now_ns: int) -> int:
-        """Do the newest tick that is due; ticks that were missed are counted and never made up."""
+        """Do the newest tick that is due; ticks that were missed are counted and never made up.
+
+        Between two ticks a robot whose link is bad is told its newest command again, echoing its newest nonce: of many
+        that are lost or late one is in time. A controller that hangs repeats nothing.
+        """
         index = self._grid.index_at(now_ns)
         if index > self._index:
             self._timing.overruns += index - self._index - 1
@@ -86,7 +93,10 @@ class Controller:
             self._index = index
             self._tick(self._grid.instant(index))
             self._timing.compute_ns = self._clock.now_ns() - now_ns
-        return self._grid.instant(self._index + 1)
+        else:
+            self._repeat()
+        next_ns = self._grid.instant(self._index + 1)
+        return min(next_ns, now_ns + HURRY_NS) if self._statuses.hurried() else next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when commands cease."""
@@ -105,9 +115,11 @@ class Controller:
         self._keep_apart(tick_ns, there, turning, driving, decisions)
         self._try_wheels(decisions)
         self._filter.command(tick_ns, decisions[:, WHEELS])
+        self._wheels = decisions[:, WHEELS].tolist()
         if self._leases.refused:
             return  # somebody else drives these robots: not a word that could be taken for the other's
-        self._publish_commands(decisions[:, WHEELS].tolist())
+        for row in range(len(self._wheels)):
+            self._command(row)
         self._publish_record(tick_ns, here, measured, lost, decisions)
 
     def _keep_apart(
@@ -130,15 +142,16 @@ class Controller:
                 if self._phase is Phase.RUNNING and not resumed:
                     self._run_tick = -1
                     self._behaviour.restart()
-        for row, inbox in enumerate(self._statuses):
-            self._newest[row] = inbox.take() or self._newest[row]
-        self._leases.update(self._newest)
+        self._statuses.take()
+        self._leases.update(self._statuses.newest)
 
     def _try_wheels(self, decisions: np.ndarray) -> None:
         """Let the robot that is being tried do its stroke."""
         row, stroke = self._probe
         if row < len(decisions) and stroke < len(STROKES):
-            decisions[row, WHEELS] = PROBE_RAD_S * np.array(STROKES[stroke])
+            drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
+            ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
+            decisions[row, WHEELS] = ratio * left, ratio * right
 
     def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""
@@ -165,14 +178,21 @@ class Controller:
         """Mid-exposure on the controller's clock: the tracker says how long after which tick it was."""
         return self._grid.instant(message.echo_tick) + message.since_tick_ns
 
-    def _publish_commands(self, wheels: list[list[float]]) -> None:
-        exposure_ns = self._consumed[1]
-        for publish, status, (left, right) in zip(self._commands, self._newest, wheels, strict=True):
-            if status is not None and status.session == self._leases.session:
-                command = WheelCommand(
-                    status.epoch, self._index, status.session, status.boot_id, status.nonce, exposure_ns, left, right
-                )
-                publish(WHEEL_COMMAND.encode(command))
+    def _repeat(self) -> None:
+        self._statuses.take()
+        for row in self._statuses.hurried():
+            if not self._leases.refused:
+                self._command(row)
+
+    def _command(self, row: int) -> None:
+        status = self._statuses.newest[row]
+        if status is not None and status.session == self._leases.session:
+            self._seq += 1
+            command = WheelCommand(
+                status.epoch, self._seq, status.session, status.boot_id, status.nonce, self._consumed[1],
+                *self._wheels[row],
+            )  # fmt: skip
+            self._commands[row](WHEEL_COMMAND.encode(command))
 
     def _publish_record(
         self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, decisions: np.ndarray

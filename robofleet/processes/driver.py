@@ -84,7 +84,7 @@ class DriverProcess:
         for robot in self._robots:
             robot.settle(now(), due=due)
             if due:
-                robot.publish(now(), status=self._loops % 2 == 1)
+                robot.publish(now(), status=self._loops % 2 == 1 or robot.hurries)
         deadlines = [robot.deadline_ns for robot in self._robots if robot.deadline_ns is not None]
         return min([self._loop_ns, *deadlines])
 

@@ -3,16 +3,16 @@
 from collections.abc import Callable
 
 from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import CAMERA, NEWS, POSES, STATUS, TICK, key
+from robofleet.comms.keys import CAMERA, NEWS, POSES, TICK, key
 from robofleet.comms.messages import (
     FLEET_POSES,
-    ROBOT_STATUS,
     TICK_RECORD,
     TRACKER_NEWS,
     FleetPoses,
     RobotStatus,
     TickRecord,
 )
+from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView, RobotView
@@ -42,12 +42,11 @@ class FleetListener:
     def __init__(self, config: Config, bus: Bus, free_bytes: Callable[[], int]) -> None:
         robots, arena = config.platoon, config.arena.name
         self._free_bytes = free_bytes
-        self._inboxes = [Inbox(bus.newest(STATUS, robot.id), ROBOT_STATUS) for robot in robots]
+        self.statuses = Statuses(bus, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._news = bus.stream(key(arena, NEWS, CAMERA), _STREAM)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
-        self.statuses: list[RobotStatus | None] = [None] * len(robots)  # newest
         self._robots = [RobotView()] * len(robots)
         self._measured_ns = [0] * len(robots)  # newest image in which each tag was measured, by the images' own stamps
         self._exposure_ns = 0  # of the newest image
@@ -55,9 +54,7 @@ class FleetListener:
 
     def look(self, now_ns: int, operator_ns: int) -> FleetView:
         """Return everything that is known now; ``operator_ns`` is the operator's newest sign of life."""
-        for row, inbox in enumerate(self._inboxes):
-            if (status := inbox.take()) is not None:
-                self._take_status(row, status, now_ns)
+        self.hear_robots(now_ns)
         if (record := self._ticks.take()) is not None:
             self._take_tick(record, now_ns)
         if (image := self._poses.take()) is not None:
@@ -71,11 +68,12 @@ class FleetListener:
         )
         return self._fleet
 
+    def hear_robots(self, now_ns: int) -> None:
+        """Take the statuses that came."""
+        for row, status in self.statuses.take():
+            self._take_status(row, status, now_ns)
+
     def _take_status(self, row: int, status: RobotStatus, now_ns: int) -> None:
-        known = self.statuses[row]
-        if known is not None and known.boot_id == status.boot_id and status.nonce <= known.nonce:
-            return
-        self.statuses[row] = status
         self._robots[row] = self._robots[row]._replace(
             heard_ns=now_ns,
             build=status.build,

@@ -4,6 +4,7 @@ import math
 import sys
 from collections.abc import Callable
 
+from robofleet.clock import MS, S
 from robofleet.comms.bus import Bus, Inbox, Publish, Request, Wake
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
 from robofleet.comms.messages import (
@@ -37,6 +38,10 @@ from robofleet.vehicles.interface import (
 )
 
 _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
+# In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
+_BAD_LINK_NS = 70 * MS
+_NO_LINK_NS = S // 2  # it is not a bad one
+_HURRY_NS = 60 * S
 _LATCHES = tuple(Latch)
 _ACTIONS = tuple(LeaseAction)
 _UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
@@ -81,8 +86,14 @@ class GatedRobot:
         self._applied = (0, 0)  # the newest one that has: its exposure, and when
         self._unreadable = 0  # lease requests
         self._seq = 0
+        self._hurry_until_ns = 0
         self._closed = False
         self.look()
+
+    @property
+    def hurries(self) -> bool:
+        """Whether its link was bad a short while ago: then its status goes out in every loop."""
+        return self._gate.at_ns < self._hurry_until_ns
 
     def look(self) -> None:
         """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
@@ -101,13 +112,15 @@ class GatedRobot:
         due = self.deadline_ns is not None and now_ns >= self.deadline_ns
         if quiet and not due and now_ns >= self._gate.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
+        if _BAD_LINK_NS < now_ns - min(self._gate.command_nonce, self._gate.enabled[0]) < _NO_LINK_NS:
+            self._hurry_until_ns = now_ns + _HURRY_NS
         seq = self._gate.seq
         inputs = self._inputs(
             None if command is None else _command(command), None if enable is None else _permission(enable)
         )
         state, output = gate.step(self._gate, self._drive, inputs, now_ns)
         self._adopt(inputs, state, output, now_ns, again=command is not None)
-        if command is not None and self._gate.seq != seq:
+        if command is not None and self._gate.seq != seq and command.exposure_ns != self._applied[0]:
             self._accepted_exposure_ns = command.exposure_ns
         if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
             self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
@@ -214,8 +227,8 @@ class GatedRobot:
         return RobotStatus(
             state.epoch, self._seq, self._build, state.session, state.boot_id, now_ns, now_ns,
             *self._applied, rejected % _U32, self._status, state.latch, state.latch_id,
-            reading.faults, state.target_after_ns, state.output_after_ns, reading.left_angle, reading.right_angle,
-            reading.left_speed, reading.right_speed, *state.output, battery,
+            int(self.hurries), reading.faults, state.target_after_ns, state.output_after_ns,
+            reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output, battery,
         )  # fmt: skip
 
 

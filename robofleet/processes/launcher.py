@@ -12,6 +12,7 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
+from robofleet.processes.child_faults import ChildFaults
 from robofleet.processes.children import Children, RunError
 from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
@@ -108,6 +109,7 @@ class Launcher:
     def _drive(self, fleet: Children) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         self._bus, self._fleet = bus, fleet
+        self._faults = ChildFaults(self._config, self._clock, fleet)
         try:
             self._stream = bus.stream(everything(self._arena), _STREAM)
             self._heard_ns = self._clock.now_ns()
@@ -135,6 +137,7 @@ class Launcher:
                     self._enter(_PHASES[Phase(state.phase)])
                     phases = _PHASES
                 if self._phase == "running":
+                    self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
                     tick = self._newest(self._tick_key, TICK_RECORD)
                     if tick is not None and tick.run_tick >= last_tick:
@@ -201,6 +204,7 @@ class Launcher:
             self.recording.add(full, payload)
             if full == self._state_key:
                 self._heard_ns = self._clock.now_ns()
+        self._faults.step()
         self._fleet.check()
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
             raise RunError("the supervisor went silent")

@@ -77,7 +77,7 @@ class LiveView:
         changed, self._phase = phase != self._phase, phase
         self._next_ns = now_ns + (_PLAIN_NS if self._live is None else _REFRESH_NS)
         if self._live is not None:
-            self._live.update(self._picture(recording), refresh=True)
+            self._live.update(self.picture(recording, phase), refresh=True)
         elif changed or phase == "running":
             print(self._line(recording), file=sys.stderr)
 
@@ -91,16 +91,17 @@ class LiveView:
         errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
         return f"running {self._time(tick):5.1f} s: control errors {errors} mm, {self._overruns(tick)} overruns"
 
-    def _picture(self, recording: Recording) -> Group:
+    def picture(self, recording: Recording, phase: str) -> Group:
+        """Return what the terminal shows."""
         tick = self._newest(recording, TICK, TICK_RECORD)
         duration_s = self._config.run.duration_s
         if tick is not None and tick.run_tick >= 0:
             self._reached_s = min(self._time(tick), duration_s)
         state = self._newest(recording, STATE, RUN_STATE)
-        head = Text(f"{self._phase:<10}", _COLOURS.get(self._phase, "bold yellow"))
+        head = Text(f"{phase:<10}", _COLOURS.get(phase, "bold yellow"))
         head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default not bold")
         line = Table.grid()
-        checks = Text(arming(state, self._ids), "cyan") if self._phase == "arming" and state is not None else None
+        checks = Text(arming(state, self._ids), "cyan") if phase == "arming" and state is not None else None
         line.add_row(head, checks or ProgressBar(duration_s, self._reached_s, width=50))
         parts: list[Any] = [line]
         if state is not None and (seen := banner(state, self._ids, self._terminal.present)) is not None:

@@ -23,7 +23,7 @@ from robofleet.processes.event_queue import SECOND_CONTROLLER, EventQueue, Proce
 from robofleet.processes.gated_robot import Witness
 from robofleet.processes.keeping import FaultyKeeping, Keeping, MemoryKeeping
 from robofleet.processes.node import Node
-from robofleet.processes.readiness import missing
+from robofleet.processes.readiness import why
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
 from robofleet.recording.run import Recording, Watch
@@ -31,8 +31,8 @@ from robofleet.safety.supervisor import Event, Phase, RunStatus
 from robofleet.simulation.faults import Schedule, SteppedClock
 from robofleet.simulation.faulty_bus import FaultyBus
 
-_READY_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
-_DECIDED = (Phase.RUNNING, Phase.FAULT, Phase.ESTOP)  # that the checks were passed, or not
+_ANSWER_WITHIN_NS = S  # to the request for a start
+_ARMED_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
 _PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
 _REST_NS = S  # after the stop: wheels come to rest
 
@@ -146,7 +146,8 @@ class Lockstep:
         gc.disable()
         try:
             self.request(b"start")
-            self._run_until(lambda: self.status.phase in _DECIDED, _READY_WITHIN_NS)
+            self._run_until(lambda: self.status.phase is not Phase.IDLE, _ANSWER_WITHIN_NS)
+            self._run_until(lambda: self.status.phase is not Phase.ARMED, _ARMED_WITHIN_NS)
             outcome = self._lap(watch)
             self.request(b"stop")
             self._run_until(lambda: False, _REST_NS)
@@ -163,11 +164,8 @@ class Lockstep:
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        if self.status.phase in (Phase.FAULT, Phase.ESTOP):
-            return "fault", self.status.describe(self._config.groups[0].robots)
         if self.status.phase is not Phase.RUNNING:
-            why = missing(self.recording)
-            return "fault", f"the fleet was not ready after {_READY_WITHIN_NS / S:.0f} s: {why}"
+            return "fault", why(self.recording, self.status)
         while self._run_tick < last_tick:
             self._run_until(lambda: self.status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
             watch(self.recording, "running")

@@ -5,6 +5,15 @@ from typing import Any
 from robofleet.comms.keys import STATUS, TICK, Topic, key
 from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD
 from robofleet.recording.run import Recording
+from robofleet.safety.supervisor import Event, RunStatus
+
+_SOMEBODY_MISSING = (Event.CONTROLLER_SILENT, Event.TRACKER_SILENT, Event.DRIVER_SILENT, Event.TAG_LOST)
+
+
+def why(recording: Recording, status: RunStatus) -> str:
+    """Say why a run did not start: the supervisor's cause, and all who are missing where it names one."""
+    cause = status.describe(recording.config.groups[0].robots)
+    return f"{cause}; {missing(recording)}" if status.cause in _SOMEBODY_MISSING else cause
 
 
 def missing(recording: Recording) -> str:

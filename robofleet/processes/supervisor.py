@@ -9,6 +9,7 @@ from robofleet.comms.bus import Bus, Request, Wake
 from robofleet.comms.keys import ENABLE, REQUEST, STATE
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
 from robofleet.comms.messages import RUN_STATE, Enable, RobotState, RunState
+from robofleet.comms.statuses import HURRY_NS
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.processes.fleet_view import FleetListener
@@ -57,11 +58,12 @@ class Supervisor:
         robots = config.platoon
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
+        speeds = tuple(drive.max_speed for drive in drives)
         build, arena = slices.build(config), config.arena.size_m
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = tuple(robot.id for robot in robots)
         self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
-        self._monitoring = MonitorSettings(build, radii, arena, attended)
+        self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
         self._arming = ArmingSettings(
             build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
         )
@@ -86,14 +88,24 @@ class Supervisor:
         self._seq = 0
 
     def step(self, now_ns: int) -> int:
-        """Listen, decide, and publish when due or when something changed."""
+        """Listen, decide, and publish when due or when something changed.
+
+        In between, robots whose link is bad are told again what was decided, with their newest nonce.
+        """
+        request = self._request()
+        if request is None and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
+            self._listener.hear_robots(now_ns)
+            for row in self._listener.statuses.hurried():
+                self._enable(row)
+            return self._wakes_ns(now_ns)
         before = (self._status, self._checks, self._robots, self._clear)
         self._view = self._listener.look(now_ns, self._operator_ns)
         self._memory, self._standing = monitor.watch(self._memory, self._monitoring, self._status.phase, self._view)
         for happening in self._standing:
             self._happen(happening)
-        while (request := self._request()) is not None:
+        while request is not None:
             self._serve(request)
+            request = self._request()
         self._arm()
         self._finish_resets()
         self._judge_robots()
@@ -101,7 +113,10 @@ class Supervisor:
             self._publish()
         if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
-        return self._next_ns
+        return self._wakes_ns(now_ns)
+
+    def _wakes_ns(self, now_ns: int) -> int:
+        return min(self._next_ns, now_ns + HURRY_NS) if self._listener.statuses.hurried() else self._next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when enables cease."""
@@ -226,14 +241,19 @@ class Supervisor:
             self._robots,
         )
         self._publish_state(RUN_STATE.encode(state))
-        latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else checks.latch
-        for row, (publish, status) in enumerate(zip(self._enables, self._listener.statuses, strict=True)):
-            if status is not None:
-                enable = Enable(
-                    status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
-                    self._permitted[row],
-                )  # fmt: skip
-                publish(ENABLE_LAYOUT.encode(enable))
+        for row in range(len(self._ids)):
+            self._enable(row)
+
+    def _enable(self, row: int) -> None:
+        status, phase = self._listener.statuses.newest[row], self._status.phase
+        if status is not None:
+            self._seq += 1
+            latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else (self._checks or ArmingState()).latch
+            enable = Enable(
+                status.epoch, self._seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
+                self._permitted[row],
+            )  # fmt: skip
+            self._enables[row](ENABLE_LAYOUT.encode(enable))
 
     def _cleared(self, row: int) -> int:
         """Return the id of the latch that a robot's gate may clear; a drill's needs no reset, it was no incident."""

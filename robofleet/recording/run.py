@@ -75,7 +75,9 @@ class Run:
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
         self.news = recording.rows(key(arena, NEWS, CAMERA), TRACKER_NEWS)
         self.states = _changes(recording, key(arena, STATE))
-        self.frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
+        frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
+        began = int(self.ticks["poses_seq"][0]) if len(self.ticks) else 0
+        self.frames = [frame for frame in frames if frame.seq >= began]  # without those of the checks before
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
         """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""

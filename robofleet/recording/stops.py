@@ -27,27 +27,30 @@ def stops(run: Run) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     if not len(run.ticks):
         return found
-    start_ns = int(run.ticks["stamp_ns"][0])
+    start_ns, end_ns = int(run.ticks["stamp_ns"][0]), int(run.ticks["stamp_ns"][-1])
     for row, status in enumerate(run.statuses):
         opened = status["gate"] == GateStatus.OPEN
         for k in 1 + np.flatnonzero(opened[:-1] & ~opened[1:]):
-            if int(status["stamp_ns"][k]) > start_ns and (why := _cause(run, row, int(k))) is not None:
-                found.append(_stop(run, row, int(status["stamp_ns"][k]) - start_ns, why) | _times(status[k:]))
+            at_ns = int(status["stamp_ns"][k])
+            why = _why(run, row, int(k)) if at_ns > start_ns else None
+            if why or (why is not None and at_ns <= end_ns):
+                gate = named(GateStatus, int(status["gate"][k]))
+                cause = f"{gate}: {why}" if why else gate
+                found.append(_stop(run, row, at_ns - start_ns, cause) | _times(status[k:]))
         found += _lost(run, row, start_ns)
     return sorted(found, key=lambda stop: stop["t_s"])
 
 
-def _stop(run: Run, row: int, after_ns: int, why: str) -> dict[str, Any]:
-    stop = {"t_s": round(after_ns / 1e9, 4), "robot": run.config.platoon[row].id, "cause": why}
+def _stop(run: Run, row: int, after_ns: int, cause: str) -> dict[str, Any]:
+    stop = {"t_s": round(after_ns / 1e9, 4), "robot": run.config.platoon[row].id, "cause": cause}
     return stop | {"target_ms": None, "output_ms": None}
 
 
-def _cause(run: Run, row: int, k: int) -> str | None:
-    """Return why a gate closed, and for which cause of the run or of this robot; None where the run had ended."""
+def _why(run: Run, row: int, k: int) -> str | None:
+    """Return the cause of the run or of this robot for which a gate closed, in words; None where the run had ended."""
     status, places = run.statuses[row], run.status_places[row]
     last = int(np.searchsorted(status["stamp_ns"], int(status["stamp_ns"][k]) + _WHY_WITHIN_NS)) - 1
     soon = places[min(k + _SOON, last)]
-    gate = named(GateStatus, int(status["gate"][k]))
     before = bisect_right(run.states, places[k], key=lambda change: change[0]) - 1
     for place, state in run.states[max(0, before) :]:
         if place > soon and (place > places[last] or state.cause in _ASKED):
@@ -56,8 +59,8 @@ def _cause(run: Run, row: int, k: int) -> str | None:
             return None
         own = halt_cause(state, row)
         if own or state.phase not in _GOING_ON:
-            return f"{gate}: {own or run_cause(state, run.config.groups[0].robots)}"
-    return gate
+            return own or run_cause(state, run.config.groups[0].robots)
+    return ""
 
 
 def _times(closed: NDArray[Any]) -> dict[str, float | None]:

@@ -46,7 +46,7 @@ class ArmingState(NamedTuple):
     @property
     def probed(self) -> int:
         """The robot whose wheels are tried, or NOBODY."""
-        return self.wiggle.robot if self.stage is Stage.WIGGLE else NOBODY
+        return self.wiggle.robot
 
     @property
     def stroke(self) -> int:
@@ -81,7 +81,7 @@ def step(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple
     if state.stage is Stage.WIGGLE:
         going, happening = wiggle.step(state.wiggle, settings.wheel_radius, settings.wheel_base, view)
         state = state._replace(wiggle=going)
-        if happening is None and going.robot == len(view.robots):
+        if going.robot == len(view.robots):
             return ArmingState(Stage.DONE, view.now_ns), Happening(Event.PROVED)
         return state, happening
     return state, None
@@ -136,7 +136,7 @@ def _missing(view: FleetView) -> Happening | None:
     rows = list(enumerate(view.robots))
     checks = (
         (Event.DRIVER_SILENT, lambda r: _silent(now_ns, r.heard_ns)),
-        (Event.TAG_LOST, lambda r: r.seen_ns == NEVER or max(now_ns - r.seen_ns, r.unseen_ns) >= _FRESH_NS),
+        (Event.TAG_LOST, lambda r: max(now_ns - r.seen_ns, r.unseen_ns) >= _FRESH_NS),
         (Event.LEASE_LOST, lambda r: not r.session or r.session != view.robots[0].session),
         (Event.GATE_LATCHED, lambda r: r.latch != Latch.NONE),
         (Event.NOT_AT_REST, lambda r: not r.at_rest),
@@ -145,7 +145,7 @@ def _missing(view: FleetView) -> Happening | None:
 
 
 def _silent(now_ns: int, heard_ns: int) -> bool:
-    return heard_ns == NEVER or now_ns - heard_ns >= _SILENT_NS
+    return now_ns - heard_ns >= _SILENT_NS
 
 
 def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:

@@ -37,8 +37,9 @@ LEFT_ALONE, CHANGED, NO_ANSWER = 0, 1, 2
 _TOLERANCE = 1e-9  # of a row [m/s]
 _CHECKED = 1e-6  # of the answer [m/s]
 _INSIDE = 1.0 - 1e-9  # a wheel stays inside its limit whatever is rounded later
-_WANTED = 0.02  # slower than this nobody is held [m/s]
+_WANTED = 0.5  # of its top speed: who asks for less waits, as behind a robot that stalls, and is not held
 _GRANTED = 0.1  # of what was wanted; with less a robot does not get on
+_WITHDRAWING = 0.5  # of its top speed, at most
 _AROUND_S = 0.5  # held for so long, a robot turns aside
 _COS, _SIN = math.cos(math.radians(80.0)), math.sin(math.radians(80.0))  # by so much; less does not pass a crowd
 _BLOCKED_S = 3.0
@@ -83,6 +84,13 @@ def from_edge(keepout: Keepout, body: Body) -> float:
     return body.radius + keepout.ahead + keepout.pose_error
 
 
+def _fastest(keepout: Keepout, body: Body) -> float:
+    """Return what no point q of such a robot exceeds [m/s]."""
+    d = body.drive
+    omega = 2 * d.wheel_radius * d.max_wheel_speed / d.wheel_base
+    return d.max_speed + omega * (keepout.ahead + d.max_speed * d.motor_lag)
+
+
 class Barrier:
     """The barrier of a group of robots. It remembers for how long it has held each of them."""
 
@@ -91,7 +99,7 @@ class Barrier:
         self._bodies = np.array(
             [
                 (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
-                 b.drive.max_speed, from_edge(keepout, b))
+                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b))
                 for b in bodies
             ]
         )  # fmt: skip
@@ -130,83 +138,90 @@ def _filter(
     n = len(poses)
     stops, grown = np.empty((n, 6)), np.empty(n)
     for i in range(n):
-        stops[i] = _stop(poses[i], turning[i], bodies[i], ahead, l)
+        _stop(poses[i], turning[i], bodies[i], ahead, l, stops[i])
         grown[i] = bodies[i, 4] * min(max(unseen[i] - age, 0.0), lost_after)
     rows = np.empty((10 + n, 3))
     for i in range(n):
         if not driving[i]:
             held[i] = 0
             continue
-        first = _edges(rows, _limits(rows, bodies[i], l), stops[i], half, bodies[i, 5] + grown[i], rate)
+        back = -_WITHDRAWING * bodies[i, 4]
+        first = _edges(rows, _limits(rows, bodies[i], l), stops[i], half, bodies[i, 5] + grown[i], rate, back)
         count = first
         for j in range(n):
             if j != i and unseen[j] < np.inf:
-                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate)
+                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate, bodies[i], back)
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
         x, y = v, l * omega
         met = _excess(x, y, rows[first:count]) > _TOLERANCE
         if met and held[i] >= around:
             x, y = _COS * x + _SIN * y, _COS * y - _SIN * x
-        how[i], along, across = _nearest(x, y, rows[:count])
+        along, across = _nearest(x, y, rows[:count])
         wanted, granted = v * v + l * omega * l * omega, v * along + l * omega * across
         if not met:
             held[i] = max(0, held[i] - 1)
-        elif wanted > _WANTED * _WANTED and granted < _GRANTED * wanted:
+        elif wanted > (_WANTED * bodies[i, 4]) ** 2 and granted < _GRANTED * wanted:
             held[i] += 1
-        if how[i] != LEFT_ALONE:
-            wheels[i] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
+        if along != v or across != l * omega:
+            how[i] = CHANGED
+            if not np.isfinite(along + across):
+                how[i], along, across = NO_ANSWER, 0.0, 0.0
+            wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-            u[i] = c * along - s * across, s * along + c * across
+            u[i, 0], u[i, 1] = c * along - s * across, s * along + c * across
 
 
 @kernel
-def _stop(
-    pose: Array, turning: Array, body: Array, ahead: float, l: float
-) -> tuple[float, float, float, float, float, float]:
-    """Return q of the pose where a robot comes to rest [m], and its velocity by one of v, and by one of l omega."""
+def _stop(pose: Array, turning: Array, body: Array, ahead: float, l: float, stop: Array) -> None:
+    """Write q of the pose where a robot comes to rest [m], and its velocity by one of v, and by one of l omega."""
     lag = body[2]
     v, omega = _body_from_wheels(turning[0], turning[1], body[0], body[1])
     x, y, psi = _arc(pose[0], pose[1], pose[2], v, omega, lag)
     half = omega * lag / 2.0
-    chord, slope = (np.sin(half) / half, (np.cos(half) - np.sin(half) / half) / half) if abs(half) > 1e-4 else (
-        1.0 - half * half / 6.0, -half / 3.0)  # fmt: skip
+    chord, slope = 1.0 - half * half / 6.0, -half / 3.0  # sin(half) / half, and its derivative
+    if abs(half) > 1e-4:
+        chord = np.sin(half) / half
+        slope = (np.cos(half) - chord) / half
     along, c, s = v * lag / 2.0, np.cos(pose[2] + half), np.sin(pose[2] + half)
-    e_x, e_y = ahead * np.cos(psi), ahead * np.sin(psi)
-    turn_x, turn_y = along * (slope * c - chord * s) - e_y, along * (slope * s + chord * c) + e_x
-    return x + e_x, y + e_y, chord * c, chord * s, turn_x / l, turn_y / l
+    ahead_x, ahead_y = ahead * np.cos(psi), ahead * np.sin(psi)
+    stop[0], stop[1], stop[2], stop[3] = x + ahead_x, y + ahead_y, chord * c, chord * s
+    stop[4] = (along * (slope * c - chord * s) - ahead_y) / l
+    stop[5] = (along * (slope * s + chord * c) + ahead_x) / l
 
 
 @kernel
 def _limits(rows: Array, body: Array, l: float) -> int:
     """Write the rows of the wheels and of the body: what the robot can do."""
-    radius, base, _, max_wheel_speed, max_speed, _ = body
-    turn, fastest, count = base / (2.0 * l), radius * max_wheel_speed * _INSIDE, 0
+    turn, fastest, count = body[1] / (2.0 * l), body[0] * body[3] * _INSIDE, 0
     for sign in (1.0, -1.0):
         count = _add(rows, count, sign, sign * turn, fastest)
         count = _add(rows, count, sign, -sign * turn, fastest)
-        count = _add(rows, count, sign, 0.0, max_speed * _INSIDE)
+        count = _add(rows, count, sign, 0.0, body[4] * _INSIDE)
     return count
 
 
 @kernel
-def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rate: float) -> int:
+def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rate: float, back: float) -> int:
     for out_x, out_y in _WALLS:
         left = abs(out_x) * half[0] + abs(out_y) * half[1] - margin - out_x * stop[0] - out_y * stop[1]
         along, across = out_x * stop[2] + out_y * stop[3], out_x * stop[4] + out_y * stop[5]
-        count = _add(rows, count, along, across, rate * left)
+        count = _add(rows, count, along, across, max(rate * left, back))
     return count
 
 
 @kernel
-def _pair(rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float) -> int:
-    x, y = other[0] - stop[0], other[1] - stop[1]
-    distance = np.hypot(x, y)
-    if distance == 0.0:
-        return count  # no direction is away from it
+def _pair(
+    rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float, body: Array, back: float
+) -> int:  # fmt: skip
+    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * body[6] / rate
+    squared = x * x + y * y
+    if squared == 0.0 or squared > reach * reach:
+        return count  # no direction is away from it; or nothing that the robot can do breaks the row
+    distance = np.sqrt(squared)
     towards_x, towards_y = x / distance, y / distance
     along = towards_x * stop[2] + towards_y * stop[3]
     across = towards_x * stop[4] + towards_y * stop[5]
-    return _add(rows, count, along, across, rate * (distance - apart) / 2.0)
+    return _add(rows, count, along, across, max(rate * (distance - apart) / 2.0, back))
 
 
 @kernel
@@ -215,33 +230,33 @@ def _add(rows: Array, count: int, along: float, across: float, limit: float) -> 
     size = np.hypot(along, across)
     if size < _TOLERANCE:
         return count  # nothing that the robot does changes it
-    rows[count] = along / size, across / size, limit / size
+    rows[count, 0], rows[count, 1], rows[count, 2] = along / size, across / size, limit / size
     return count + 1
 
 
 @kernel
-def _nearest(x: float, y: float, rows: Array) -> tuple[int, float, float]:
-    """Return how, and the point nearest to (x, y) that keeps all rows."""
-    if not np.isfinite(x + y + rows.sum()):
-        return NO_ANSWER, 0.0, 0.0
+def _nearest(x: float, y: float, rows: Array) -> tuple[float, float]:
+    """Return the point nearest to (x, y) that keeps all rows, and has been checked to; NaN if there is none."""
     if _excess(x, y, rows) <= _TOLERANCE:
-        return LEFT_ALONE, x, y
+        return x, y
     along, across = _project(x, y, rows)
     if not _excess(along, across, rows) <= _CHECKED:  # it cannot withdraw from all: not nearer to any
-        rows[:, 2] = np.maximum(rows[:, 2], 0.0)
+        for k in range(len(rows)):
+            rows[k, 2] = max(rows[k, 2], 0.0)
         along, across = _project(x, y, rows)
         if not _excess(along, across, rows) <= _CHECKED:
-            return NO_ANSWER, 0.0, 0.0
-    return CHANGED, along, across
+            return np.nan, np.nan
+    return along, across
 
 
 @kernel
 def _excess(x: float, y: float, rows: Array) -> float:
-    """Return by how much the worst row is broken; NaN for a point that is none."""
-    worst = x * 0.0 + y * 0.0
-    for a, b, limit in rows:
-        worst = max(worst, a * x + b * y - limit)
-    return worst
+    """Return by how much the worst row is broken; NaN where anything is not finite."""
+    worst, finite = 0.0, 0.0
+    for k in range(len(rows)):
+        over = rows[k, 0] * x + rows[k, 1] * y - rows[k, 2]
+        worst, finite = max(worst, over), finite + 0.0 * over
+    return worst + finite
 
 
 @kernel
@@ -252,7 +267,7 @@ def _project(x0: float, y0: float, rows: Array) -> tuple[float, float]:
     """
     x, y = x0, y0
     for k in range(len(rows)):
-        a, b, limit = rows[k]
+        a, b, limit = rows[k, 0], rows[k, 1], rows[k, 2]
         if a * x + b * y <= limit + _TOLERANCE:
             continue
         over = a * x0 + b * y0 - limit

@@ -150,9 +150,7 @@ def _started_anew(state: GateState, now_ns: int) -> GateState:
 
 def _latched(state: GateState, latch: Latch) -> GateState:
     """Latch, unless something at least as grave holds the gate already."""
-    if latch <= state.latch:
-        return state
-    return state._replace(latch=latch, latch_id=state.latch_id + 1)
+    return state if latch <= state.latch else state._replace(latch=latch, latch_id=state.latch_id + 1)
 
 
 def _take_permission(state: GateState, permission: Permission, clearable: bool, now_ns: int) -> GateState:
@@ -182,9 +180,8 @@ def _take_lease(state: GateState, lease: tuple[int, LeaseAction], at_rest: bool,
     lapsed = now_ns - state.heard_ns >= LAPSE_NS
     if not (at_rest and (state.session == 0 or lapsed or action is LeaseAction.TAKE_OVER)):
         return state, False
-    own = state._replace(
-        epoch=state.epoch + 1, session=session, heard_ns=now_ns, seq=0, command_nonce=_NEVER, limit=0.0
-    )
+    epoch = state.epoch + 1
+    own = state._replace(epoch=epoch, session=session, heard_ns=now_ns, seq=0, command_nonce=_NEVER, limit=0.0)
     return own, True
 
 

@@ -38,6 +38,7 @@ class MonitorSettings(NamedTuple):
     build: int  # of every process
     body_radius: tuple[float, ...]  # [m]
     arena: tuple[float, float]  # sides [m]; its centre is the origin
+    max_speed: tuple[float, ...]  # [m/s]
     attended: bool  # the operator's terminal must give signs of life
 
 
@@ -74,6 +75,7 @@ def watch(
     for row, robot in enumerate(view.robots):
         happenings += _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
         happenings += _body(row, robot, phase)
+        happenings += _jump(row, before.robots[row], robot, settings)
         happenings += _place(row, robot, settings)
         if infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
             happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
@@ -149,6 +151,17 @@ def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
         yield Happening(Event.ROBOT_FAULT, row, faults)
     if 0.0 <= robot.battery < LOWEST_BATTERY:
         yield Happening(Event.BATTERY_LOW, row, robot.battery)
+
+
+def _jump(row: int, before: RobotView, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:
+    """Notice a place where it cannot have driven, off by its own body: exchanged tags are further apart than that."""
+    if before.seen_ns == NEVER:
+        return
+    (x, y, _), (x_before, y_before, _) = robot.pose, before.pose
+    jump = hypot(x - x_before, y - y_before)
+    driven = settings.max_speed[row] * abs(robot.seen_ns - before.seen_ns) / _S
+    if jump > settings.body_radius[row] + driven:
+        yield Happening(Event.POSE_JUMPED, row, jump)
 
 
 def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:

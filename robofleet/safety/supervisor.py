@@ -168,7 +168,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.TAG_LATE:             (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.TAG_LOST:             (_SAME, _F,    _F,    _SAME, _SAME, _SAME),
     Event.TAG_TWICE:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
-    Event.POSE_JUMPED:          (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.POSE_JUMPED:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.OUTSIDE_ARENA:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.TOO_CLOSE:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.FILTER_INFEASIBLE:    (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),

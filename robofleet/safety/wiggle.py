@@ -103,8 +103,6 @@ def step(
 def _bad_sign(state: Wiggle, wheel_radius: tuple[float, ...], view: FleetView) -> Happening | None:
     """Return what the newest image says against going on."""
     for row, (robot, mean) in enumerate(zip(view.robots, state.means, strict=True)):
-        if robot.image != view.image:
-            continue
         if row == state.robot:
             x, y, _ = state.before
             travelled = math.hypot(robot.pose[0] - x, robot.pose[1] - y)
@@ -178,11 +176,12 @@ def _stand(
     pose = state.means[row].pose
     counted = _counted(state, view.robots[row])
     leg = Leg(state.asked, counted, rolled(state.before, pose, wheel_radius[row], wheel_base[row]))
+    fault = wiring_fault(leg)
     if state.forth is None:
-        fault, following = wiring_fault(leg), _start(state._replace(forth=leg), BACK, view)
+        following = _start(state._replace(forth=leg), BACK, view)
     else:
-        both = mean_of(state.forth, leg)
-        fault, following = wiring_fault(both) or gain_fault(both), _next(state, row + 1, view)
+        following = _next(state, row + 1, view)
+        fault = fault or gain_fault(mean_of(state.forth, leg))
     return (following, None) if fault is None else (state, Happening(fault[0], row, fault[1]))
 
 

@@ -6,6 +6,8 @@ from collections import deque
 
 from robofleet.vehicles.differential_drive import arc
 
+_BEYOND_NS = 100_000_000  # after the newest sample a robot is taken to have gone on; then its driver is gone
+
 Pose = tuple[float, float, float]
 
 
@@ -33,7 +35,7 @@ class TruthHistory:
         k = bisect_right(self._stamps, stamp_ns) - 1
         if k < 0:
             return self._samples[0][:3]
-        elapsed_s = (stamp_ns - self._stamps[k]) * 1e-9
+        elapsed_s = min(stamp_ns - self._stamps[k], _BEYOND_NS) * 1e-9
         pose = arc(*self._samples[k], elapsed_s)
         if k + 1 == len(self._stamps):
             return pose

@@ -11,7 +11,7 @@ import numpy as np
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Bus, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic, named
 from robofleet.simulation.faults import Injection, Schedule, struck
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
@@ -64,8 +64,14 @@ class FaultyBus:
         self._bus.listen(topic, name, put)
 
     def stream(self, expression: str, capacity: int) -> Stream:
-        """Subscribe to a simulated world: no network lies between."""
-        return self._bus.stream(expression, capacity)
+        """Subscribe to one key; of a simulated world no network lies between."""
+        found = named(expression)
+        if found is None or found[0] is TRUTH:
+            return self._bus.stream(expression, capacity)
+        fate = _Fate(self._schedule, self._process, *found, self._cuts(*found))
+        stream = _FaultyStream(expression, self._schedule, found[0], fate, None, self._ahead_ns)
+        self._bus.listen(*found, stream.put)
+        return stream
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request that comes through."""
@@ -130,6 +136,11 @@ class _FaultySubscription:
 
     def take(self) -> bytes | None:
         """Return the newest message that is there."""
+        there = self._there()
+        return there[-1] if there else None
+
+    def _there(self) -> list[bytes]:
+        """Return the messages that are there, the newest last."""
         now_ns = self._schedule.now_ns()
         while self._coming and self._coming[0][0] <= now_ns:
             arrival_ns, payload = self._coming.popleft()
@@ -140,11 +151,32 @@ class _FaultySubscription:
                     heapq.heappush(self._held, (release_ns, next(self._order), what))
                     if release_ns > now_ns:
                         self._wake(release_ns)
-        newest = None
+        there = []
         while self._held and self._held[0][0] <= now_ns:
-            there_ns, _, newest = heapq.heappop(self._held)
+            there_ns, _, payload = heapq.heappop(self._held)
             self.arrival_ns = there_ns + self._ahead_ns()
-        return newest
+            there.append(payload)
+        return there
+
+
+class _FaultyStream(_FaultySubscription):
+    """All messages of one key."""
+
+    def __init__(
+        self,
+        expression: str,
+        schedule: Schedule,
+        topic: Topic,
+        fate: "_Fate",
+        wake: Wake | None,
+        ahead_ns: Callable[[], int],
+    ) -> None:
+        super().__init__(schedule, topic, fate, wake, ahead_ns)
+        self._key = expression
+
+    def drain(self) -> list[tuple[str, bytes]]:
+        """Return what is there."""
+        return [(self._key, payload) for payload in self._there()]
 
 
 class _Fate:
@@ -175,6 +207,9 @@ class _Fate:
         for cut in self._cuts:
             if cut.strike(arrival_ns):
                 return self._held_back(cut, payload)
+        if arrival_ns < self._held_until_ns:  # what was held back goes first
+            self._held_until_ns += _APART_NS
+            return [(self._held_until_ns, payload)]
         arriving = [(arrival_ns, payload)]
         for injection in self._faults:
             if injection.acts(arrival_ns) and arriving:

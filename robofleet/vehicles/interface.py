@@ -98,8 +98,8 @@ class DriverContext:
 class Driver(Protocol):
     """One robot. Found by the entry-point group ``robofleet.drivers``, or as ``module:Class`` in the config.
 
-    The class is called with one :class:`DriverContext`. Whatever it raises afterwards stops and latches this robot alone;
-    it is then told and asked again every 10 ms.
+    The class is called with one :class:`DriverContext`. Whatever it raises afterwards stops and latches this robot
+    alone; it is then told and asked again every 10 ms.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:

@@ -63,6 +63,7 @@ def test_an_ideal_robot_has_gternals_geometry_and_no_error() -> None:
     for key in ("wheel_radius_m", "wheel_base_m", "body_radius_m", "max_wheel_speed_rad_s", "max_speed_m_s"):
         assert getattr(ideal, key) == getattr(real, key)
     errors = ideal.simulated.model_dump(exclude={"loop_period_s", "battery_life_s"})
+    assert errors.pop("wiring") == "straight"
     assert ideal.motor_lag_s == 0
     assert set(errors.values()) == {0}
     assert ideal.simulated.battery_life_s == 1e9

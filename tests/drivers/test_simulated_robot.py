@@ -1,5 +1,6 @@
 """The simulated robot's driver: at rest until told, the same however often it is asked, stalls when it must."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -9,12 +10,11 @@ import pytest
 from drivers.simulated import SimulatedRobot
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import (
-    STOP,
+    BodyTrouble,
     DriverContext,
     Imperfections,
     SimulatedDriver,
     Simulation,
-    Stall,
     WheelSpeeds,
 )
 
@@ -47,15 +47,23 @@ IDEAL = replace(WORN, motor_lag=0.0, speed_quantum=0.0, deadband=0.0, breakaway=
 class Bench:
     """A robot and the clock that it is given."""
 
-    def __init__(self, imperfections: Imperfections = WORN, stalls: tuple[Stall, ...] = ()) -> None:
+    def __init__(self, imperfections: Imperfections = WORN) -> None:
         self.now_ns = 5 * S
-        simulation = Simulation(DRIVE, imperfections, START, stalls, np.random.default_rng(4))
+        self.trouble = BodyTrouble()
+        simulation = Simulation(DRIVE, imperfections, START, lambda: self.trouble, np.random.default_rng(4))
         self.robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: self.now_ns))
 
     def wait(self, ns: int, asked_every: int | None = None) -> None:
         for _ in range(ns // (asked_every or ns)):
             self.now_ns += asked_every or ns
             self.robot.read()
+
+    def drive(self, wheels: WheelSpeeds, ns: int, asked_every: int | None = None) -> None:
+        """Tell it the same again and again, as the gate's process does."""
+        end_ns = self.now_ns + ns
+        while self.now_ns < end_ns:
+            self.robot.write(wheels)
+            self.wait(min(180 * MS, end_ns - self.now_ns), asked_every)
 
 
 @pytest.fixture
@@ -76,7 +84,7 @@ def test_it_rests_until_it_is_told(bench: Bench) -> None:
 def test_it_drives_by_the_clock_it_was_given(bench: Bench) -> None:
     bench.robot.write(WheelSpeeds(6.0, 6.0))
     assert bench.robot.truth()[:3] == START  # no time has passed
-    bench.wait(2 * S)
+    bench.drive(WheelSpeeds(6.0, 6.0), 2 * S)
     x, y, _, v, _ = bench.robot.truth()
     driven = (x - START[0]) * np.cos(START[2]) + (y - START[1]) * np.sin(START[2])
     assert driven == pytest.approx(6.0 * 0.016 * (2.0 - 0.08), rel=0.04)
@@ -84,8 +92,7 @@ def test_it_drives_by_the_clock_it_was_given(bench: Bench) -> None:
 
 
 def test_asking_twice_changes_nothing(bench: Bench) -> None:
-    bench.robot.write(WheelSpeeds(3.0, 7.0))
-    bench.wait(S)
+    bench.drive(WheelSpeeds(3.0, 7.0), S)
     reading, truth = bench.robot.read(), bench.robot.truth()
     bench.robot.write(WheelSpeeds(3.0, 7.0))
     assert (bench.robot.read(), bench.robot.truth()) == (reading, truth)
@@ -95,15 +102,13 @@ def test_how_often_it_is_asked_does_not_matter() -> None:
     ends = []
     for asked_every in (None, 20 * MS, 33 * MS // 3):
         bench = Bench(replace(WORN, slip_noise=0.0))
-        bench.robot.write(WheelSpeeds(4.0, 6.0))
-        bench.wait(1_980 * MS, asked_every)
+        bench.drive(WheelSpeeds(4.0, 6.0), 1_980 * MS, asked_every)
         ends.append(np.array(bench.robot.truth()[:3]))
     assert np.abs(np.array(ends) - ends[0]).max(axis=0) == pytest.approx([0.0] * 3, abs=5e-4)
 
 
 def test_closing_stops_it_and_closing_again_is_fine(bench: Bench) -> None:
-    bench.robot.write(WheelSpeeds(6.0, 6.0))
-    bench.wait(S)
+    bench.drive(WheelSpeeds(6.0, 6.0), S)
     bench.robot.close()
     bench.robot.close()
     bench.wait(2 * S)
@@ -120,22 +125,38 @@ def travelled(bench: Bench, ns: int) -> float:
     return bench.robot.read().left_angle - before
 
 
-def test_a_stall_counts_from_the_first_motion_command() -> None:
-    bench = Bench(IDEAL, (Stall(0.5, 1.2),))
-    bench.robot.write(STOP)
-    bench.wait(3 * S)  # standing about does not count
+def test_motors_that_are_stuck_stand_still_whatever_they_are_told() -> None:
+    bench = Bench(IDEAL)
     bench.robot.write(WheelSpeeds(5.0, 5.0))
-    assert travelled(bench, 500 * MS) == pytest.approx(2.5)
-    assert travelled(bench, 700 * MS) == 0.0
+    assert travelled(bench, 100 * MS) == pytest.approx(0.5)
+    bench.trouble = BodyTrouble(stuck=True)
+    bench.robot.write(WheelSpeeds(5.0, 5.0))
+    assert travelled(bench, 150 * MS) == 0.0
     assert bench.robot.truth()[3:] == (0.0, 0.0)
-    assert travelled(bench, 300 * MS) == pytest.approx(1.5)
-
-
-def test_stalls_may_be_many() -> None:
-    bench = Bench(IDEAL, (Stall(0.1, 0.2), Stall(0.4, 0.6)))
+    bench.trouble = BodyTrouble()
     bench.robot.write(WheelSpeeds(5.0, 5.0))
-    moved = [travelled(bench, ms * MS) for ms in (100, 100, 200, 200, 100)]
-    assert moved == pytest.approx([0.5, 0.0, 1.0, 0.0, 0.5])
+    assert travelled(bench, 100 * MS) == pytest.approx(0.5)
+
+
+def test_wheels_that_slip_turn_as_told_and_travel_less() -> None:
+    bench = Bench(IDEAL)
+    bench.trouble = BodyTrouble(slip=0.5)
+    bench.robot.write(WheelSpeeds(5.0, 5.0))
+    assert travelled(bench, 100 * MS) == pytest.approx(0.5)
+    assert math.dist(bench.robot.truth()[:2], START[:2]) == pytest.approx(0.5 * DRIVE.wheel_radius / 2)
+
+
+def test_the_firmware_stops_a_robot_to_which_nobody_speaks() -> None:
+    silent, told = Bench(IDEAL), Bench(IDEAL)
+    for bench in (silent, told):
+        bench.robot.write(WheelSpeeds(5.0, 5.0))
+    told.wait(150 * MS)
+    told.robot.write(WheelSpeeds(5.0, 5.0))
+    told.wait(150 * MS)
+    silent.wait(300 * MS)
+    assert told.robot.read().left_angle == pytest.approx(1.5)
+    assert silent.robot.read().left_angle == pytest.approx(1.0, abs=0.11)  # 200 ms and a loop of the firmware
+    assert silent.robot.truth()[3:] == (0.0, 0.0)
 
 
 def test_it_knows_the_truth() -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
-from robofleet.comms.messages import FleetPoses, RobotStatus, RunState, TagPose
+from robofleet.comms.messages import FleetPoses, RobotState, RobotStatus, RunState, TagPose
+from robofleet.config import slices
 from robofleet.processes.controller import Controller
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 
@@ -24,7 +25,9 @@ class Stand:
         self.bench = bench
         self.robots = bench.config.platoon
         self.origin_ns = bench.now_ns
-        self.node = Controller(bench.config, bench.bus, bench.clock)
+        self.node = Controller(bench.config, bench.bus, bench.clock, np.random.default_rng(1))
+        drawn = np.random.default_rng(1)
+        self.session = [slices.drawn_id(drawn, bits) for bits in (32, 64)][1]  # whom the drivers have granted a lease
 
     @property
     def tick(self) -> int:
@@ -45,13 +48,16 @@ class Stand:
             TagPose(r.tag, 0, 0, r.start.x_m, r.start.y_m, r.start.psi) for r in self.robots if r.id != but
         ] + [TagPose(STRANGER, 0, 0, 0.0, 0.0, 0.0)]  # fmt: skip
         now_ns = self.bench.now_ns
-        self.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
+        self.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
 
     def state(self, phase: Phase) -> None:
-        self.bench.say(STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY))
+        self.bench.say(
+            STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(1, 1, 0),) * 4)
+        )
 
     def status(self, robot: str, nonce: int) -> None:
-        message = RobotStatus(1, 1, 5, nonce, 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        held = *(1, 1, 1), self.session, *(5, nonce), *(0,) * 9, *(-1, -1)
+        message = RobotStatus(*held, *(0.0,) * 6, 1.0)
         self.bench.say(STATUS, message, robot)
 
     def seen(self, ticks: int, *, but: str = "") -> None:
@@ -115,7 +121,7 @@ def test_the_exposure_is_placed_by_the_tick_that_it_echoes(stand: Stand) -> None
     robot = stand.robots[0]
     seen = (TagPose(robot.tag, 0, 0, 0.1, 0.2, 0.3),)
     for stamp_ns in (far, far - S, 1):
-        message = FleetPoses(1, 1, stamp_ns, stamp_ns, stand.tick, 15 * MS, 0, 0, seen)
+        message = FleetPoses(1, 1, 1, stamp_ns, stamp_ns, stand.tick, 15 * MS, 0, 0, seen)
         stand.bench.say(POSES, message, CAMERA)
         stand.next_tick()
         here = stand.newest.robots[0]
@@ -176,7 +182,7 @@ def test_commands_echo_the_newest_status(stand: Stand) -> None:
     stand.seen(1)
     commands = stand.bench.heard(COMMAND, "r1")
     assert [(command.boot_id, command.nonce) for command in commands] == [(5, 20), (5, 20), (5, 30)]
-    assert [command.seq for command in commands] == [2, 3, 4]
+    assert [command.seq for command in commands] == [1, 2, 3]
     assert stand.bench.heard(COMMAND, "r2") == []
 
 
@@ -211,7 +217,7 @@ def test_every_robot_of_an_image_has_its_own_mid_exposure(stand: Stand) -> None:
         ahead = 0.001 / TICK_NS * 8 * MS
         poses = (TagPose(r1.tag, 8 * MS, 0, x + ahead, 0.0, 0.0), TagPose(r2.tag, 0, 0, x, 0.5, 0.0))
         now_ns = stand.bench.now_ns
-        stand.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, poses), CAMERA)
+        stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, poses), CAMERA)
         stand.next_tick()
         one, other = stand.newest.robots[:2]
         assert (one.measured, other.measured) == (float(k > 0), float(k > 0))  # the first echoes no tick
@@ -224,7 +230,7 @@ def test_a_mid_exposure_that_is_to_come_is_not_used(stand: Stand, after_ns: int)
     stand.seen(3)
     now_ns = stand.bench.now_ns
     pose = TagPose(stand.robots[0].tag, after_ns, 0, 0.1, 0.2, 0.3)
-    stand.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
+    stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
     stand.next_tick()
     assert stand.newest.robots[0].measured == 0
     stand.seen(1)
@@ -236,6 +242,6 @@ def test_a_coasted_pose_is_no_measurement(stand: Stand) -> None:
     now_ns = stand.bench.now_ns
     robot = stand.robots[0]
     pose = TagPose(robot.tag, 0, 33 * MS, robot.start.x_m, robot.start.y_m, robot.start.psi)
-    stand.bench.say(POSES, FleetPoses(1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
+    stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
     stand.next_tick()
     assert stand.newest.robots[0].measured == 0

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, STATE, TICK
-from robofleet.comms.messages import FleetPoses, RunState, TagPose
+from robofleet.comms.messages import FleetPoses, RobotState, RunState, TagPose
 from robofleet.processes.controller import Controller
 from robofleet.safety.supervisor import NOBODY, Phase
 
@@ -14,12 +16,12 @@ Make = Callable[..., Any]
 
 def poses(tick: int, since_ns: int) -> FleetPoses:
     seen = tuple(TagPose(tag, 0, 0, 0.1 * tag, 0.0, 0.0) for tag in (1, 2, 3, 4))
-    return FleetPoses(1, tick, 0, 0, tick, since_ns, 0, 0, seen)
+    return FleetPoses(1, tick, 1, 0, 0, tick, since_ns, 0, 0, seen)
 
 
 def test_an_image_of_the_future_does_not_blind_the_filter(bench_of: Make, platoon_of: Make) -> None:
     bench = bench_of(platoon_of())
-    node = Controller(bench.config, bench.bus, bench.clock)
+    node = Controller(bench.config, bench.bus, bench.clock, np.random.default_rng(1))
     bench.run(node, S // 10)
     newest = bench.heard(TICK)[-1].tick
     bench.say(POSES, poses(newest, 10 * S), CAMERA)
@@ -32,7 +34,7 @@ def test_an_image_of_the_future_does_not_blind_the_filter(bench_of: Make, platoo
 
 def test_an_unknown_state_is_dropped(bench_of: Make, platoon_of: Make) -> None:
     bench = bench_of(platoon_of())
-    node = Controller(bench.config, bench.bus, bench.clock)
-    bench.say(STATE, RunState(1, 1, 99, 0, NOBODY))
+    node = Controller(bench.config, bench.bus, bench.clock, np.random.default_rng(1))
+    bench.say(STATE, RunState(1, 1, 99, 0, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(1, 1, 0),) * 4))
     bench.run(node, S // 10)
     assert bench.heard(TICK)[-1].phase == Phase.IDLE

@@ -12,12 +12,8 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.safety import barrier
 from robofleet.tracking import estimator
 
-KERNELS = [
-    value
-    for module in (platoon, estimator, barrier)
-    for value in vars(module).values()
-    if isinstance(value, Dispatcher)
-]
+MODULES = (platoon, estimator, barrier)
+KERNELS = [value for module in MODULES for value in vars(module).values() if isinstance(value, Dispatcher)]
 
 
 @pytest.mark.parametrize("disturbance", ["none", "estimated"])

@@ -115,10 +115,10 @@ def test_nobody_drives_into_a_robot_that_stalls(truth: RunOf, robot: str) -> Non
     assert s["timed_error_mm"]["per_robot_mean"][ROBOTS.index(robot)] > 10
 
 
-def test_a_third_of_the_poses_may_be_missing(truth: RunOf) -> None:
-    s = truth("run.duration_s=30", "tracker.truth.dropout=0.3")
+def test_a_fifth_of_the_poses_may_be_missing(truth: RunOf) -> None:
+    s = truth("run.duration_s=30", "tracker.truth.dropout=0.2")
     assert s["outcome"] == "completed"
-    assert 0.6 < s["tracker"]["measured_fraction"] < 0.8
+    assert 0.7 < s["tracker"]["measured_fraction"] < 0.9
     assert s["control_error_mm"]["mean"] <= 2.0
     assert s["path_error_mm"]["mean"] <= 6.0
     assert s["spacing_m"]["max_deviation_mm"] <= 20.0

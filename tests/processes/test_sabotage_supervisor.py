@@ -61,7 +61,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_state_every_40_ms_and_at_once_when_it_changes"),
     (supervisor, "self._operator_ns = self._view.now_ns\n            request.reply(b\"ok\")", "request.reply(b\"ok\")",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
-    (supervisor, "MonitorSettings(build, radii, arena, attended)", "MonitorSettings(build, radii, arena, False)",
+    (supervisor, "speeds, attended)", "speeds, False)",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
     (supervisor, "if event is Event.START_REQUESTED:", "if False:",
      "test_an_operator_who_asks_for_a_start_has_a_second_to_be_there"),

@@ -10,9 +10,10 @@ from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
 from robofleet.comms.messages import FleetPoses, RobotTick, TagPose, TickRecord, TrackerNews
 from robofleet.safety import arming
-from robofleet.safety.arming import PROBE_RAD_S, ArmingState, Stage
+from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.wiggle import PROBE_RAD_S, Wiggle
 from robofleet.tracking.events import TrackerEvent
 from tests.processes.stand import ROBOTS, Stand
 
@@ -305,12 +306,12 @@ def test_a_latched_robot_is_not_started_and_a_reset_lets_it(stand: Stand) -> Non
 
 
 def test_the_probed_robot_alone_may_move_while_armed(stand_of: Callable[..., Stand]) -> None:
-    probe = ArmingState(Stage.WIGGLE, probed=2, stroke=3)
+    probe = ArmingState(Stage.WIGGLE, wiggle=Wiggle(robot=2, stroke=1))
     stand = stand_of(prove=lambda *_: (probe, None))
     stand.run(S // 5)
     stand.ask("start")
     stand.run(S // 5)
-    assert (stand.state.stage, stand.state.probed, stand.state.stroke) == (Stage.WIGGLE, 2, 3)
+    assert (stand.state.stage, stand.state.probed, stand.state.stroke) == (Stage.WIGGLE, 2, 1)
     assert stand.limits() == [0.0, 0.0, PROBE_RAD_S, 0.0]
     assert [robot.permitted for robot in stand.state.robots] == [0, 0, 1, 0]
     stand.hidden.add("r3")

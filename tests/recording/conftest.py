@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import (
     FLEET_POSES,
     ROBOT_STATUS,
+    RUN_STATE,
     TICK_RECORD,
     FleetPoses,
+    RobotState,
     RobotStatus,
     RobotTick,
+    RunState,
     TagPose,
     TickRecord,
     Truth,
@@ -29,7 +32,7 @@ from robofleet.control.path import Path
 from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
-from robofleet.safety.supervisor import Phase
+from robofleet.safety.supervisor import NOBODY, Event, Phase
 
 PLATOON = File(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
@@ -137,11 +140,27 @@ def add_status() -> Callable[..., None]:
 
     def add(
         recording: Recording, robot: str, stamp_ns: int, *, applied: tuple[int, int] = (0, 0),
-        gate: GateStatus = GateStatus.OPEN, rejected: int = 0,
+        gate: GateStatus = GateStatus.OPEN, rejected: int = 0, after_ms: tuple[float, float] = (-1, -1),
+        output: float = 0.0,
     ) -> None:  # fmt: skip
-        wheels = (0.0,) * 6
-        message = RobotStatus(1, 1, 1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0, 0, -1, -1, *wheels, 1.0)
+        after = (round(ms * MS) for ms in after_ms)
+        wheels = 0.0, 0.0, 0.0, 0.0, output, output
+        message = RobotStatus(1, 1, 1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0, 0, 0, *after, *wheels, 1.0)
         recording.add(key(recording.config.arena.name, STATUS, robot), ROBOT_STATUS.encode(message))
+
+    return add
+
+
+@pytest.fixture
+def add_state() -> Callable[..., None]:
+    """Return what adds the supervisor's word to a recording: (phase, cause, robot), and halts of single robots."""
+
+    def add(
+        recording: Recording, phase: Phase, cause: Event, robot: int = NOBODY, halts: tuple[int, ...] = (0, 0, 0, 0)
+    ) -> None:
+        robots = tuple(RobotState(int(phase == Phase.RUNNING and not halt), 0, halt) for halt in halts)
+        message = RunState(1, 1, phase, cause, robot, 0.0, 0, NOBODY, 0, robots)
+        recording.add(key(recording.config.arena.name, STATE), RUN_STATE.encode(message))
 
     return add
 

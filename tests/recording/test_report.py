@@ -5,8 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
-from robofleet.recording.report import summary_table
+from robofleet.recording.report import status_table, summary_table
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 
@@ -14,10 +15,10 @@ Make = Callable[..., Any]
 ERRORS = ("control error", "timed error", "point off the path", "centre off the path")
 
 
-def rendered(summary: dict[str, Any]) -> str:
+def rendered(summary: dict[str, Any], table: Callable[[dict[str, Any]], Table] = summary_table) -> str:
     """Return the table as a terminal without colours shows it."""
     output = io.StringIO()
-    Console(file=output, width=200, color_system=None).print(summary_table(summary))
+    Console(file=output, width=200, color_system=None).print(table(summary))
     return output.getvalue()
 
 
@@ -44,7 +45,7 @@ def test_the_table_shows_what_was_measured_beside_the_paper(
     assert "target 250" in row(text, "spacing,")
     assert "75.0" in row(text, "tags found")
     assert "21.0, 21.0" in row(text, "exposure to wheel")
-    assert "r2 at 0.7 s: no enable" in row(text, "gates closed")
+    assert "r2 at 0.7 s: no enable" in row(text, "robots stopped on the way")
     assert "of 300" in row(text, "overruns")
     assert "not measured" not in text
     assert "(simulation)" in text
@@ -81,3 +82,26 @@ def test_without_the_truth_the_controllers_own_figures_are_shown(story: Make, fi
 def test_a_cause_is_text_and_no_markup(story: Make, figures: Make) -> None:
     summary = figures(Recording(story().config)) | {"outcome": "fault", "cause": "[/red] killed [bold]"}
     assert "[/red] killed [bold]" in rendered(summary)
+
+
+def test_a_running_arenas_status_says_who_may_move_and_who_is_silent() -> None:
+    drives = {"gate": "open", "latch": "none", "battery": 0.934, "age_ms": 12.4, "halted": None}
+    stands = {
+        "gate": "no enable",
+        "latch": "wired stop",
+        "battery": None,
+        "age_ms": 9.0,
+        "halted": "its tag is not seen",
+    }
+    silent = dict.fromkeys(drives)
+    robots = [{"id": f"r{k}"} | robot for k, robot in enumerate((drives, stands, silent), 1)]
+    status = {"arena": "lab", "phase": "hold", "cause": "r2: it was moved by hand", "robots": robots}
+    where = {"folder": "runs/one", "started": "2026-01-02T03:04:05Z", "pid": 77, "endpoint": "tcp/127.0.0.1:7447"}
+    text = rendered(status | where, status_table)
+    assert "lab: hold (r2: it was moved by hand)" in text
+    assert row(text, "r1").split() == ["r1", "open", "none", "93", "%", "12", "ms", "ago"]
+    for said in ("no enable", "wired stop", "unknown", "its tag is not seen"):
+        assert said in row(text, "r2")
+    assert "silent" in row(text, "r3")
+    assert "None" not in text
+    assert "the supervisor is silent" in rendered(status | where | {"phase": None, "cause": None}, status_table)

@@ -68,8 +68,8 @@ def left_latched_for_good(lab: Lab) -> None:
     lab.stubborn = {1}
 
 
-def never(field: str) -> Callable[[Lab], None]:
-    return seen(lambda view: view._replace(**{field: NEVER}))
+def never(process: str) -> Callable[[Lab], None]:
+    return seen(lambda view: view._replace(**{f"{process}_ns": NEVER, f"{process}_build": 0}))
 
 
 def narrow(x_m: float, y_m: float) -> Callable[[Lab], None]:
@@ -116,8 +116,8 @@ _WRONG = {
 }  # fmt: skip
 
 _MISSING = {
-    "no controller": (never("controller_ns"), Event.CONTROLLER_SILENT),
-    "no tracker": (never("tracker_ns"), Event.TRACKER_SILENT),
+    "no controller": (never("controller"), Event.CONTROLLER_SILENT),
+    "no tracker": (never("tracker"), Event.TRACKER_SILENT),
     "controller silent": (seen(lambda v: v._replace(controller_ns=v.now_ns - 500 * MS)), Event.CONTROLLER_SILENT),
     "tracker silent": (seen(lambda v: v._replace(tracker_ns=v.now_ns - 500 * MS)), Event.TRACKER_SILENT),
     "no driver": (seen(one(1, heard_ns=NEVER, build=0)), Event.DRIVER_SILENT, 1),
@@ -134,14 +134,17 @@ _MISSING = {
 }
 
 
-def _seen_again(view: FleetView) -> FleetView:
-    """The probed robot's tag is in no image any more, although it is fresh."""
-    return one(1, image=0)(view)
-
-
 def _no_rest(lab: Lab) -> None:
     still_turning = one(1, left_speed=1.0)
     lab.alter = lambda view: still_turning(view) if lab.state.probed == 1 and not lab.state.stroke else view
+
+
+def _stands_on_its_way_back(lab: Lab) -> None:
+    def alter(view: FleetView) -> FleetView:
+        lab.stuck = {1} if lab.state.probed == 1 and lab.state.stroke == 2 else set()
+        return view
+
+    lab.alter = alter
 
 
 REFUSED = {
@@ -158,10 +161,11 @@ REFUSED = {
     "tags exchanged, the last two": Scenario(lab_with(tags=[0, 2, 1]), Event.WRONG_TAG_MOVED, 1, 2),
     "another one turns": Scenario(while_tried(1, shifted(0, psi=0.1)), Event.WRONG_TAG_MOVED, 1, 0),
     "motors stand": Scenario(lab_with(stuck={1}), Event.DID_NOT_MOVE, 1),
+    "motors stand on the way back": Scenario(_stands_on_its_way_back, Event.DID_NOT_MOVE, 1),
     "encoder reversed": Scenario(lab_with(encoders={1: lambda angle: -angle}), Event.ENCODER_WRONG, 1, None),
     "encoder counts half": Scenario(lab_with(encoders={1: lambda angle: 0.5 * angle}), Event.ENCODER_WRONG, 1, None),
     "wheels go on": Scenario(lab_with(runaway={1}), Event.WRONG_GAIN, 1, None),
     "no command comes": Scenario(lab_with(obeys=False), Event.LEASE_LOST, 0, between_s=(1.2, 1.5)),
     "no rest": Scenario(_no_rest, Event.NOT_AT_REST, 1),
-    "tried, and in no image": Scenario(while_tried(1, _seen_again), Event.TAG_LOST, 1),
+    "tried, and in no image": Scenario(while_tried(1, one(1, image=0)), Event.TAG_LOST, 1),
 }

@@ -67,6 +67,12 @@ def test_without_encoders_what_was_asked_stands_for_them() -> None:
     assert (happening.event, happening.robot) == (Event.WRONG_GAIN, 1)
 
 
+def test_robots_that_cannot_tell_whether_they_rest_are_given_time() -> None:
+    lab = Lab(2, faults={row: {"motor_lag": 0.12} for row in range(2)})
+    lab.silent_encoders = True
+    assert lab.arm() == PROVED
+
+
 @pytest.mark.parametrize("robots", [1, 4, 20])
 def test_a_robot_takes_one_and_a_half_seconds_and_stands_about_where_it_stood(robots: int) -> None:
     lab = Lab(robots)

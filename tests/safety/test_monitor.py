@@ -16,7 +16,7 @@ MS = 1_000_000
 S = 1000 * MS
 NOW = 1000 * S
 BUILD, SESSION = 77, 5
-SETTINGS = MonitorSettings(BUILD, (0.05, 0.06, 0.05), (3.0, 2.0), attended=True)
+SETTINGS = MonitorSettings(BUILD, (0.05, 0.06, 0.05), (3.0, 2.0), (0.5, 0.5, 0.5), attended=True)
 UNATTENDED = SETTINGS._replace(attended=False)
 ACTIVE = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
 
@@ -104,8 +104,8 @@ STANDING: list[tuple[Change, Change, Happening]] = [
 def test_what_stands_is_told_beyond_its_threshold_and_not_before(
     quiet: Change, loud: Change, happening: Happening, phase: Phase
 ) -> None:
-    assert told(quiet, phase) == []
-    assert told(loud, phase) == [happening]
+    assert told(quiet, phase, before=quiet) == []
+    assert told(loud, phase, before=quiet) == [happening]
     assert told(loud, phase, before=loud) == [happening], "it is told as long as it stands"
 
 
@@ -120,9 +120,10 @@ def test_a_tag_that_is_unseen_for_two_seconds_is_lost_and_no_longer_late() -> No
 
 
 def test_a_robot_is_not_outside_where_it_was_seen_long_ago() -> None:
-    beyond = (1.6, 0.0, 0.0)
-    assert told(robot(2, pose=beyond, unseen_ns=100 * MS)) == [Happening(Event.TAG_LATE, 2)]
-    assert told(robot(2, pose=beyond, unseen_ns=100 * MS - 1)) == [Happening(Event.OUTSIDE_ARENA, 2)]
+    late = robot(2, pose=(1.6, 0.0, 0.0), unseen_ns=100 * MS)
+    fresh = robot(2, pose=(1.6, 0.0, 0.0), unseen_ns=100 * MS - 1)
+    assert told(late, before=late) == [Happening(Event.TAG_LATE, 2)]
+    assert told(fresh, before=late) == [Happening(Event.OUTSIDE_ARENA, 2)]
 
 
 def test_nothing_is_told_of_what_was_never_there() -> None:
@@ -132,13 +133,14 @@ def test_nothing_is_told_of_what_was_never_there() -> None:
         follow([nobody, nobody._replace(now_ns=NOW + 40 * MS)], Phase.ARMED) == [[Happening(Event.OPERATOR_LOST)]] * 2
     )
     only_unseen = robot(1, seen_ns=NEVER, pose=(9.0, 0.0, 0.0), unseen_ns=3 * S, lost=True)
-    assert told(only_unseen) == []
+    assert told(only_unseen, before=only_unseen) == []
     on_top = robot(1, seen_ns=NEVER, pose=(0.5, 0.0, 0.0))
-    assert told(on_top) == []
+    assert told(on_top, before=on_top) == []
 
 
 def test_a_robot_that_is_not_seen_still_stands_in_the_way() -> None:
-    assert told(robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)) == [
+    there = robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)
+    assert told(there, before=there) == [
         Happening(Event.TAG_LATE, 1),
         Happening(Event.TOO_CLOSE, 1, 2),
     ]
@@ -157,6 +159,31 @@ def test_a_robot_that_is_not_seen_still_stands_in_the_way() -> None:
 def test_a_change_is_told_once(change: Change, happening: Happening, phase: Phase) -> None:
     views = [healthy(NOW), change(healthy(NOW + 40 * MS)), change(healthy(NOW + 80 * MS))._replace(news=())]
     assert follow(views, phase) == [[], [happening], []]
+
+
+@pytest.mark.parametrize("way", [(1.0, 0.0), (0.0, 1.0), (-0.6, 0.8)])
+def test_a_robot_that_is_seen_where_it_cannot_have_driven_was_moved(way: tuple[float, float]) -> None:
+    def moved(by_m: float, seen_again_ns: int) -> list[list[Happening]]:
+        """Robot 1 has a body of 60 mm and drives 0.5 m/s."""
+        place = robot(1, pose=(by_m * way[0], by_m * way[1], 0.0))
+        later = healthy(NOW + seen_again_ns)
+        return follow([healthy(NOW), place(later), place(healthy(NOW + seen_again_ns + 40 * MS))], Phase.RUNNING)
+
+    assert moved(0.0799, 40 * MS) == [[], [], []]
+    quiet, jump, after = moved(0.0801, 40 * MS)
+    assert (quiet, after) == ([], [])
+    assert [(h.event, h.robot) for h in jump] == [(Event.POSE_JUMPED, 1)]
+    assert jump[0].detail == pytest.approx(0.0801)
+    assert moved(0.259, 400 * MS) == [[], [], []], "it had the time"
+
+
+def test_a_robot_that_is_seen_first_has_not_jumped() -> None:
+    """Also where the clock began just now."""
+    unseen = robot(0, seen_ns=NEVER, pose=(0.0, 0.0, 0.0))
+    assert follow([unseen(healthy(S)), robot(0, pose=(-1.0, 0.5, 0.0))(healthy(S + 40 * MS))], Phase.RUNNING) == [
+        [],
+        [],
+    ]
 
 
 def test_a_first_start_is_no_restart() -> None:

@@ -40,7 +40,14 @@ def test_what_was_rolled_is_found_from_two_poses(wheels: Wheels, before: tuple[f
     assert rolled(before, after(before, wheels), RADIUS, BASE) == pytest.approx(wheels, abs=1e-9)
 
 
-@pytest.mark.parametrize("wiring", WIRINGS)
+@pytest.mark.parametrize("wiring", list(WIRINGS))
+def test_every_wiring_is_named(wiring: str) -> None:
+    wires, event = WIRINGS[wiring]
+    fault = wiring_fault(Leg(FORTH, FORTH, wires(*FORTH)))
+    assert fault == (None if event is None else (event, 0.0))
+
+
+@pytest.mark.parametrize("wiring", list(WIRINGS))
 @pytest.mark.parametrize("asked", [FORTH, BACK])
 @given(gain=st.floats(0.75, 1.3), errors=st.tuples(st.floats(-0.075, 0.075), st.floats(-0.075, 0.075)))
 def test_every_wiring_is_named_whatever_the_gain_and_the_noise(

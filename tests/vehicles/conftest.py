@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def worn() -> Imperfections:
 def ideal_but(drive: DifferentialDrive) -> Callable[..., Plant]:
     """Return a plant at the origin with only the imperfections named."""
 
-    def make(seed: int = 1, pose: tuple[float, float, float] = (0.0, 0.0, 0.0), **imperfections: float) -> Plant:
+    def make(seed: int = 1, pose: tuple[float, float, float] = (0.0, 0.0, 0.0), **imperfections: Any) -> Plant:
         return Plant(drive, replace(IDEAL, **imperfections), pose, np.random.default_rng(seed))
 
     return make

@@ -116,3 +116,25 @@ def test_how_time_is_cut_does_not_matter(drive: DifferentialDrive, worn: Imperfe
     difference = np.abs(end(step) - end(0.01))
     assert difference[:2].max() < 0.0005  # of about 0.2 m driven
     assert difference[2] < 0.005
+
+
+@pytest.mark.parametrize(
+    ("wiring", "acts_as"),
+    [
+        ("straight", (4.0, 7.0)),
+        ("swapped", (7.0, 4.0)),
+        ("left_reversed", (-4.0, 7.0)),
+        ("right_reversed", (4.0, -7.0)),
+        ("both_reversed", (-4.0, -7.0)),
+    ],
+)
+def test_a_wiring_carries_commands_to_other_wheels_and_their_counts_back(
+    ideal_but: Make, wiring: str, acts_as: tuple[float, float]
+) -> None:
+    wired, straight = ideal_but(wiring=wiring), ideal_but()
+    drive_for(wired, (4.0, 7.0), 0.5)
+    drive_for(straight, acts_as, 0.5)
+    assert wired.truth() == straight.truth()
+    reading = wired.reading()  # the robot itself cannot tell
+    assert (reading.left_angle, reading.right_angle) == pytest.approx((2.0, 3.5))
+    assert (reading.left_speed, reading.right_speed) == pytest.approx((4.0, 7.0))

@@ -1,0 +1,148 @@
+"""The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from robofleet.processes.refusal import RefusedError, bad_input
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
+    from robofleet.processes.arena_file import ArenaFile
+
+app = typer.Typer()
+
+ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration, with a named port.")]
+ArenaName = Annotated[str | None, typer.Argument(metavar="[ARENA]", help="Which one, where several have a run.")]
+LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
+
+
+@app.command()
+def stop(arena: ArenaName = None) -> None:
+    """Emergency stop of a running arena: every robot stands at once, and its gate stays latched."""
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    _told(*operator.stop(_running(arena)))
+
+
+def _asking(what: str, described: str) -> None:
+    def command(arena: ArenaName = None) -> None:
+        from robofleet.processes import operator  # noqa: PLC0415
+
+        _told(*operator.ask(_running(arena), what))
+
+    app.command(what, help=described)(command)
+
+
+_asking("hold", "Let every robot of a running arena stand until it is resumed.")
+_asking("resume", "Go on after a hold.")
+_asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
+
+
+@app.command()
+def status(
+    arena: ArenaName = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
+) -> None:
+    """What a running arena says of itself: its phase and the cause, each robot's gate, latch and battery."""
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    try:
+        found = operator.status(_running(arena))
+    except operator.UnreachableError as error:
+        _told(False, str(error))
+    if as_json:
+        print(json.dumps(found))
+    else:
+        from rich.console import Console  # noqa: PLC0415
+
+        from robofleet.recording.report import status_table  # noqa: PLC0415
+
+        Console().print(status_table(found))
+
+
+def _running(arena: str | None) -> "ArenaFile":
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    try:
+        return operator.chosen(arena)
+    except (operator.NoArenaError, PermissionError) as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
+
+
+def _told(done: bool, what: str) -> None:
+    """Print what came of a command: exit code 1 where it did not do what was asked."""
+    print(what, file=sys.stdout if done else sys.stderr)
+    if not done:
+        raise typer.Exit(1)
+
+
+def _process(name: str) -> None:
+    def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+        from robofleet.processes import child  # noqa: PLC0415
+        from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+        getattr(child, name)(_for_one_process(config), Lifeline(lifeline))
+
+    app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
+
+
+for _name in ("router", "tracker"):
+    _process(_name)
+
+
+@app.command()
+def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The supervisor of a run, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    child.supervisor(_for_one_process(config), Lifeline(lifeline), config.parent)
+
+
+@app.command()
+def controller(
+    config: ConfigFile,
+    takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
+    lifeline: LifelineFd = None,
+) -> None:
+    """The controller of a run, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    child.controller(_for_one_process(config), Lifeline(lifeline), take_over=takeover)
+
+
+@app.command()
+def driver(
+    config: ConfigFile,
+    robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
+    lifeline: LifelineFd = None,
+) -> None:
+    """The drivers of some robots, as a process of its own."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
+    child.driver(_for_one_process(config, names), Lifeline(lifeline), names)
+
+
+def _for_one_process(config: Path, robots: tuple[str, ...] = ()) -> "Config":
+    """Return the configuration of a run's process: it finds the others by a port that is named."""
+    from robofleet.config.load import load_config  # noqa: PLC0415
+
+    with bad_input():
+        tree = load_config(config)
+        known = [robot.id for robot in tree.robots]
+        for unknown in (name for name in robots if name not in known):
+            raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+        if tree.bus.endpoint.endswith(":0"):
+            raise RefusedError(
+                f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
+                "name one, for example tcp/127.0.0.1:7447"
+            )
+        return tree

@@ -1,0 +1,92 @@
+"""Every stop has a cause in words: the run's, the robot's own, or the gate's where nobody said more."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from robofleet.recording.causes import cause, named
+from robofleet.recording.run import Recording
+from robofleet.safety.gate import GateStatus
+from robofleet.safety.supervisor import Event, Phase
+
+Make = Callable[..., Any]
+RUNNING = Phase.RUNNING, Event.PROVED
+
+
+@pytest.fixture
+def told(story: Make, figures: Make, add_status: Make, add_state: Make) -> Callable[..., list[dict[str, Any]]]:
+    """Return the stops of a run in which r1's gate closes at tick 100, and things are said before and after."""
+
+    def stops(
+        before: tuple[Any, ...] = RUNNING, *, after: tuple[Any, ...] = RUNNING, after_ticks: int = 10, ticks: int = 300,
+        gate: GateStatus = GateStatus.NO_ENABLE,
+    ) -> list[dict[str, Any]]:  # fmt: skip
+        run = story(ticks=ticks)
+        recording = run.recording()
+        add_state(recording, *RUNNING)
+        add_status(recording, "r1", run.stamp(98), output=3.0)
+        add_state(recording, *before)
+        add_status(recording, "r1", run.stamp(100), gate=gate, after_ms=(21, 300), output=1.0)
+        for k in range(101, 100 + after_ticks):
+            add_status(recording, "r1", run.stamp(k), gate=gate, after_ms=(21, 47))
+        add_state(recording, *after)
+        for k in range(100 + after_ticks, 160):
+            add_status(recording, "r1", run.stamp(k), gate=gate, after_ms=(21, 47))
+        found: list[dict[str, Any]] = figures(recording)["stops"]
+        return found
+
+    return stops
+
+
+def causes(stops: list[dict[str, Any]]) -> list[str]:
+    return [stop["cause"] for stop in stops]
+
+
+def test_a_stop_that_the_supervisor_ordered_has_the_runs_cause(told: Make) -> None:
+    (stop,) = told((Phase.HOLD, Event.POSE_JUMPED, 2))
+    assert stop == {
+        "t_s": pytest.approx(100 * 0.033), "robot": "r1", "cause": "no enable: r3: it was moved by hand",
+        "target_ms": 21.0, "output_ms": 47.0,
+    }  # fmt: skip
+
+
+def test_a_robot_that_stands_alone_has_its_own_cause(told: Make) -> None:
+    assert causes(told((*RUNNING, 0xFFFF, (Event.TAG_LATE, 0, 0, 0)))) == ["no enable: its tag is not seen"]
+    assert causes(told((*RUNNING, 0xFFFF, (0, Event.TAG_LATE, 0, 0)))) == ["no enable"], "that was another robot"
+
+
+def test_a_gate_that_closed_by_itself_has_the_cause_that_is_found_within_a_second(told: Make) -> None:
+    silent = (Phase.FAULT, Event.CONTROLLER_SILENT)
+    why = "no command: the controller went silent"
+    assert causes(told(after=silent, after_ticks=20, gate=GateStatus.NO_COMMAND)) == [why]
+    assert causes(told(after=silent, after_ticks=40, gate=GateStatus.NO_COMMAND)) == ["no command"]
+
+
+def test_what_an_operator_asks_for_later_closed_no_gate_before(told: Make) -> None:
+    asked = (Phase.ESTOP, Event.ESTOP_REQUESTED)
+    assert causes(told(after=asked, after_ticks=2)) == ["no enable: emergency stop requested"]
+    assert causes(told(after=asked, after_ticks=10)) == ["no enable"]
+
+
+def test_a_fault_at_the_end_of_a_run_is_a_stop_and_a_controlled_stop_is_none(told: Make) -> None:
+    """The controller counts no tick of the run any more when the gates close."""
+    assert causes(told((Phase.FAULT, Event.TAG_LOST, 1), ticks=99)) == ["no enable: r2: the tracker lost the robot"]
+    assert told((Phase.IDLE, Event.STOP_REQUESTED), ticks=99) == []
+    assert told(after=(Phase.IDLE, Event.STOP_REQUESTED), after_ticks=2, ticks=99) == []
+
+
+def test_a_figure_that_is_of_another_stop_is_none(story: Make, figures: Make, add_status: Make) -> None:
+    run = story()
+    recording = run.recording()
+    add_status(recording, "r1", run.stamp(10), after_ms=(15, 30))
+    add_status(recording, "r1", run.stamp(11), gate=GateStatus.NO_COMMAND, after_ms=(120, 30))  # it stood already
+    (stop,) = figures(recording)["stops"]
+    assert (stop["target_ms"], stop["output_ms"]) == (120.0, None)
+
+
+def test_values_of_another_version_break_nothing(told: Make, story: Make, figures: Make) -> None:
+    assert causes(told((9, 999))) == ["no enable: a cause that is not known here (999)"]
+    assert named(GateStatus, 77) == "unknown (77)"
+    assert cause(Event.TOO_CLOSE, 0, 1.0, ("r1", "r2")) == "r1: it is too close to r2"
+    assert figures(Recording(story().config))["stops"] == []
