@@ -95,6 +95,7 @@ class Platoon:
         self.u[:] = 0.0
         self.reference_parameter[:] = np.nan
         self._nearest_parameter[:] = np.nan
+        self._origin = np.nan  # the leader's parameter at t = 0
 
     def carried(self, robot: int) -> None:
         """Forget where a robot was along the path: it was put somewhere else."""
@@ -112,10 +113,12 @@ class Platoon:
         disturbance (N, 2): w, the points' velocity beyond u as estimated [m/s; world]; None takes it as 0.
         """
         s = self.settings
+        if np.isnan(self._origin):
+            self._origin = self._beginning(t, poses[0])
         decisions = np.zeros((len(poses), len(Column)))
         _tick(
             self.path.coefficients,
-            s.path_rate * (t + s.horizon),
+            self._origin + s.path_rate * (t + s.horizon),
             s.spacing,
             s.horizon,
             s.point_ahead,
@@ -131,6 +134,18 @@ class Platoon:
             decisions,
         )
         return decisions
+
+    def _beginning(self, t: float, leader: Array) -> float:
+        """Return the parameter from which a run counts: 0, or what lets it go on where the leader is on its lap.
+
+        A leader that was stopped there must not turn round to the path's beginning, through those who follow it.
+        """
+        ahead = self.settings.point_ahead if self._offset == 0.0 else 0.0
+        x, y = differential_drive.point_from_pose(leader[0], leader[1], leader[2], ahead)
+        start_x, start_y = paths.point(self.path.coefficients, 0.0)
+        if not np.hypot(x - start_x, y - start_y) > self.settings.spacing / 2.0:
+            return 0.0
+        return float(paths.nearest(self.path.coefficients, x, y, np.nan)) - self.settings.path_rate * t
 
 
 @kernel

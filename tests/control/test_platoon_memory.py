@@ -55,3 +55,14 @@ def test_a_new_run_begins_as_the_first(platoon_of: PlatoonOf, line_up: LineUp) -
         platoon.tick(k * 0.033, line_up(np.array([2.5, 2.3])), TWO)
     platoon.restart()
     assert np.array_equal(platoon.tick(0.0, poses, TWO), first)
+
+
+def test_a_run_that_begins_on_the_lap_goes_on_from_there_and_one_at_the_paths_beginning_begins_there(
+    platoon_of: PlatoonOf, line_up: LineUp, platoon_path: Path
+) -> None:
+    begun, n = platoon_of(2), len(platoon_path.coefficients)
+    for leader in (0.0, 0.05, 1.5, n - 0.5):
+        begun.restart()
+        begun.tick(0.0, line_up(np.array([leader, (leader - 0.3) % n])), TWO)
+        ahead = (begun.reference_parameter[0] - (leader if leader > 0.1 else 0.0)) % n
+        assert ahead == pytest.approx(0.0455 * T, abs=0.01)

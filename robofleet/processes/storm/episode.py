@@ -28,7 +28,7 @@ from robofleet.safety.supervisor import Event, Phase
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
-_STAY_S = 0.3  # in which it does not stop once more
+_STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most seeds, and in one of so many
 _MOST_QUEUED = 2000  # of some twenty thousand steps of a storm; what a cut link holds back is among them
 _LOOK_S = 0.05  # the operator's eye
 _ROOM_M = 0.06  # what the wheels' trial before a start may ask for
@@ -119,11 +119,12 @@ class _Player:
         """Bring the fleet back to running, and see every robot's wheels turn."""
         lockstep = self._lockstep
         end_s = lockstep.clock.now_ns() / S + within_s
+        stay_s = _STAY_S if self._config.run.seed % _LONG else _LONG_STAY_S
         turned: set[str] = set()
         while lockstep.clock.now_ns() / S < end_s:
             self._look()
             everybody = len(turned) == len(self._config.platoon)
-            lockstep.advance(_STAY_S if everybody else _LOOK_S)
+            lockstep.advance(stay_s if everybody else _LOOK_S)
             if lockstep.status.phase is not Phase.RUNNING:
                 turned.clear()
             elif everybody:
