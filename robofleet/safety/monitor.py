@@ -69,7 +69,7 @@ def watch(
     happenings = [
         *_host(before, memory, settings, view),
         *_controller(before, settings, phase, view),
-        *_tracker(before, settings, view),
+        *_tracker(before, settings, phase, view),
         *view.news,
     ]
     for row, robot in enumerate(view.robots):
@@ -113,11 +113,12 @@ def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view
         yield Happening(Event.TICKS_OVERRUN, NOBODY, view.overruns - before.overruns)
 
 
-def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+def _tracker(before: FleetView, settings: MonitorSettings, phase: Phase, view: FleetView) -> Iterator[Happening]:
     if view.tracker_ns == NEVER:
         return
     stale = view.image_tick != 0 and view.tick - view.image_tick > STALE_TICKS
-    if view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale:
+    silent = view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale
+    if silent and phase is not Phase.ARMED:  # the checks wait for images, and a probed robot stands without
         yield Happening(Event.TRACKER_SILENT)
     if before.tracker_epoch not in (0, view.tracker_epoch):
         yield Happening(Event.TRACKER_RESTARTED)

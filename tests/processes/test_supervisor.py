@@ -224,8 +224,8 @@ def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost
         (TrackerEvent.CAMERA_ENDED, None, (Phase.FAULT, Event.CAMERA_LOST)),
         (TrackerEvent.CAMERA_MOVED, None, (Phase.FAULT, Event.CAMERA_MOVED)),
         (TrackerEvent.TAG_TWICE, "r2", (Phase.HOLD, Event.TAG_TWICE)),
-        (TrackerEvent.TAG_JUMPED, "r2", (Phase.HOLD, Event.POSE_JUMPED)),
-        (TrackerEvent.TAG_CARRIED, "r2", (Phase.HOLD, Event.POSE_JUMPED)),
+        (TrackerEvent.TAG_JUMPED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
+        (TrackerEvent.TAG_CARRIED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
         (TrackerEvent.TAG_FOUND, "r2", (Phase.RUNNING, Event.PROVED)),
         (TrackerEvent.CAMERA_CORRECTED, None, (Phase.RUNNING, Event.PROVED)),
         (TrackerEvent.TAG_TWICE, None, (Phase.RUNNING, Event.PROVED)),  # nobody's tag

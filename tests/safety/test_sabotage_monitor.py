@@ -32,6 +32,7 @@ CHECKS = [
     ("if view.tracker_ns == NEVER:", "if False:"),
     ("view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale", "stale"),
     ("view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale", "view.now_ns - view.tracker_ns > TRACKER_SILENT_NS"),
+    ("silent and phase is not Phase.ARMED", "silent"),
     ("view.image_tick != 0 and ", ""),
     ("before.tracker_epoch not in (0, view.tracker_epoch)", "False"),
     ("not in (0, view.tracker_epoch)", "not in (view.tracker_epoch,)"),
