@@ -109,6 +109,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
 WHERE = {
     requests: [(supervisor, name) for name in ("refusal", "acknowledged", "latched")],
     fleet_view: [(supervisor, "FleetListener")],
+    statuses: [(fleet_view, "Statuses")],
     supervisor: [(bench_stand, "Supervisor")],
 }
 
