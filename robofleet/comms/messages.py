@@ -44,6 +44,8 @@ class RobotStatus(NamedTuple):
     right_rad_s: float
     left_output_rad_s: float  # what the gate lets through
     right_output_rad_s: float
+    left_told_rad: float  # the output added up over time since the driver started
+    right_told_rad: float
     battery: float  # charge [0..1]; -1 where unknown
 
 
@@ -193,7 +195,7 @@ class LeaseAnswer(NamedTuple):
 
 
 WHEEL_COMMAND = Layout(WheelCommand, "IIQQQq", 2)
-ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIBIqq", 7)
+ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIBIqq", 9)
 ENABLE = Layout(Enable, "IIQQBBI", 1)
 TRUTH = Layout(Truth, "IIq", 5)
 TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)

@@ -91,6 +91,8 @@ class FleetListener:
             right_speed=status.right_rad_s,
             left_output=status.left_output_rad_s,
             right_output=status.right_output_rad_s,
+            left_told=status.left_told_rad,
+            right_told=status.right_told_rad,
         )
 
     def _take_tick(self, record: TickRecord, now_ns: int) -> None:

@@ -80,6 +80,7 @@ class GatedRobot:
         self._failed = False  # the robot could not be written to or read from, in this loop or since
         self._complaint = ""
         self._written: WheelSpeeds | None = None
+        self._told, self._told_ns, self._telling = (0.0, 0.0), 0, STOP
         self._status = GateStatus.NO_LEASE
         self.deadline_ns: int | None = 0
         self._accepted_exposure_ns: int | None = None  # of a command that has not reached the wheels yet
@@ -173,10 +174,16 @@ class GatedRobot:
         if self._witness is not None:
             self._witness(self._robot, now_ns, inputs, state, output)
         if again or output.output != self._written:
+            self._told, self._told_ns, self._telling = self._told_until(now_ns), now_ns, output.output
             self._write(output.output)
         if self._trouble > state.latch:  # just now
             inputs = self._inputs()
             self._adopt(inputs, *gate.step(state, self._drive, inputs, now_ns), now_ns)
+
+    def _told_until(self, now_ns: int) -> tuple[float, float]:
+        """Return how far the wheels were told to turn [rad]."""
+        (left, right), (told_left, told_right), since_s = self._telling, self._told, (now_ns - self._told_ns) * 1e-9
+        return told_left + left * since_s, told_right + right * since_s
 
     def _write(self, wheels: WheelSpeeds) -> None:
         try:
@@ -228,7 +235,8 @@ class GatedRobot:
             state.epoch, self._seq, self._build, state.session, state.boot_id, now_ns, now_ns,
             *self._applied, rejected % _U32, self._status, state.latch, state.latch_id,
             int(self.hurries), reading.faults, state.target_after_ns, state.output_after_ns,
-            reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output, battery,
+            reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output,
+            *self._told_until(now_ns), battery,
         )  # fmt: skip
 
 

@@ -24,6 +24,8 @@ class RobotView(NamedTuple):
     right_speed: float = 0.0
     left_output: float = 0.0  # what the gate lets through
     right_output: float = 0.0
+    left_told: float = 0.0  # and that added up over time
+    right_told: float = 0.0
     seen_ns: int = NEVER  # newest image in which its tag was measured
     unseen_ns: int = 0  # from that image to the newest one, by the images' own stamps; 0: not three images yet
     image: int = 0  # number of that image

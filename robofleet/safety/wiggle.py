@@ -59,9 +59,7 @@ class Wiggle(NamedTuple):
     rest_tick: int | None = None  # newest tick when it was seen at rest
     before: Pose = (0.0, 0.0, 0.0)  # where the leg began
     angles: Wheels = (0.0, 0.0)  # and what the encoders said
-    asked: Wheels = (0.0, 0.0)  # so far
-    output: Wheels = (0.0, 0.0)  # newest [rad/s]
-    heard_ns: int = 0  # and when it was heard
+    told: Wheels = (0.0, 0.0)  # and how far they had been told to turn
     forth: Leg | None = None
 
 
@@ -92,7 +90,6 @@ def step(
         state = _look(state, view)
     if state.robot == NOBODY:
         return _stand(state, wheel_radius, wheel_base, view)
-    state = _count(state, view.robots[state.robot])
     if state.stroke:
         return _drive(state, view)
     if state.rest_tick is None:
@@ -132,18 +129,10 @@ def _look(state: Wiggle, view: FleetView) -> Wiggle:
     return state._replace(means=means, image=view.image)
 
 
-def _count(state: Wiggle, robot: RobotView) -> Wiggle:
-    """Add up what the wheels were asked for: the outputs are straight lines from status to status, or nearly so."""
-    output = robot.left_output, robot.right_output
-    half_s = (robot.heard_ns - state.heard_ns) * 0.5e-9
-    left, right = (a + half_s * (b + c) for a, b, c in zip(state.asked, state.output, output, strict=True))
-    return state._replace(asked=(left, right), output=output, heard_ns=robot.heard_ns)
-
-
 def _drive(state: Wiggle, view: FleetView) -> tuple[Wiggle, Happening | None]:
     """Until the stroke's time is over; commands that come late get more of it."""
     driven_ns = view.now_ns - state.since_ns
-    enough = max(map(abs, state.asked)) >= 0.5 * PROBE_RAD_S * _STROKE_NS * 1e-9
+    enough = max(map(abs, _asked(state, view.robots[state.robot]))) >= 0.5 * PROBE_RAD_S * _STROKE_NS * 1e-9
     if driven_ns >= _STROKE_NS and enough:
         return state._replace(stroke=0, since_ns=view.now_ns), None
     return state, Happening(Event.LEASE_LOST, state.robot) if driven_ns >= _NO_START_NS else None
@@ -175,7 +164,7 @@ def _stand(
         return _next(state, 0, view), None
     pose = state.means[row].pose
     counted = _counted(state, view.robots[row])
-    leg = Leg(state.asked, counted, rolled(state.before, pose, wheel_radius[row], wheel_base[row]))
+    leg = Leg(_asked(state, view.robots[row]), counted, rolled(state.before, pose, wheel_radius[row], wheel_base[row]))
     fault = wiring_fault(leg)
     if state.forth is None:
         following = _start(state._replace(forth=leg), BACK, view)
@@ -194,8 +183,12 @@ def _start(state: Wiggle, stroke: int, view: FleetView) -> Wiggle:
     robot = view.robots[state.robot]
     return state._replace(
         stroke=stroke, since_ns=view.now_ns, rest_tick=None, before=state.means[state.robot].pose,
-        angles=(robot.left_angle, robot.right_angle), asked=(0.0, 0.0), output=(0.0, 0.0), heard_ns=robot.heard_ns,
+        angles=(robot.left_angle, robot.right_angle), told=(robot.left_told, robot.right_told),
     )  # fmt: skip
+
+
+def _asked(state: Wiggle, robot: RobotView) -> Wheels:
+    return robot.left_told - state.told[0], robot.right_told - state.told[1]
 
 
 def _counted(state: Wiggle, robot: RobotView) -> Wheels:

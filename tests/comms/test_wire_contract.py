@@ -48,8 +48,8 @@ def test_an_enable() -> None:
 
 
 def test_a_status() -> None:
-    values = (*range(2, 17), -17, -18, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, -1.0)
-    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BIIIQQQqqqIBBIBIqqddddddd", 2, *values)
+    values = (*range(2, 17), -17, -18, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, -1.0)
+    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BIIIQQQqqqIBBIBIqqddddddddd", 2, *values)
 
 
 def test_a_lease() -> None:

@@ -61,7 +61,7 @@ class Robot:
         self.nonce = now_ns - self.clock_ns
         healthy = RobotStatus(
             1, 1, build, 5, self.boot_id, self.nonce, self.nonce, 0, 0, 0, 0, self.latch, self.latch_id, 0, 0, -1, -1,
-            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0,
+            *(0.0,) * 8, 1.0,
         )  # fmt: skip
         return healthy._replace(**self.says)
 

@@ -57,7 +57,7 @@ class Stand:
 
     def status(self, robot: str, nonce: int) -> None:
         held = *(1, 1, 1), self.session, *(5, nonce), *(0,) * 9, *(-1, -1)
-        message = RobotStatus(*held, *(0.0,) * 6, 1.0)
+        message = RobotStatus(*held, *(0.0,) * 8, 1.0)
         self.bench.say(STATUS, message, robot)
 
     def seen(self, ticks: int, *, but: str = "") -> None:

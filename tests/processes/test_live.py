@@ -50,7 +50,7 @@ class View:
             self.gate(robot.id, GateStatus.OPEN, Latch.NONE)
 
     def gate(self, robot: str, gate: int, latch: int) -> None:
-        status = RobotStatus(1, 1, 1, 1, 1, 1, 1, 0, 0, 0, gate, latch, 1, 0, 0, -1, -1, *(0.0,) * 6, 1.0)
+        status = RobotStatus(1, 1, 1, 1, 1, 1, 1, 0, 0, 0, gate, latch, 1, 0, 0, -1, -1, *(0.0,) * 8, 1.0)
         self.recording.add(key("platoon", STATUS, robot), ROBOT_STATUS.encode(status))
 
     def state(

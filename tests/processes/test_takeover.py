@@ -13,7 +13,7 @@ OURS, THEIRS = 5, 9
 
 
 def held_by(session: int) -> Any:
-    return RobotStatus(1, 1, 1, session, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, -1, -1, *(0.0,) * 7)
+    return RobotStatus(1, 1, 1, session, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, -1, -1, *(0.0,) * 9)
 
 
 def test_a_robot_that_was_taken_over_and_lost_again_is_only_asked_for() -> None:

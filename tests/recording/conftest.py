@@ -145,7 +145,9 @@ def add_status() -> Callable[..., None]:
     ) -> None:  # fmt: skip
         after = (round(ms * MS) for ms in after_ms)
         wheels = 0.0, 0.0, 0.0, 0.0, output, output
-        message = RobotStatus(1, 1, 1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0, 0, 0, *after, *wheels, 1.0)
+        message = RobotStatus(
+            1, 1, 1, 1, 1, 1, stamp_ns, *applied, rejected, gate, 0, 0, 0, 0, *after, *wheels, 0.0, 0.0, 1.0
+        )
         recording.add(key(recording.config.arena.name, STATUS, robot), ROBOT_STATUS.encode(message))
 
     return add

@@ -66,6 +66,7 @@ class Lab:
         self.noise = (0.0003, 0.0003, 0.004)
         self.alter: Alter = lambda view: view
         self.outputs = [STOP] * robots
+        self.told: list[tuple[float, ...]] = [(0.0, 0.0)] * robots
         self.commands = [STOP] * robots
         self.state = self.program.begin(self.now_ns)
         self.stages: list[tuple[Stage, int, int]] = []  # with the robot and the stroke, as they came
@@ -103,6 +104,7 @@ class Lab:
         for row, plant in enumerate(self.plants):
             command = self.commands[row]
             self.outputs[row] = WheelSpeeds(*(_ramp(a, b) for a, b in zip(self.outputs[row], command, strict=True)))
+            self.told[row] = tuple(a + 0.01 * b for a, b in zip(self.told[row], self.outputs[row], strict=True))
             plant.step(self.outputs[row], 0.01, blocked=row in self.stuck)
 
     def _report(self) -> None:
@@ -116,6 +118,7 @@ class Lab:
             robots[-1] = robots[-1]._replace(
                 left_angle=moving[0], right_angle=moving[1], left_speed=moving[2], right_speed=moving[3],
                 left_output=self.outputs[row].left, right_output=self.outputs[row].right,
+                left_told=self.told[row][0], right_told=self.told[row][1],
             )  # fmt: skip
         self.view = self.view._replace(robots=tuple(robots))
 

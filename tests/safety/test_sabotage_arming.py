@@ -75,7 +75,7 @@ WIGGLE: list[tuple[str, str, By]] = [
     ("math.tau)) > _MOVED_RAD", "math.tau)) > 9.0", "turned by hand before"),
     ("view.image_tick > state.rest_tick", "True", "images from before"),
     ("robot.image == view.image", "True", "tried, and in no image"),
-    ("return state._replace(asked=(left, right), ", "return state._replace(", "nothing is wrong"),
+    ("robot.left_told - state.told[0]", "robot.left_told", "no robot has encoders"),
     ("and enough", "", "no command comes"),
     ("driven_ns >= _NO_START_NS", "False", "no command comes"),
     ("robot.at_rest and", "", "no rest"),
