@@ -62,7 +62,7 @@ def drive(
     settings = ExcitationSettings(TICK / S, 0.08, (3.2, 2.0), (0.055,))
     excitation = Excitation(settings, (DRIVE,), np.random.default_rng(seed))
     now_ns = 0
-    simulation = Simulation(DRIVE, imperfections, (0.2, -0.1, 0.5), (), np.random.default_rng(seed))
+    simulation = Simulation(DRIVE, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
     robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: now_ns))
     ticks = int(excitation.ends[0] * S) // TICK
     events = [(k * TICK, 2) for k in range(1, ticks)] + [(k * TICK - LEAD, 0) for k in range(1, ticks)]
