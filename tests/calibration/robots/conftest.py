@@ -17,6 +17,7 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
 
 MS, S = 1_000_000, 1_000_000_000
+NO_GATE = 1e9  # rad/s^2: nothing stands between the commands and the wheels
 TICK, LEAD, ENCODER = 33 * MS, 18 * MS, 20 * MS
 DRIVE = DifferentialDrive(
     wheel_radius=0.016,
@@ -81,7 +82,15 @@ def drive(
             commands.append((at_s, *wheels))
     told, seen_poses, counted = (np.array(rows) for rows in (commands, poses, encoders))
     return RobotDrive(
-        "r1", told[:, 0], told[:, 1:], seen_poses[:, 0], seen_poses[:, 1:], counted[:, 0], counted[:, 1:], 0.0
+        "r1",
+        told[:, 0],
+        told[:, 1:],
+        seen_poses[:, 0],
+        seen_poses[:, 1:],
+        counted[:, 0],
+        counted[:, 1:],
+        0.0,
+        NO_GATE,
     )
 
 
