@@ -94,18 +94,18 @@ def through_gate(drive: RobotDrive) -> tuple[Array, Array]:
 
     It lets the wheels follow with limited acceleration: without that a jump would look like a delay.
     """
-    reach = drive.acceleration_rad_s2 * _RAMP_S
     ends_s = [*drive.commands_s[1:].tolist(), np.inf]
-    instants, rows, output = [], [], np.zeros(2)
+    instants, rows, last_s, output = [], [], -np.inf, np.zeros(2)
     for tick_s, end_s, command in zip(drive.commands_s.tolist(), ends_s, drive.commands_rad_s, strict=True):
         at_s, arrives = tick_s, False
         while at_s < end_s and not arrives:
+            reach = drive.acceleration_rad_s2 * min(at_s - last_s, _RAMP_S)
             furthest = float(np.abs(command - output).max())
             arrives = furthest <= reach
             output = command if arrives else output + reach / furthest * (command - output)
             instants.append(at_s)
             rows.append(output)
-            at_s += _RAMP_S
+            last_s, at_s = at_s, at_s + _RAMP_S
     return np.array(instants), np.array(rows)
 
 

@@ -16,8 +16,8 @@ from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import Recording, summary
-from robofleet.recording.run import Run
+from robofleet.recording.metrics import summary
+from robofleet.recording.run import Recording, Run
 from robofleet.tracking.offset import tag_from_centre
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
