@@ -1,10 +1,11 @@
 """A calibrating drive: run through the fleet's own processes, kept, and read again.
 
-Kept as ``drive.npz`` (numpy, without pickle). ``version`` (): 1. ``robots`` (N,): names. For each robot, under its
+Kept as ``drive.npz`` (numpy, without pickle). ``version`` (): 2. ``robots`` (N,): names. For each robot, under its
 name and a slash: ``commands_s`` (K,) and ``commands_rad_s`` (K, 2; left, right): its commands and their ticks;
 ``poses_s`` (M,) and ``poses`` (M, 3; x, y [m], psi [rad]; world): its TAG as measured, and the mid-exposures;
 ``encoders_s`` (E,) and ``encoders_rad`` (E, 2): its wheels' angles, E = 0 if its driver knows none; ``held_s`` (): how
-long it was held. All instants are of the controller's clock, counted from the drive's first tick [s].
+long it was held; ``acceleration_rad_s2`` (): with which its gate lets the wheels follow. All instants are of the
+controller's clock, counted from the drive's first tick [s].
 """
 
 import zipfile
@@ -36,10 +37,11 @@ from robofleet.tracking.offset import tag_from_centre
 Array = NDArray[np.float64]
 Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
 
-VERSION = 1
+VERSION = 2
 FILE = "drive.npz"
 
 _AROUND_S = 0.5  # kept before the first and after the last motion
+_SCALARS = ("held_s", "acceleration_rad_s2")
 _WIDTHS = {"commands_rad_s": 2, "poses": 3, "encoders_rad": 2}
 
 
@@ -55,6 +57,7 @@ class RobotDrive:
     encoders_s: Array
     encoders_rad: Array
     held_s: float
+    acceleration_rad_s2: float
 
 
 def configure(file: Path, robots: Sequence[str], *, lockstep: bool) -> tuple[Config, int]:
@@ -140,7 +143,8 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         statuses = recording.rows(key(arena, STATUS, robot.id), ROBOT_STATUS)
         held_s = float(ticks["items"]["saturated"][:, row].sum()) * config.controller.tick_s
         commands_s = (ticks["stamp_ns"] - start_ns) / S
-        drives.append(_cut(robot.id, commands_s, wheels, poses, _encoders(statuses, ticks), held_s))
+        scalars = held_s, robot.vehicle.max_wheel_acceleration_rad_s2
+        drives.append(_cut(robot.id, commands_s, wheels, poses, _encoders(statuses, ticks), scalars))
     return drives
 
 
@@ -189,12 +193,12 @@ def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> Rob
         if array.shape != shape or (name in ("commands_s", "poses_s", "encoders_s") and (np.diff(array) <= 0).any()):
             raise CalibrationError(f"{file}: {robot}/{name} has shape {array.shape}, not {shape}, or goes back in time")
     values: dict[str, Any] = {name: np.asarray(array, dtype=float) for name, array in found.items()}
-    return RobotDrive(robot, **{**values, "held_s": float(values["held_s"])})
+    return RobotDrive(robot, **{**values, **{name: float(values[name]) for name in _SCALARS}})
 
 
 def _shape(name: str, found: dict[str, Any]) -> tuple[int, ...]:
     """Return the shape that a field must have beside its instants."""
-    if name == "held_s":
+    if name in _SCALARS:
         return ()
     instants = name if name.endswith("s_s") else f"{name.partition('_')[0]}_s"
     return (np.size(found[instants]), *((_WIDTHS[name],) if name in _WIDTHS else ()))
@@ -229,7 +233,7 @@ def _cut(
     wheels: Array,
     poses: list[Seen],
     encoders: tuple[Array, Array],
-    held_s: float,
+    scalars: tuple[float, float],
 ) -> RobotDrive:
     """Return a robot's own part of the drive: the others stand then, and it stands before and after."""
     moving = commands_s[wheels.any(axis=1)]
@@ -244,7 +248,7 @@ def _cut(
         return at_s[own], values[own]
 
     told, measured, counted = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:]), inside(*encoders)
-    return RobotDrive(robot, *told, *measured, *counted, held_s)
+    return RobotDrive(robot, *told, *measured, *counted, *scalars)
 
 
 class _Watch:

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.drive import RobotDrive
 from robofleet.calibration.store import CalibrationError
+from robofleet.safety.gate import RAMP_NS
 
 Array = NDArray[np.float64]
 
 _OUTLIERS = 0.2  # of the poses, at most
 _SHORTEST_LAG_S = 1e-6
+_RAMP_S = RAMP_NS * 1e-9
 _SPIKE = 6.0  # standard deviations of a pose that is left out
 _SEEN = 0.6  # of the images, at least
 _LONGEST_GAP_S = 1.0
@@ -85,6 +87,26 @@ def increments(at_s: Array, poses: Array) -> Increments:
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     shift = np.column_stack([c * dx + s * dy, c * dy - s * dx])
     return Increments(at_s[1:], np.diff(at_s), np.diff(heading), shift)
+
+
+def through_gate(drive: RobotDrive) -> tuple[Array, Array]:
+    """Return instants (K,) [s] and wheel speeds (K, 2) [rad/s] that the gate makes of a drive's commands.
+
+    It lets the wheels follow with limited acceleration: without that a jump would look like a delay.
+    """
+    ends_s = [*drive.commands_s[1:].tolist(), np.inf]
+    instants, rows, last_s, output = [], [], -np.inf, np.zeros(2)
+    for tick_s, end_s, command in zip(drive.commands_s.tolist(), ends_s, drive.commands_rad_s, strict=True):
+        at_s, arrives = tick_s, False
+        while at_s < end_s and not arrives:
+            reach = drive.acceleration_rad_s2 * min(at_s - last_s, _RAMP_S)
+            furthest = float(np.abs(command - output).max())
+            arrives = furthest <= reach
+            output = command if arrives else output + reach / furthest * (command - output)
+            instants.append(at_s)
+            rows.append(output)
+            last_s, at_s = at_s, at_s + _RAMP_S
+    return np.array(instants), np.array(rows)
 
 
 def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: float, at_s: Array) -> Array:

@@ -21,6 +21,7 @@ from robofleet.calibration.increments import (
     left_out,
     noise_of,
     refuse_unusable,
+    through_gate,
     wheel_travel,
     whiten,
 )
@@ -123,7 +124,8 @@ class _Model:
     """Turns and shifts of the kept poses as functions of theta = (delay, lag) [s]."""
 
     def __init__(self, drive: RobotDrive, kept: NDArray[np.bool_]) -> None:
-        self._drive, self._at_s, poses = drive, drive.poses_s[kept], drive.poses[kept]
+        self._at_s, poses = drive.poses_s[kept], drive.poses[kept]
+        self._outputs = through_gate(drive)
         self.inc: Increments = increments(self._at_s, poses)
 
     def residuals(self, theta: Array) -> tuple[Array, ...]:
@@ -170,8 +172,7 @@ class _Model:
         return self.inc.turn / self.inc.duration_s, (self.inc.turn - e) / self.inc.duration_s
 
     def _channels(self, theta: Array) -> list[tuple[Array, Array]]:
-        drive = self._drive
-        angles = np.diff(wheel_travel(drive.commands_s, drive.commands_rad_s, theta[0], theta[1], self._at_s), axis=0)
+        angles = np.diff(wheel_travel(*self._outputs, theta[0], theta[1], self._at_s), axis=0)
         rate = np.abs(angles[:, 1] - angles[:, 0]) / self.inc.duration_s
         turning = np.column_stack([angles, rate * (angles[:, 1] - angles[:, 0])])  # the last: what slips
         shifting = np.column_stack([angles, self.inc.turn])

@@ -22,6 +22,7 @@ from robofleet.calibration.increments import (
     left_out,
     refuse_unusable,
     solve,
+    through_gate,
     wheel_travel,
 )
 from robofleet.calibration.store import CalibrationError
@@ -85,7 +86,7 @@ def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
             if by_encoders:
                 wheels = _between(drive.encoders_s, drive.encoders_rad, asked_s)
             else:
-                wheels = wheel_travel(drive.commands_s, drive.commands_rad_s, 0.0, lag_s, asked_s)
+                wheels = wheel_travel(*through_gate(drive), 0.0, lag_s, asked_s)
             fit = _Fit(drive, wheels, kept, believed)
             later_s, fewer = fit.late_s(wheels[kept]), left_out(drive, kept, fit.residuals)
             if abs(later_s) < _IN_TIME_S and (fewer == kept).all():

@@ -58,7 +58,7 @@ class Fleet:
         self.images: list[list[np.ndarray]] = [[] for _ in delays_s]
         for row, (delay_s, lag_s) in enumerate(zip(delays_s, lags_s, strict=True)):
             faults = replace(WORN, actuation_delay=delay_s, motor_lag=lag_s)
-            simulation = Simulation(DRIVE, faults, (0.0, 0.0, 3.0), (), np.random.default_rng(row))
+            simulation = Simulation(DRIVE, faults, (0.0, 0.0, 3.0), None, np.random.default_rng(row))
             self.robots.append(SimulatedRobot(DriverContext(f"r{row}", DRIVE, simulation, lambda: self.now_ns)))
         drives = tuple(replace(DRIVE, motor_lag=lag_s if told else 0.0) for lag_s in lags_s)
         self.filter = FleetFilter(drives, tuple(round(delay_s * S) if told else 0 for delay_s in delays_s), NOISE)

@@ -17,6 +17,7 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
 
 MS, S = 1_000_000, 1_000_000_000
+NO_GATE = 1e9  # rad/s^2: nothing stands between the commands and the wheels
 TICK, LEAD, ENCODER = 33 * MS, 18 * MS, 20 * MS
 DRIVE = DifferentialDrive(
     wheel_radius=0.016,
@@ -62,7 +63,7 @@ def drive(
     settings = ExcitationSettings(TICK / S, 0.08, (3.2, 2.0), (0.055,))
     excitation = Excitation(settings, (DRIVE,), np.random.default_rng(seed))
     now_ns = 0
-    simulation = Simulation(DRIVE, imperfections, (0.2, -0.1, 0.5), (), np.random.default_rng(seed))
+    simulation = Simulation(DRIVE, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
     robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: now_ns))
     ticks = int(excitation.ends[0] * S) // TICK
     events = [(k * TICK, 2) for k in range(1, ticks)] + [(k * TICK - LEAD, 0) for k in range(1, ticks)]
@@ -81,7 +82,15 @@ def drive(
             commands.append((at_s, *wheels))
     told, seen_poses, counted = (np.array(rows) for rows in (commands, poses, encoders))
     return RobotDrive(
-        "r1", told[:, 0], told[:, 1:], seen_poses[:, 0], seen_poses[:, 1:], counted[:, 0], counted[:, 1:], 0.0
+        "r1",
+        told[:, 0],
+        told[:, 1:],
+        seen_poses[:, 0],
+        seen_poses[:, 1:],
+        counted[:, 0],
+        counted[:, 1:],
+        0.0,
+        NO_GATE,
     )
 
 
