@@ -84,8 +84,8 @@ def leg(mean: float, *, left: float = 1.0, right: float = 1.0, counted: bool = T
 @pytest.mark.parametrize(
     ("bad", "good"),
     [
-        (leg(0.905), leg(0.915)),
-        (leg(1.095), leg(1.085)),
+        (leg(0.875), leg(0.885)),
+        (leg(1.125), leg(1.115)),
         (leg(1.0, left=0.865), leg(1.0, left=0.875)),
         (leg(1.0, right=1.135), leg(1.0, right=1.125)),
         (leg(0.845, counted=False), leg(0.855, counted=False)),
