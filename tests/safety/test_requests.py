@@ -26,9 +26,7 @@ WISHES = {  # what an operator may ask for, and where it was met already
 }
 
 
-def why(
-    event: Event, phase: Phase, *robots: RobotView, standing: tuple[Happening, ...] = ()
-) -> str | None:
+def why(event: Event, phase: Phase, *robots: RobotView, standing: tuple[Happening, ...] = ()) -> str | None:
     """Return why it is refused in a view of three robots; those that are not named are healthy."""
     there = (*robots, THERE, THERE, THERE)[:3]
     return refusal(event, RunStatus(phase), standing, FleetView(NOW, there), IDS)
@@ -58,9 +56,7 @@ def test_every_phase_has_a_way_out_in_words() -> None:
         ({"faults": WIRED_STOP | 4}, "b: its own e-stop is pressed: release it, then reset"),
     ],
 )
-def test_a_reset_waits_for_every_robot_and_names_the_one(
-    phase: Phase, hindrance: dict[str, float], told: str
-) -> None:
+def test_a_reset_waits_for_every_robot_and_names_the_one(phase: Phase, hindrance: dict[str, float], told: str) -> None:
     hindered = HELD._replace(**hindrance)  # type: ignore[arg-type]
     assert why(Event.RESET, phase, HELD, hindered, HELD) == told
     assert why(Event.RESET, phase, HELD, hindered._replace(heard_ns=NOW - SILENT_NS - 1), HELD) is None, "it is gone"
