@@ -42,7 +42,7 @@ class Mean(NamedTuple):
 
     def add(self, pose: Pose) -> "Mean":
         """Return the mean with one more."""
-        x, y, psi = self.pose if self.images else pose
+        x, y, psi = self.pose
         k = 1.0 / (self.images + 1)
         turn = math.remainder(pose[2] - psi, math.tau)
         return Mean(self.images + 1, (x + k * (pose[0] - x), y + k * (pose[1] - y), psi + k * turn))
@@ -88,12 +88,11 @@ def step(
         if bad is not None:
             return state, bad
         state = _look(state, view)
-    if state.robot == NOBODY:
-        return _stand(state, wheel_radius, wheel_base, view)
-    if state.stroke:
-        return _drive(state, view)
-    if state.rest_tick is None:
-        return _slow_down(state, view)
+    if state.robot != NOBODY:
+        if state.stroke:
+            return _drive(state, view)
+        if state.rest_tick is None:
+            return _slow_down(state, view)
     return _stand(state, wheel_radius, wheel_base, view)
 
 

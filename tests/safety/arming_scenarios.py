@@ -8,7 +8,7 @@ from robofleet.safety.supervisor import NOBODY, Event
 from robofleet.safety.view import NEVER, FleetView
 from tests.safety.arming_lab import BODY_M, MS, SESSION, Alter, Lab, one
 
-_AT_ONCE, _AFTER_5_S, _ANY = (0.0, 0.1), (5.0, 5.2), (0.0, 100.0)
+_AT_ONCE, _AFTER_5_S, _ANY = (0.0, 0.1), (5.0, 5.0), (0.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,8 @@ _WRONG = {
     "too close to the wall beside": (narrow(1.0, 0.051), Event.TOO_CLOSE, 0, NOBODY),
     "outside, ahead": (narrow(-0.005, 1.0), Event.OUTSIDE_ARENA, 0),
     "outside, beside": (narrow(1.0, -0.005), Event.OUTSIDE_ARENA, 0),
+    "outside, left": (seen(one(1, pose=(0.0, 0.47, 0.0))), Event.OUTSIDE_ARENA, 1),
+    "outside, right": (seen(one(1, pose=(0.0, -0.47, 0.0))), Event.OUTSIDE_ARENA, 1),
 }  # fmt: skip
 
 _MISSING = {

@@ -5,9 +5,10 @@ from collections.abc import Callable
 
 import pytest
 
-from robofleet.safety.arming import Stage
+from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.supervisor import NOBODY, Event
-from tests.safety.arming_lab import MS, PROVED, Lab, S
+from robofleet.safety.wiggle import room_m
+from tests.safety.arming_lab import MS, PROVED, Alter, Lab, S, one
 from tests.safety.arming_scenarios import HEALTHY, REFUSED, Scenario
 
 WIRINGS = {
@@ -123,6 +124,58 @@ def test_a_proved_fleet_is_asked_for_nothing() -> None:
     lab.arm()
     assert (lab.state.probed, lab.state.stroke, lab.state.latch, lab.state.clear) == (NOBODY, 0, 0, False)
     assert lab.run(0.5) is None
+
+
+@pytest.mark.parametrize(
+    ("hindered", "reached", "patience_ns"),
+    [("deaf", lambda state: bool(state.latch), 200 * MS), ("stubborn", lambda state: state.clear, S)],
+)
+def test_a_drill_that_is_not_answered_ends_it_after_its_time(
+    hindered: str, reached: Callable[[ArmingState], bool], patience_ns: int
+) -> None:
+    lab = Lab(2)
+    setattr(lab, hindered, {1})
+    lab.run(1.0, done=reached)
+    began_ns = lab.now_ns
+    assert lab.arm() is not None
+    assert lab.now_ns - began_ns == patience_ns
+
+
+def test_every_stage_tells_when_it_began() -> None:
+    lab = Lab(1)
+    for stage in Stage:
+        lab.run(10.0, done=lambda state, stage=stage: state.stage is stage)  # type: ignore[misc]
+        assert lab.state.stage is stage
+        assert lab.state.since_ns == lab.now_ns
+
+
+FREE_M = 0.01 + room_m(0.016)  # a centimetre more than a wiggle may take
+
+
+@pytest.mark.parametrize(
+    ("body_m", "arena_m", "apart_m", "event"),
+    [
+        (0.0, (2 * FREE_M, 2 * FREE_M), None, None),
+        (0.0, (2 * FREE_M - 1e-6, 9.0), None, Event.TOO_CLOSE),
+        (0.25, (0.5, 9.0), None, Event.TOO_CLOSE),  # it touches the wall and is inside
+        (0.25, (0.499, 9.0), None, Event.OUTSIDE_ARENA),
+        (0.0, (9.0, 9.0), FREE_M, None),
+        (0.0, (9.0, 9.0), FREE_M - 1e-6, Event.TOO_CLOSE),
+    ],
+)
+def test_room_is_just_enough_or_not(
+    body_m: float, arena_m: tuple[float, float], apart_m: float | None, event: Event | None
+) -> None:
+    lab = Lab(1 if apart_m is None else 2)
+    robots = len(lab.plants)
+    lab.settings = lab.settings._replace(body_radius=(body_m,) * robots, arena=arena_m)
+    lab.alter = one(0, pose=(0.0, 0.0, 0.0)) if apart_m is None else in_line(apart_m)
+    happening = lab.run(10.0, done=lambda state: state.stage is Stage.DRILL)
+    assert (None if happening is None else happening.event) is event
+
+
+def in_line(apart_m: float) -> Alter:
+    return lambda view: one(1, pose=(0.0, apart_m, 0.0))(one(0, pose=(0.0, 0.0, 0.0))(view))
 
 
 def test_the_drill_is_asked_of_all_and_taken_back() -> None:

@@ -329,3 +329,28 @@ def test_the_distance_counts_bodies_gap_points_errors_and_a_robot_that_stands_un
     expected = 0.055 + 0.1 + 0.01 + 2 * (0.01 + 0.002) + 0.4 * (0.133 + 0.01 + 0.1)
     assert apart(KEEPOUT, BODY, fast) == apart(KEEPOUT, fast, BODY) == pytest.approx(expected)
     assert apart(KEEPOUT, BODY, BODY) == pytest.approx(0.11 + 0.01 + 0.024 + 0.2 * 0.215)
+
+
+def test_the_edge_is_as_far_as_body_point_and_error() -> None:
+    assert from_edge(KEEPOUT, BODY) == pytest.approx(0.055 + 0.01 + 0.002)
+
+
+SLOW = DifferentialDrive(0.016, 0.105, 12.5, 0.02, 0.08, 150.0)
+
+
+@pytest.mark.parametrize(
+    ("drive", "wheels", "way", "speed"),
+    [
+        (DRIVE, (12.5, 12.5), (1.0, 0.0), 0.2),
+        (SLOW, (-12.5, 12.5), (0.0, 1.0), 2 * 0.016 * 12.5 / 0.105 * 0.01),  # it turns, and its point goes sideways
+    ],
+)
+def test_who_is_near_enough_to_matter_is_not_overlooked_at_top_speed(
+    drive: DifferentialDrive, wheels: tuple[float, float], way: tuple[float, float], speed: float
+) -> None:
+    bodies = (Body(drive, 0.055, 0.002),) * 2
+    for share, how in ((0.95, CHANGED), (1.05, LEFT_ALONE)):
+        distance = apart(KEEPOUT, *bodies) + 2 * share * speed / KEEPOUT.rate
+        poses = np.array([(0.0, 0.0, 0.0), (distance * way[0], distance * way[1], 0.0)])
+        s = Scene(poses, np.zeros((2, 2)), np.array([wheels, (0.0, 0.0)]))
+        assert answer(s, Barrier(KEEPOUT, bodies)).how[0] == how

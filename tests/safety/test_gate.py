@@ -114,6 +114,9 @@ def test_a_permission_must_be_newer_than_the_last(step: Step, nonce: int, seq: i
         (-12.5 * 1.009999, 12.5 * 1.009999),
         (10.0 * 1.009999, 10.0 * 1.009999),  # 0.16 m/s is 10 rad/s of both wheels
         (-10.0 * 1.009999, -10.0 * 1.009999),
+        (12.5 * 1.01, -12.5 * 1.01),
+        (-12.5 * 1.01, 12.5 * 1.01),
+        (10.1, 10.1),
         (12.5, 7.6),
         (0.0, 0.0),
     ],
@@ -151,7 +154,15 @@ def test_outside_is_refused_not_clamped(step: Step, wheels: tuple[float, float])
 
 @pytest.mark.parametrize(
     ("limit", "passes"),
-    [(4.0, True), (4.0 / 1.0099, True), (4.0 / 1.0101, False), (0.0, False), (-1.0, False), (math.nan, False)],
+    [
+        (4.0, True),
+        (4.0 / 1.01, True),
+        (4.0 / 1.0099, True),
+        (4.0 / 1.0101, False),
+        (0.0, False),
+        (-1.0, False),
+        (math.nan, False),
+    ],
 )
 @pytest.mark.parametrize("wheels", [WheelSpeeds(3.0, -4.0), WheelSpeeds(-4.0, 3.0)])
 def test_what_is_permitted_may_be_less_than_what_the_robot_can_do(
@@ -162,6 +173,12 @@ def test_what_is_permitted_may_be_less_than_what_the_robot_can_do(
     assert gate.enable(limit=limit).target == (wheels if passes else STOP)
     assert gate.out.status is (GateStatus.OPEN if passes else GateStatus.NO_ENABLE)
     assert gate.state.refused == 0
+
+
+def test_a_permission_to_creep_permits_creeping(step: Step) -> None:
+    gate = opened(step, WheelSpeeds(0.4, -0.4))
+    gate.wait(10 * MS)
+    assert gate.enable(limit=0.5).target == (0.4, -0.4)
 
 
 def test_a_refused_message_feeds_no_watchdog(step: Step) -> None:

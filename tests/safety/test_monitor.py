@@ -141,6 +141,24 @@ def test_nothing_is_told_of_what_was_never_there() -> None:
     assert told(on_top, before=on_top) == []
 
 
+@pytest.mark.parametrize("y", [-0.8, 0.0, 0.8])
+def test_two_are_too_close_wherever_they_are(y: float) -> None:
+    def pair(gap_m: float) -> Change:
+        return lambda view: robot(0, pose=(-1.0, y, 0.0))(robot(1, pose=(gap_m - 1.0, y, 0.0))(view))
+
+    assert told(pair(0.1151), before=pair(0.1151)) == []
+    assert told(pair(0.1149), before=pair(0.1149)) == [Happening(Event.TOO_CLOSE, 0, 1)]
+
+
+def test_two_that_are_just_as_far_apart_as_they_must_be_are_not_too_close() -> None:
+    points = SETTINGS._replace(body_radius=(0.0, 0.0, 0.0))
+
+    def apart(view: FleetView) -> FleetView:
+        return robot(1, pose=(0.005, 0.0, 0.0))(robot(2, pose=(0.0, 0.0, 0.0))(view))
+
+    assert told(apart, before=apart, settings=points) == []
+
+
 def test_a_robot_that_is_not_seen_still_stands_in_the_way() -> None:
     there = robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)
     assert told(there, before=there) == [
@@ -178,6 +196,12 @@ def test_a_robot_that_is_seen_where_it_cannot_have_driven_was_moved(way: tuple[f
     assert [(h.event, h.robot) for h in jump] == [(Event.POSE_JUMPED, 1)]
     assert jump[0].detail == pytest.approx(0.0801)
     assert moved(0.259, 400 * MS) == [[], [], []], "it had the time"
+
+
+def test_a_jump_as_far_as_a_body_is_none() -> None:
+    exact = SETTINGS._replace(body_radius=(0.05, 0.0625, 0.05))
+    shown_again = robot(1, pose=(0.0625, 0.0, 0.0), seen_ns=NOW - 40 * MS)
+    assert told(shown_again, settings=exact) == []
 
 
 def test_a_robot_that_is_seen_first_has_not_jumped() -> None:

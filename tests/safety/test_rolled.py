@@ -77,6 +77,10 @@ def test_encoders_that_count_about_what_was_asked_or_nothing_are_no_fault(counts
     assert wiring_fault(Leg(FORTH, (counts[0] * FORTH[0], counts[1] * FORTH[1]), FORTH)) is None
 
 
+def test_an_encoder_at_its_tolerance_passes() -> None:
+    assert wiring_fault(Leg((2.0, 1.0), (1.3, 1.0), (2.0, 1.0))) is None
+
+
 def leg(mean: float, *, left: float = 1.0, right: float = 1.0, counted: bool = True) -> Leg:
     return Leg(FORTH, FORTH if counted else (0.0, 0.0), (mean * left * FORTH[0], mean * right * FORTH[1]))
 
@@ -84,8 +88,8 @@ def leg(mean: float, *, left: float = 1.0, right: float = 1.0, counted: bool = T
 @pytest.mark.parametrize(
     ("bad", "good"),
     [
-        (leg(0.905), leg(0.915)),
-        (leg(1.095), leg(1.085)),
+        (leg(0.875), leg(0.885)),
+        (leg(1.125), leg(1.115)),
         (leg(1.0, left=0.865), leg(1.0, left=0.875)),
         (leg(1.0, right=1.135), leg(1.0, right=1.125)),
         (leg(0.845, counted=False), leg(0.855, counted=False)),
@@ -100,6 +104,11 @@ def test_a_gain_is_refused_beyond_its_tolerance(bad: Leg, good: Leg) -> None:
     assert fault[0] is Event.WRONG_GAIN
     ratios = [a / b for a, b in zip(bad.rolled, FORTH, strict=True)]
     assert min(ratios) - 1e-9 <= fault[1] <= max(ratios) + 1e-9
+
+
+@pytest.mark.parametrize("just", [(0.88, 0.88), (0.87, 1.0), (1.0, 0.87)])
+def test_a_gain_at_its_tolerance_passes(just: Wheels) -> None:
+    assert gain_fault(Leg((1.0, 1.0), (1.0, 1.0), just)) is None
 
 
 def test_a_gain_is_measured_against_what_the_wheels_turned() -> None:

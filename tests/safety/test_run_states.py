@@ -104,14 +104,16 @@ def test_every_cause_has_its_words() -> None:
     for event in Event:
         assert describe(Happening(event, 0, 1.0), robots).startswith("a: ")
         assert not describe(Happening(event, NOBODY, 1.0), robots).startswith("a: ")
-        for odd in (-0.5, 7.0, 1e300):  # of another version, or of no robot
-            assert "{" not in describe(Happening(event, 9, odd), robots)
+        for odd in (-0.5, 2.0, 7.0, 1e300):  # of another version, or of no robot
+            for nobody in (2, 9):
+                assert "{" not in describe(Happening(event, nobody, odd), robots)
 
 
 @pytest.mark.parametrize(
     ("happening", "words"),
     [
         (Happening(Event.BATTERY_LOW, 0, 0.07), "a: the battery is low (7 %)"),
+        (Happening(Event.BATTERY_LOW, 1, 1.0), "b: the battery is low (100 %)"),
         (Happening(Event.WRONG_TAG_MOVED, 0, 1.0), "a: its driver moves the tag of b"),
         (Happening(Event.TOO_CLOSE, 1, 0.0), "b: it is too close to a"),
         (Happening(Event.STOP_REQUESTED), "stop requested"),
@@ -119,3 +121,4 @@ def test_every_cause_has_its_words() -> None:
 )
 def test_a_cause_names_the_robot_and_its_figure(happening: Happening, words: str) -> None:
     assert describe(happening, ("a", "b")) == words
+    assert RunStatus(Phase.FAULT, *happening).describe(("a", "b")) == words

@@ -1,0 +1,201 @@
+"""The wiggle told by hand, instant by instant: how long it waits, what it counts, and what makes it break off."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robofleet.safety import wiggle
+from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.view import FleetView, RobotView
+from robofleet.safety.wiggle import Mean, room_m, travel_m
+from robofleet.vehicles.differential_drive import arc, body_from_wheels
+
+MS, S = 1_000_000, 1_000_000_000
+RADIUS, BASE = 0.016, 0.105
+FORTH = (6.0, 3.6)  # what the gate lets through in a stroke [rad/s]
+STROKE_NS = 240 * MS
+
+
+def _told(before: RobotView, after: RobotView, ns: int) -> RobotView:
+    """Add up what the gate lets through: it rises and falls along a straight line."""
+    left, right = before.left_output + after.left_output, before.right_output + after.right_output
+    half_s = ns / S / 2.0
+    return after._replace(left_told=before.left_told + half_s * left, right_told=before.right_told + half_s * right)
+
+
+class Trial:
+    """Two robots that stand; what becomes of them is told from look to look."""
+
+    def __init__(self) -> None:
+        robots = RobotView(heard_ns=S), RobotView(heard_ns=S, pose=(0.0, 0.5, 0.0))
+        self.view = FleetView(S, robots, tick=100)
+        self.state = wiggle.begin(self.view)
+
+    def look(self, after_ns: int, *, row: int = 0, image: bool = True, tick: int = 0, **robot: Any) -> Happening | None:
+        """Look again: by default there is a new image of both, of the tick before; a robot may have changed."""
+        view, now_ns = self.view, self.view.now_ns + after_ns
+        robots = [seen._replace(heard_ns=now_ns) for seen in view.robots]
+        robots[row] = _told(robots[row], robots[row]._replace(**robot), after_ns)
+        if image:
+            view = view._replace(image=view.image + 1, image_tick=tick or view.tick + 1)
+            robots = [seen._replace(image=view.image) for seen in robots]
+        self.view = view._replace(now_ns=now_ns, tick=view.tick + 2, robots=tuple(robots))
+        self.state, happening = wiggle.step(self.state, (RADIUS, RADIUS), (BASE, BASE), self.view)
+        return happening
+
+    @property
+    def asked(self) -> tuple[float, float]:
+        robot = self.view.robots[0]
+        return robot.left_told - self.state.told[0], robot.right_told - self.state.told[1]
+
+    def looked_at(self) -> "Trial":
+        """Let three images pass: somebody begins a stroke."""
+        for _ in range(3):
+            assert self.look(30 * MS) is None
+        return self
+
+    def driven(self, outputs: tuple[float, float] = FORTH) -> "Trial":
+        """Let the first robot drive for its stroke's time."""
+        assert self.look(STROKE_NS, image=False, left_output=outputs[0], right_output=outputs[1]) is None
+        return self
+
+    def at_rest(self) -> "Trial":
+        """Let the first robot come to rest where the stroke leads."""
+        rolled = [2.0 * asked for asked in self.asked]  # as long as it drove, so long it slows down
+        pose = arc(0.0, 0.0, 0.0, *body_from_wheels(*rolled, RADIUS, BASE), 1.0)
+        self.look(STROKE_NS, image=False, left_output=0.0, right_output=0.0, pose=pose)
+        assert self.look(400 * MS, image=False) is None
+        assert self.state.rest_tick is not None
+        return self
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-0.5, 0.5)), min_size=1, max_size=8),
+    st.floats(-math.pi, math.pi),
+)
+def test_the_mean_of_poses_is_their_mean_also_across_the_cut_of_the_angle(
+    poses: list[tuple[float, float, float]], heading: float
+) -> None:
+    mean = Mean()
+    for x, y, psi in poses:
+        mean = mean.add((x, y, math.remainder(heading + psi, math.tau)))
+    x, y, psi = (sum(values) / len(poses) for values in zip(*poses, strict=True))
+    assert mean.images == len(poses)
+    assert mean.pose[:2] == pytest.approx((x, y), abs=1e-12)
+    assert math.remainder(mean.pose[2] - heading - psi, math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_stroke_begins_after_three_images_of_everybody() -> None:
+    trial = Trial()
+    trial.look(30 * MS)
+    trial.look(30 * MS)
+    assert (trial.state.robot, trial.state.stroke) == (NOBODY, 0)
+    trial.look(30 * MS)
+    assert (trial.state.robot, trial.state.stroke) == (0, 1)
+
+
+def test_images_are_waited_for_two_seconds() -> None:
+    trial = Trial()
+    assert trial.look(2 * S - 1, image=False) is None
+    assert trial.look(1, image=False) == Happening(Event.TAG_LOST, 0)
+
+
+@pytest.mark.parametrize(
+    "step", [{"pose": (0.006, 0.5, 0.0)}, {"pose": (0.0, 0.5, 0.05)}, {"pose": (0.0, 0.4941, 0.0)}]
+)
+def test_a_robot_that_stands_may_seem_to_move_a_little(step: dict[str, Any]) -> None:
+    assert Trial().looked_at().look(30 * MS, row=1, **step) is None
+
+
+@pytest.mark.parametrize(
+    "pose", [(0.0061, 0.5, 0.0), (0.0, 0.5061, 0.0), (0.0, 0.4939, 0.0), (0.0, 0.5, 0.0501), (0.0, 0.5, -0.0501)]
+)
+def test_another_one_that_moves_is_named(pose: tuple[float, float, float]) -> None:
+    assert Trial().looked_at().look(30 * MS, row=1, pose=pose) == Happening(Event.WRONG_TAG_MOVED, 0, 1)
+
+
+def test_another_one_is_watched_also_when_the_tried_one_has_come_to_rest() -> None:
+    trial = Trial().looked_at().driven().at_rest()
+    assert trial.look(30 * MS, row=1, pose=(0.01, 0.5, 0.0)) == Happening(Event.WRONG_TAG_MOVED, 0, 1)
+
+
+def test_who_gets_further_than_his_room_is_stopped_and_told_how_far_he_got() -> None:
+    at_most = room_m(RADIUS)
+    assert Trial().looked_at().look(30 * MS, pose=(at_most, 0.0, 0.0)) is None
+    got = Trial().looked_at().look(30 * MS, pose=(0.0, at_most + 1e-4, 0.0))
+    assert got == Happening(Event.WRONG_GAIN, 0, pytest.approx((at_most + 1e-4) / travel_m(RADIUS)))
+
+
+@pytest.mark.parametrize("wheels", [(1.0, 0.6), (0.6, 1.0), (-1.0, -0.6)])
+@pytest.mark.parametrize(("share", "enough"), [(1.0, True), (0.999, False)])
+def test_a_stroke_takes_its_time_and_half_of_its_travel(
+    wheels: tuple[float, float], share: float, enough: bool
+) -> None:
+    """The output rises along a straight line, so it was half of what it is."""
+    trial = Trial().looked_at()
+    outputs = {"left_output": 6.0 * share * wheels[0], "right_output": 6.0 * share * wheels[1]}
+    trial.look(STROKE_NS - 1, image=False)
+    assert trial.state.stroke == 1, "not before its time"
+    trial = Trial().looked_at()
+    assert trial.look(STROKE_NS, image=False, **outputs) is None
+    assert (trial.state.stroke == 0) is enough
+    trial.look(20 * MS, image=False)
+    assert trial.state.stroke == 0, "what comes late gets more time"
+
+
+def test_what_was_asked_in_the_first_stroke_does_not_count_in_the_second() -> None:
+    trial = Trial().looked_at().driven().at_rest()
+    assert trial.look(30 * MS, left_output=0.04) is None  # still at rest
+    for _ in range(2):
+        assert trial.look(30 * MS) is None
+    assert trial.state.stroke == 2
+    assert trial.look(STROKE_NS, image=False, left_output=-5.99, right_output=-3.6) is None
+    assert max(map(abs, trial.asked)) == pytest.approx(0.12 * 5.99)
+    assert trial.state.stroke == 2
+
+
+def test_a_command_is_waited_for_one_second() -> None:
+    trial = Trial().looked_at()
+    assert trial.look(S - 1, image=False) is None
+    assert trial.look(1, image=False) == Happening(Event.LEASE_LOST, 0)
+
+
+@pytest.mark.parametrize(
+    ("angle", "needed_ns"), [(0.0, 400 * MS), (0.001, 400 * MS), (0.00101, 100 * MS), (-0.00101, 100 * MS)]
+)
+@pytest.mark.parametrize("wheel", ["left_angle", "right_angle"])
+def test_rest_is_believed_sooner_where_an_encoder_counts_from_the_strokes_end_on(
+    wheel: str, angle: float, needed_ns: int
+) -> None:
+    trial = Trial().looked_at().driven()
+    assert trial.look(needed_ns - 1, image=False, left_output=0.0, right_output=0.0, **{wheel: angle}) is None
+    assert trial.state.rest_tick is None
+    assert trial.look(1, image=False) is None
+    assert trial.state.rest_tick == trial.view.tick
+
+
+def test_rest_is_waited_for_two_seconds() -> None:
+    trial = Trial().looked_at().driven()
+    assert trial.look(2 * S - 1, image=False, left_speed=1.0) is None
+    assert trial.look(1, image=False) == Happening(Event.NOT_AT_REST, 0)
+
+
+def test_images_of_rest_are_waited_for_two_seconds_from_rest_on() -> None:
+    trial = Trial().looked_at().driven().at_rest()
+    assert trial.look(2 * S - 1, image=False) is None
+    assert trial.look(1, image=False) == Happening(Event.TAG_LOST, 0)
+
+
+def test_an_image_of_the_very_tick_at_which_a_robot_came_to_rest_does_not_count() -> None:
+    trial = Trial().looked_at().driven().at_rest()
+    rest_tick = trial.state.rest_tick
+    assert rest_tick is not None
+    for _ in range(6):
+        assert trial.look(30 * MS, tick=rest_tick) is None
+    assert trial.state.stroke == 0
+    for _ in range(3):
+        assert trial.look(30 * MS, tick=rest_tick + 1) is None
+    assert trial.state.stroke == 2
