@@ -35,6 +35,7 @@ ROBOTS = ("r1", "r2")
 VICTIMS = ("controller", "router", "supervisor", "tracker")
 TARGET_MS, OUTPUT_MS = 130.0, 230.0
 _WITHIN_S = 40.0
+_HELD_S = 0.7  # shorter than half a second is a hiccup: the fleet drives on by itself
 CLOCK = WallClock()
 
 
@@ -191,7 +192,7 @@ def main() -> None:
             for k in range(arguments.times):
                 for victim in VICTIMS:
                     number = (signal.SIGKILL, signal.SIGSTOP)[int(rng.integers(2))]
-                    worst[victim] += strike(fleet, victim, number, rng, float(rng.uniform(0.4, 3.0)))
+                    worst[victim] += strike(fleet, victim, number, rng, float(rng.uniform(_HELD_S, 3.0)))
                 print(f"{k + 1} of {arguments.times}", file=sys.stderr)
         finally:
             fleet.close()

@@ -88,7 +88,7 @@ def test_a_released_robot_comes_to_rest_and_is_free(stand: Any) -> None:
     assert stand.ask("r1", LeaseAction.RELEASE).granted == 1
     stand.bench.run(stand.node, 110 * MS)
     stopped_ns = next(at for at, wheels in stand.made["r1"].writes if at > released_ns and wheels == STOP)
-    assert 20 * MS < stopped_ns - released_ns <= 60 * MS  # 4 rad/s at 150 rad/s^2, with limited acceleration
+    assert 5 * MS < stopped_ns - released_ns <= 60 * MS  # 4 rad/s at 300 rad/s^2, with limited acceleration
     assert stand.newest("r1").gate == GateStatus.NO_LEASE
     assert stand.ask("r1", session=OTHER).granted == 1
 
