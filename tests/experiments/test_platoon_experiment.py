@@ -40,8 +40,8 @@ def test_noise_stays_small_along_sixteen_robots_with_exact_and_not_with_euler() 
     small = PARAMETERS.model_copy(
         update={
             "sizes": (16,),
-            "duration_s": 20.0,
-            "settle_s": 10.0,
+            "duration_s": 10.0,
+            "settle_s": 4.0,
             "gain": PARAMETERS.gain.model_copy(update={"robots": 3, "periods": (4,), "period_s": 8.0}),
         }
     )
