@@ -172,6 +172,7 @@ def test_the_edge_is_as_far_as_body_point_and_error() -> None:
     assert from_edge(KEEPOUT, BODY) == pytest.approx(0.055 + 0.01 + 0.002)
 
 
+FAST = DifferentialDrive(0.016, 0.105, 100.0, 1.5, 0.08, 900.0)
 SLOW = DifferentialDrive(0.016, 0.105, 12.5, 0.02, 0.08, 150.0)
 
 
@@ -180,6 +181,7 @@ SLOW = DifferentialDrive(0.016, 0.105, 12.5, 0.02, 0.08, 150.0)
     [
         (DRIVE, 10.0, (12.5, 12.5), (1.0, 0.0), 0.2),
         (DRIVE, 0.3, (12.5, 12.5), (1.0, 0.0), 0.2),  # 1.4 m apart
+        (FAST, 10.0, (93.75, 93.75), (1.0, 0.0), 1.5),
         (SLOW, 10.0, (-12.5, 12.5), (0.0, 1.0), 2 * 0.016 * 12.5 / 0.105 * 0.01),  # its point goes sideways
     ],
 )
