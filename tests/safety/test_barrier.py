@@ -1,152 +1,33 @@
 """The barrier's command: safe by its own rows, nearest to what was asked, and no other where that was safe."""
 
 import math
-from typing import NamedTuple
+from dataclasses import replace
 
-import daqp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, Keepout, apart, from_edge
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, wheels_from_body
-
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
+from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, apart, from_edge
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from tests.safety import barrier_scenes
+from tests.safety.barrier_scenes import (
+    BODY,
+    DRIVE,
+    KEEPOUT,
+    D,
+    L,
+    Rows,
+    Scene,
+    answer,
+    body,
+    face_to_face,
+    nearest,
+    rows,
+    scene,
+    stop_point,
+    velocities,
 )
-BODY = Body(DRIVE, 0.055, 0.002)
-KEEPOUT = Keepout(
-    gap=0.01, ahead=0.01, rate=10.0, pose_error=0.002, age=0.133, lost_after=0.5, point_ahead=0.08, tick=0.033,
-    arena=(3.2, 2.0),
-)  # fmt: skip
-D, L = apart(KEEPOUT, BODY, BODY), KEEPOUT.point_ahead
-TICKS_3_S = 91
-
-Array = np.ndarray
-
-
-class Scene(NamedTuple):
-    """Robots, how their wheels turn, and what they are asked for."""
-
-    poses: Array
-    turning: Array
-    wheels: Array
-
-    @property
-    def n(self) -> int:
-        return len(self.poses)
-
-
-class Answer(NamedTuple):
-    """What the barrier makes of it."""
-
-    wheels: Array
-    u: Array
-    how: Array
-    blocked: Array
-
-
-def body(wheels: Array) -> tuple[float, float]:
-    return body_from_wheels(*wheels.tolist(), DRIVE.wheel_radius, DRIVE.wheel_base)
-
-
-def feasible(wheels: Array) -> Array:
-    """Scale wheels so that the robot can do them."""
-    fastest = max(np.abs(wheels).max() / 12.5, abs(body(wheels)[0]) / 0.2, 1.0)
-    return wheels / fastest
-
-
-def scene(seed: int, n: int = 5, reach: float = 0.35) -> Scene:
-    """Return robots that are close together, some within D of each other, anywhere in the arena."""
-    rng = np.random.default_rng(seed)
-    middle = rng.uniform((-1.55, -0.95), (1.55, 0.95))
-    at = np.clip(middle + rng.uniform(-reach, reach, (n, 2)), (-1.545, -0.945), (1.545, 0.945))
-    wheels = np.array([feasible(row) for row in rng.uniform(-14, 14, (2 * n, 2))])
-    return Scene(np.column_stack([at, rng.uniform(-math.pi, math.pi, n)]), wheels[:n], wheels[n:])
-
-
-def answer(
-    s: Scene, barrier: Barrier | None = None, unseen: Array | None = None, driving: Array | None = None
-) -> Answer:
-    barrier = barrier or Barrier(KEEPOUT, (BODY,) * s.n)
-    wheels, u = s.wheels.copy(), velocities(s.poses, s.wheels)
-    how, blocked = barrier.filter(
-        s.poses, s.turning, np.zeros(s.n) if unseen is None else unseen,
-        np.ones(s.n, dtype=np.bool_) if driving is None else driving, wheels, u,
-    )  # fmt: skip
-    return Answer(wheels, u, how, blocked)
-
-
-def velocities(poses: Array, wheels: Array) -> Array:
-    """Return u (N, 2) of the points p."""
-    found = []
-    for (_, _, psi), row in zip(poses, wheels, strict=True):
-        v, omega = body(row)
-        c, s = math.cos(psi), math.sin(psi)
-        found.append((c * v - s * L * omega, s * v + c * L * omega))
-    return np.array(found)
-
-
-def stop_point(pose: Array, turning: Array) -> Array:
-    """Return q where a robot comes to rest, its wheels' speeds decaying: step by step."""
-    x, y, psi = pose.tolist()
-    left = np.exp(-np.linspace(0.0, 40.0, 80))  # of the wheels' speeds
-    v, omega = body(turning * DRIVE.motor_lag)
-    for share in (left[:-1] - left[1:]).tolist():
-        x, y, psi = arc(x, y, psi, v, omega, share)
-    return np.array([x + KEEPOUT.ahead * math.cos(psi), y + KEEPOUT.ahead * math.sin(psi)])
-
-
-def stop_velocity(pose: Array, turning: Array, wheels: Array) -> Array:
-    """Return q' under a command, by letting the robot follow it for a moment."""
-    moment = 1e-4
-    between = wheels + (turning - wheels) * math.exp(-moment / 2 / DRIVE.motor_lag)
-    after = wheels + (turning - wheels) * math.exp(-moment / DRIVE.motor_lag)
-    moved = np.array(arc(*pose.tolist(), *body(between), moment))
-    return (stop_point(moved, after) - stop_point(pose, turning)) / moment
-
-
-class Rows(NamedTuple):
-    """A z <= b for one robot's z = (v, l omega): limits, then edges and pairs."""
-
-    a: Array
-    b: Array
-
-
-def rows(s: Scene, i: int) -> Rows:
-    """Return a robot's rows by numerical differentiation of where it would stop."""
-    at = [stop_point(pose, turning) for pose, turning in zip(s.poses, s.turning, strict=True)]
-    units = [
-        np.array(wheels_from_body(v, omega, DRIVE.wheel_radius, DRIVE.wheel_base))
-        for v, omega in ((0.1, 0), (0, 0.1 / L))
-    ]
-    moves = np.array([stop_velocity(s.poses[i], s.turning[i], unit) for unit in units]).T / 0.1
-    turn = DRIVE.wheel_base / 2 / L
-    a = [(g, g * h) for g in (1, -1) for h in (turn, -turn, 0)]
-    b = [DRIVE.wheel_radius * 12.5, DRIVE.wheel_radius * 12.5, 0.2] * 2
-    for out, half in (((1, 0), 1.6), ((-1, 0), 1.6), ((0, 1), 1.0), ((0, -1), 1.0)):
-        a.append(tuple(np.array(out) @ moves))
-        b.append(max(KEEPOUT.rate * (half - from_edge(KEEPOUT, BODY) - np.array(out) @ at[i]), -0.1))
-    for j in range(s.n):
-        if j != i:
-            distance = float(np.linalg.norm(at[j] - at[i]))
-            a.append(tuple((at[j] - at[i]) / distance @ moves))
-            b.append(max(KEEPOUT.rate * (distance - D) / 2, -0.1))  # withdrawing at half its top speed at most
-    return Rows(np.array(a, dtype=float), np.array(b, dtype=float))
-
-
-def nearest(r: Rows, z: Array) -> Array | None:
-    """Return daqp's answer; None if there is none."""
-    found, _, flag, _ = daqp.solve(
-        np.eye(2), -z, r.a, r.b, np.full(len(r.b), -1e30), np.zeros(len(r.b), dtype=np.int32)
-    )
-    return np.array(found) if flag == 1 else None
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)
@@ -194,19 +75,6 @@ def test_the_wheels_keep_their_limits_and_u_is_what_they_do(seed: int) -> None:
     assert got.u == pytest.approx(velocities(s.poses, got.wheels), abs=1e-9)
 
 
-@pytest.mark.parametrize("bearing_deg", [0, 20, 40, 60, 75])
-def test_who_turns_aside_keeps_its_rows_too(bearing_deg: float) -> None:
-    bearing = math.radians(bearing_deg)
-    poses = np.array([(0.0, 0.0, 0.0), (D * math.cos(bearing), D * math.sin(bearing), 0.0)])
-    s, barrier = Scene(poses, np.zeros((2, 2)), np.array([(8.0, 8.0), (0.0, 0.0)])), Barrier(KEEPOUT, (BODY,) * 2)
-    r = rows(s, 0)
-    for _ in range(40):
-        got = answer(s, barrier)
-        v, omega = body(got.wheels[0])
-        assert got.how[0] == CHANGED
-        assert (r.a @ (v, L * omega) <= r.b + 1e-5).all()
-
-
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(st.integers(0, 10**6))
 def test_a_mirrored_scene_has_the_mirrored_answer(seed: int) -> None:
@@ -239,12 +107,6 @@ def test_asked_to_stand_at_a_safe_distance_it_stands(seed: int) -> None:
     got = answer(s._replace(wheels=np.zeros((s.n, 2))))
     assert not got.wheels.any()
     assert not got.how.any()
-
-
-def face_to_face(distance: float, n: int = 2) -> Scene:
-    """Return robots in a row that all drive at the middle."""
-    poses = [(k * distance, 0.0, 0.0 if k < n / 2 else math.pi) for k in range(n)]
-    return Scene(np.array(poses), np.zeros((n, 2)), np.full((n, 2), 5.0))
 
 
 def test_within_the_distance_a_robot_withdraws() -> None:
@@ -299,31 +161,6 @@ def test_what_is_not_a_number_makes_a_robot_stand(what: str, bad: float) -> None
     assert np.isfinite(wheels).all()
 
 
-def test_two_robots_that_face_each_other_pass_on_the_right_after_half_a_second() -> None:
-    s, barrier = face_to_face(D + 2 * KEEPOUT.ahead), Barrier(KEEPOUT, (BODY,) * 2)
-    waiting = [body(answer(s, barrier).wheels[0])[1] for _ in range(TICKS_3_S)]
-    assert waiting == pytest.approx([0.0] * TICKS_3_S, abs=1e-9), "who asks for little waits"
-    s = s._replace(wheels=np.full((2, 2), 8.0))
-    turns = [body(answer(s, barrier).wheels[0])[1] for _ in range(20)]
-    first = next(k for k, omega in enumerate(turns) if omega < -0.1)
-    assert 14 <= first <= 16
-    assert turns[:first] == pytest.approx([0.0] * first, abs=1e-9)
-
-
-def test_a_robot_that_is_held_for_three_seconds_is_blocked_until_it_gets_on() -> None:
-    n = 7  # one in the middle of six
-    ring = [(D * math.cos(k), D * math.sin(k), 0.0) for k in np.arange(6) * math.tau / 6]
-    s = Scene(np.array([(0.0, 0.0, 0.0), *ring]), np.zeros((n, 2)), np.array([(8.0, 8.0)] + [(0.0, 0.0)] * 6))
-    barrier = Barrier(KEEPOUT, (BODY,) * n)
-    blocked = [bool(answer(s, barrier).blocked[0]) for _ in range(TICKS_3_S + 10)]
-    assert blocked.index(True) == TICKS_3_S - 1
-    assert all(blocked[TICKS_3_S - 1 :])
-    free = s._replace(poses=s.poses * (5, 5, 1))
-    for _ in range(TICKS_3_S + 10):
-        got = answer(free, barrier)
-    assert not got.blocked.any()
-
-
 def test_the_distance_counts_bodies_gap_points_errors_and_a_robot_that_stands_unnoticed() -> None:
     fast = Body(DifferentialDrive(0.016, 0.105, 12.5, 0.4, 0.1, 150.0), 0.1, 0.01)
     expected = 0.055 + 0.1 + 0.01 + 2 * (0.01 + 0.002) + 0.4 * (0.133 + 0.01 + 0.1)
@@ -335,22 +172,78 @@ def test_the_edge_is_as_far_as_body_point_and_error() -> None:
     assert from_edge(KEEPOUT, BODY) == pytest.approx(0.055 + 0.01 + 0.002)
 
 
+FAST = DifferentialDrive(0.016, 0.105, 100.0, 1.5, 0.08, 900.0)
 SLOW = DifferentialDrive(0.016, 0.105, 12.5, 0.02, 0.08, 150.0)
 
 
 @pytest.mark.parametrize(
-    ("drive", "wheels", "way", "speed"),
+    ("drive", "rate", "wheels", "way", "speed"),
     [
-        (DRIVE, (12.5, 12.5), (1.0, 0.0), 0.2),
-        (SLOW, (-12.5, 12.5), (0.0, 1.0), 2 * 0.016 * 12.5 / 0.105 * 0.01),  # it turns, and its point goes sideways
+        (DRIVE, 10.0, (12.5, 12.5), (1.0, 0.0), 0.2),
+        (DRIVE, 0.3, (12.5, 12.5), (1.0, 0.0), 0.2),  # 1.4 m apart
+        (FAST, 10.0, (93.0, 93.0), (1.0, 0.0), 1.488),
+        (SLOW, 10.0, (-12.5, 12.5), (0.0, 1.0), 2 * 0.016 * 12.5 / 0.105 * 0.01),  # its point goes sideways
     ],
 )
 def test_who_is_near_enough_to_matter_is_not_overlooked_at_top_speed(
-    drive: DifferentialDrive, wheels: tuple[float, float], way: tuple[float, float], speed: float
+    drive: DifferentialDrive, rate: float, wheels: tuple[float, float], way: tuple[float, float], speed: float
 ) -> None:
+    keepout = replace(KEEPOUT, rate=rate, arena=(9.0, 9.0))
     bodies = (Body(drive, 0.055, 0.002),) * 2
     for share, how in ((0.95, CHANGED), (1.05, LEFT_ALONE)):
-        distance = apart(KEEPOUT, *bodies) + 2 * share * speed / KEEPOUT.rate
+        distance = apart(keepout, *bodies) + 2 * share * speed / rate
         poses = np.array([(0.0, 0.0, 0.0), (distance * way[0], distance * way[1], 0.0)])
         s = Scene(poses, np.zeros((2, 2)), np.array([wheels, (0.0, 0.0)]))
-        assert answer(s, Barrier(KEEPOUT, bodies)).how[0] == how
+        assert answer(s, Barrier(keepout, bodies)).how[0] == how
+
+
+@pytest.mark.parametrize("unseen_s", [0.0, 0.233])
+@pytest.mark.parametrize("way", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_every_wall_is_kept_and_from_further_by_a_robot_that_is_not_seen(way: tuple[int, int], unseen_s: float) -> None:
+    """In an arena whose sides are neither equal nor 2 m; the robot has gone 20 mm in the 0.1 s beyond its age."""
+    keepout = replace(KEEPOUT, arena=(3.0, 1.5))
+    grown = 0.2 * max(0.0, unseen_s - KEEPOUT.age)
+    edge = (1.5 if way[0] else 0.75) - from_edge(KEEPOUT, BODY) - KEEPOUT.ahead - grown
+    psi = math.atan2(way[1], way[0])
+    for left, speed in ((0.02, 0.16), (0.01, 0.1), (-0.005, -0.05)):  # what is left of the way; asked for 0.16 m/s
+        at = edge - left
+        s = Scene(np.array([(at * way[0], at * way[1], psi)]), np.zeros((1, 2)), np.full((1, 2), 10.0))
+        got = answer(s, Barrier(keepout, (BODY,)), unseen=np.array([unseen_s]))
+        assert body(got.wheels[0]) == pytest.approx((speed, 0.0), abs=1e-6)
+
+
+def test_a_robot_that_is_not_seen_itself_keeps_further_from_others_too() -> None:
+    s = face_to_face(D + 2 * KEEPOUT.ahead + 2 * 0.08 / KEEPOUT.rate + 1e-6)
+    v, _ = body(answer(s, unseen=np.array([KEEPOUT.age + 0.01, 0.0])).wheels[0])
+    assert v == pytest.approx(0.08 - KEEPOUT.rate / 2 * 0.2 * 0.01, abs=1e-5)
+
+
+def test_who_stands_excuses_nobody_after_it() -> None:
+    s = face_to_face(D - 0.005, 3)
+    s.wheels[0] = 0.0
+    got = answer(s, driving=np.array([False, True, True]))
+    assert list(got.how) == [LEFT_ALONE, CHANGED, CHANGED]
+
+
+def test_two_robots_in_one_place_are_given_an_answer() -> None:
+    """No direction leads away; that is for others to notice."""
+    s = Scene(np.array([(0.0, 0.0, 0.3), (0.0, 0.0, 0.3)]), np.zeros((2, 2)), np.full((2, 2), 5.0))
+    got = answer(s)
+    assert np.isfinite(got.wheels).all()
+    assert (got.how == LEFT_ALONE).all()
+
+
+def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = replace(DRIVE, motor_lag=0.4)
+    monkeypatch.setattr(barrier_scenes, "DRIVE", slow)
+    changed = 0
+    for seed in range(300):
+        s = scene(seed, n=1)
+        got = answer(s, Barrier(KEEPOUT, (Body(slow, 0.055, 0.002),)))
+        v, omega = body(s.wheels[0])
+        expected = nearest(rows(s, 0), np.array([v, L * omega]))
+        if got.how[0] == CHANGED and expected is not None:
+            changed += 1
+            got_v, got_omega = body(got.wheels[0])
+            assert (got_v, L * got_omega) == pytest.approx(expected.tolist(), abs=2e-4)
+    assert changed > 10
