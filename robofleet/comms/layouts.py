@@ -53,7 +53,7 @@ class Layout(Generic[M]):
         values = self._struct.unpack(payload)
         if self._doubles and not math.isfinite(sum(values[-self._doubles :])):
             return None
-        return self._make._make(values[1:])
+        return tuple.__new__(self._make, values[1:])  # the layout has as many as the message: no need to count
 
 
 class ListLayout(Generic[M]):

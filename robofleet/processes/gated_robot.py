@@ -121,8 +121,8 @@ class GatedRobot:
         )
         state, output = gate.step(self._gate, self._drive, inputs, now_ns)
         self._adopt(inputs, state, output, now_ns, again=command is not None)
-        fresh = command is not None and command.exposure_ns != self._applied[0]  # not the same said again
-        if command is not None and fresh and self._gate.seq != seq:
+        said_anew = command is not None and command.exposure_ns != self._applied[0]
+        if command is not None and said_anew and self._gate.seq != seq:
             self._accepted_exposure_ns = command.exposure_ns
         if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
             self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None

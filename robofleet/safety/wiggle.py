@@ -30,7 +30,7 @@ _NO_START_NS = 1_000_000_000
 _NO_REST_NS = 2_000_000_000
 _NO_IMAGE_NS = 2_000_000_000
 _MOVED_M, _MOVED_RAD = 0.006, 0.05  # of a robot that stands: ten sigmas of noise, a third of what a stroke gives
-_TWICE = 2.0  # times the expected travel: the wiggle is stopped at once
+_MOST = 1.5  # of what a stroke should take it: then the wiggle is stopped at once
 _SILENT_RAD = 1e-3  # a wheel that counted less counted nothing
 
 
@@ -71,7 +71,7 @@ def travel_m(wheel_radius: float) -> float:
 
 def room_m(wheel_radius: float) -> float:
     """Return how far a robot may get before the wiggle is stopped [m]."""
-    return _TWICE * travel_m(wheel_radius) + _MOVED_M
+    return _MOST * travel_m(wheel_radius) + _MOVED_M
 
 
 def begin(view: FleetView) -> Wiggle:

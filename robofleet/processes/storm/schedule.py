@@ -11,7 +11,7 @@ from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import Fault
 
-WINDOW_S = 12.0  # of faults, from the first moment of running; with the checks before it this is a run of 20 s
+WINDOW_S = 10.0  # of faults, from the first moment of running; with the checks before and the new start after it, 20 s
 _SHORTEST_S, _LONGEST_S = 0.05, 5.0
 _MOST = 6  # faults of one seed
 _CALM = 0.5  # share of seeds with gentle faults only, inside the envelope
