@@ -75,6 +75,7 @@ def test_exact_solves_the_linear_flow(alpha: float, T: float, step: float, veloc
     assert after[0] == pytest.approx(u, rel=2e-3, abs=1e-3 * max(1, 1 / T**2))
 
 
+@pytest.mark.slow
 def test_limits_hold_and_do_not_wind_up() -> None:
     flow = NewtonRaphsonFlow(DOUBLE, FlowSettings(20.0, 0.5, 0.02, lower=(-1.0,), upper=(2.0,)), [0.0])
     for _ in range(50):
@@ -156,6 +157,7 @@ def test_prediction_steps_grow_as_the_bicycle_slows_down() -> None:
     assert steps == sorted(steps) and steps[-1] >= 0.5 * 209 / 2.7
 
 
+@pytest.mark.slow
 def test_a_diverging_prediction_names_its_step() -> None:
     flow = NewtonRaphsonFlow(SWITCHED, FlowSettings(30.0, 0.5, 0.01, prediction_steps=100), np.zeros(2))
     with pytest.raises(FlowError, match=r"the prediction is not finite in step \d+ of 100") as error:

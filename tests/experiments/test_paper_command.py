@@ -27,6 +27,7 @@ def robofleet(*arguments: str) -> Result:
     return CliRunner().invoke(cli.app, ["paper", *arguments], env={"COLUMNS": "80"})
 
 
+@pytest.mark.slow
 def test_tables_on_the_terminal_figures_and_numbers_in_the_folder(folder: Path) -> None:
     result = robofleet("closed-curve", "--out", "new")
     assert result.exit_code == 0, result.output

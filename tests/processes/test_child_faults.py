@@ -13,7 +13,9 @@ from tests.processes.realrun import PLATOON, RealRun
 @pytest.mark.parametrize(
     ("fault", "cause"),
     [
-        ("{kind: killed, process: driver-r2, at_s: 0.5}", "r2: the driver went silent"),
+        pytest.param(
+            "{kind: killed, process: driver-r2, at_s: 0.5}", "r2: the driver went silent", marks=pytest.mark.slow
+        ),
         ("{kind: stopped, process: driver-r2, at_s: 0.5, duration_s: 5}", "r2: the driver went silent"),
     ],
 )

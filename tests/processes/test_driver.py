@@ -48,7 +48,7 @@ def test_with_both_the_wheels_do_what_they_are_told(stand: Any) -> None:
     assert stand.made["r1"].target == FORWARD
     status = stand.newest("r1")
     assert (status.gate, status.applied_exposure_ns) == (GateStatus.OPEN, EXPOSURE_NS)
-    assert stand.bench.now_ns - status.applied_ns <= 33 * MS + 20 * MS
+    assert 0 < status.applied_ns < stand.bench.now_ns - 33 * MS  # said again, it is not applied again
 
 
 @pytest.mark.parametrize("silent", ["commands", "enables"])

@@ -52,7 +52,15 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
 
 
 @pytest.mark.parametrize(
-    "victim", [["controller"], ["driver", "r1"], ["router"], ["tracker"], ["supervisor"]], ids="-".join
+    "victim",
+    [
+        ["controller"],
+        ["driver", "r1"],
+        ["router"],
+        pytest.param(["tracker"], marks=pytest.mark.slow),
+        pytest.param(["supervisor"], marks=pytest.mark.slow),
+    ],
+    ids="-".join,
 )
 def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: list[str]) -> None:
     run = real_run(*ALONE)
