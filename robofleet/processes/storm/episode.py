@@ -29,9 +29,7 @@ from robofleet.safety.supervisor import Event, Phase
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
 _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most seeds, and in one of so many
-_MOST_QUEUED = (
-    5000  # of some twenty thousand steps of a storm; a link that is cut for four seconds holds back three thousand
-)
+_MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
 _LOOK_S = 0.05  # the operator's eye
 _ROOM_M = 0.06  # what the wheels' trial before a start may ask for
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
