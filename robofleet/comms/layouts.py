@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 if TYPE_CHECKING:
     import numpy as np
 
-VERSION = 2
+VERSION = 3
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
 
 M = TypeVar("M", bound=NamedTuple)
@@ -112,3 +112,21 @@ class ListLayout(Generic[M]):
         if not math.isfinite(sum(head) + sum(map(sum, rows))):
             return None
         return self._make._make([*head, tuple(map(self._make_item._make, rows))])
+
+
+class BlobLayout(Generic[M]):
+    """A layout with bytes at its end: version byte, the head's fields, then whatever is left is the last field."""
+
+    def __init__(self, make: type[M], head: str) -> None:
+        self._make, self._head = make, Struct(f"<B{head}")
+
+    def encode(self, message: M) -> bytes:
+        """Return the payload."""
+        *head, blob = message
+        return self._head.pack(VERSION, *head) + bytes(blob)
+
+    def decode(self, payload: bytes) -> M | None:
+        """Return the message, or None where length or version is wrong."""
+        if len(payload) < self._head.size or payload[0] != VERSION:
+            return None
+        return self._make._make([*self._head.unpack_from(payload)[1:], payload[self._head.size :]])

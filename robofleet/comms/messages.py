@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from robofleet.comms.layouts import Layout, ListLayout
+from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
 
 
 class WheelCommand(NamedTuple):
@@ -147,8 +147,14 @@ class TickRecord(NamedTuple):
     tick: int  # of the grid, from 1
     run_tick: int  # of those that the fleet was running; -1 while it is not
     stamp_ns: int  # the tick's instant on the grid [controller's clock]
-    poses_seq: int  # newest FleetPoses consumed
-    exposure_ns: int  # its mid-exposure [tracker's clock]
+    poses_epoch: int  # of the newest FleetPoses taken, used or not; 0: none yet
+    poses_seq: int
+    exposure_ns: int  # mid-exposure of the newest one used [tracker's clock]
+    state_epoch: int  # of the newest RunState taken; 0: none yet
+    state_seq: int
+    command_seq: (
+        int  # of the newest command before this tick's: those after it, up to the next record's, are this tick's
+    )
     phase: int
     overruns: int  # so far
     lateness_ns: int  # of this tick
@@ -179,6 +185,17 @@ class RobotTick(NamedTuple):
     blocked: float  # 1: the barrier has held it for so long that it will not get on by itself
 
 
+class Picture(NamedTuple):
+    """Tracker to whoever looks: what the camera sees, now and then."""
+
+    epoch: int  # of the tracker
+    seq: int
+    exposure_ns: int  # as in the FleetPoses of the same image
+    width: int  # of the camera's image [px]; the JPEG may be smaller
+    height: int
+    jpeg: bytes
+
+
 class LeaseRequest(NamedTuple):
     """Controller to driver, a query: let me drive this robot."""
 
@@ -202,5 +219,6 @@ TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
 LEASE_ANSWER = Layout(LeaseAnswer, "BIQ", 0)
 FLEET_POSES = ListLayout(FleetPoses, "IIIqqIqqI", TagPose, "Hiiddd")
-TICK_RECORD = ListLayout(TickRecord, "IIIiqIqBIqq", RobotTick, "d" * 18)
+TICK_RECORD = ListLayout(TickRecord, "IIIiqIIqIIIBIqq", RobotTick, "d" * 18)
+PICTURE = BlobLayout(Picture, "IIqHH")
 RUN_STATE = ListLayout(RunState, "IIBHHdBHB", RobotState, "BBH")

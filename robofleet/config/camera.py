@@ -135,6 +135,7 @@ class CameraSettings(Model):
     trigger: Literal["free", "tick"] = "tick"
     trigger_lead_s: Positive = 0.018  # from mid-exposure to the tick
     exposure_s: Positive = 0.004
+    picture_rate_hz: NonNegative = 1.0  # of the pictures that the tracker shows and that are recorded; 0: none
     readout_s: NonNegative = 0.004  # from the end of the (first row's) exposure until the image is here
     noise_gray: NonNegative = 3.0  # of a pixel; 0: of no pixel, so that two images may be equal
     simulated: SimulatedCameraSettings = SimulatedCameraSettings()

@@ -180,11 +180,31 @@ class TrackerSettings(Model):
     truth: TruthSettings = TruthSettings()
 
 
+class DriverSettings(Model):
+    """How the robots' drivers are spread over processes."""
+
+    robots_per_process: Annotated[int, Field(ge=1)] = 1
+
+
 class LockstepSettings(Model):
     """What a lockstep run charges for work that takes no simulated time."""
 
     bus_delay_s: Positive = 0.001
     tracker_delay_s: NonNegative = 0.004
+
+
+class Bounds(Model):
+    """What a run is judged by in its report, as ``summary.json`` has the figures; null: not judged."""
+
+    control_error_mean_mm: Positive | None = None
+    timed_error_mean_mm: Positive | None = None  # the leader's
+    path_error_mean_mm: Positive | None = None
+    spacing_max_deviation_mm: Positive | None = None
+    min_gap_mm: Finite | None = None  # at least
+    pose_error_rms_mm: Positive | None = None
+    overruns: Annotated[int, Field(ge=0)] | None = None
+    exposure_to_wheel_p99_ms: Positive | None = None
+    stops: Annotated[int, Field(ge=0)] | None = None
 
 
 class RunSettings(Model):
@@ -195,6 +215,8 @@ class RunSettings(Model):
     spacing_settle_s: NonNegative = 5.0
     seed: Annotated[int, Field(ge=0)] = 1
     attended: bool = False
+    start: Literal["auto", "operator"] = "auto"  # operator: everything is there and waits until somebody starts it
+    bounds: Bounds = Bounds()
 
 
 class Config(Model):
@@ -208,13 +230,20 @@ class Config(Model):
     tracker: TrackerSettings
     camera: CameraSettings
     run: RunSettings
+    drivers: DriverSettings = DriverSettings()
     lockstep: LockstepSettings = LockstepSettings()
     faults: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
 
     @property
     def processes(self) -> tuple[str, ...]:
         """The processes of a run, by name."""
-        return "router", "supervisor", "tracker", "controller", *(f"driver-{robot.id}" for robot in self.robots)
+        return "router", "supervisor", "tracker", "controller", *self.driven
+
+    @property
+    def driven(self) -> dict[str, tuple[str, ...]]:
+        """The driver processes by name, each with its robots' ids."""
+        ids, most = [robot.id for robot in self.robots], self.drivers.robots_per_process
+        return {f"driver-{ids[k]}": tuple(ids[k : k + most]) for k in range(0, len(ids), most)}
 
     def robot(self, robot_id: str) -> Robot:
         """Return a robot by its id; KeyError if there is none."""

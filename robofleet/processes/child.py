@@ -79,7 +79,7 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
         rng = entropy(config.run.seed, *robots)
         return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
 
-    _run("driver-" + "-".join(robots), config, lifeline, make, _DRIVER_PRIORITY)
+    _run(f"driver-{robots[0]}", config, lifeline, make, _DRIVER_PRIORITY)
 
 
 def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:

@@ -76,7 +76,9 @@ class Controller:
         self._run_tick = -1
         self._permitted = np.zeros(len(robots), dtype=np.bool_)
         self._probe: tuple[int, int] = (NOBODY, 0)  # a robot, and the stroke that it does
-        self._consumed = (0, 0)  # seq and mid-exposure of the newest image
+        self._taken = (0, 0)  # epoch and seq of the newest poses
+        self._exposure_ns = 0  # of the newest ones used
+        self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
         self._timing = _Timing()
         self._record = np.zeros((len(robots), 18))
 
@@ -118,9 +120,10 @@ class Controller:
         self._wheels = decisions[:, WHEELS].tolist()
         if self._leases.refused:
             return  # somebody else drives these robots: not a word that could be taken for the other's
+        seq = self._seq
         for row in range(len(self._wheels)):
             self._command(row)
-        self._publish_record(tick_ns, here, measured, lost, decisions)
+        self._publish_record(tick_ns, here, measured, lost, decisions, seq)
 
     def _keep_apart(
         self, tick_ns: int, there: np.ndarray, turning: np.ndarray, driving: np.ndarray, decisions: np.ndarray
@@ -134,6 +137,8 @@ class Controller:
 
     def _read_state(self) -> None:
         state = self._state.take()
+        if state is not None:
+            self._heard = state.epoch, state.seq
         if state is not None and state.phase in _PHASES and len(state.robots) == len(self._permitted):
             self._permitted[:] = [robot.permitted for robot in state.robots]
             self._probe = (state.probed, state.stroke) if state.phase == Phase.ARMED else (NOBODY, 0)
@@ -157,6 +162,8 @@ class Controller:
         """Correct the filter by the newest image; returns which robots it measured."""
         message = self._poses.take()
         n = len(self._rows)
+        if message is not None:
+            self._taken = message.epoch, message.seq
         if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
             return [False] * n
         exposure_ns, latest_ns = self._exposure(message), self._grid.instant(self._index + 1)
@@ -171,7 +178,7 @@ class Controller:
         for row, how in enumerate(used):
             if how == CARRIED:
                 self._behaviour.carried(row)
-        self._consumed = message.seq, message.exposure_ns
+        self._exposure_ns = message.exposure_ns
         return [how != UNUSED for how in used]
 
     def _exposure(self, message: FleetPoses) -> int:
@@ -189,13 +196,13 @@ class Controller:
         if status is not None and status.session == self._leases.session:
             self._seq += 1
             command = WheelCommand(
-                status.epoch, self._seq, status.session, status.boot_id, status.nonce, self._consumed[1],
+                status.epoch, self._seq, status.session, status.boot_id, status.nonce, self._exposure_ns,
                 *self._wheels[row],
             )  # fmt: skip
             self._commands[row](WHEEL_COMMAND.encode(command))
 
     def _publish_record(
-        self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, decisions: np.ndarray
+        self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, decisions: np.ndarray, seq: int
     ) -> None:
         r = self._record
         r[:, 0:3] = here
@@ -204,7 +211,8 @@ class Controller:
         r[:, 15] = lost
         running = self._phase is Phase.RUNNING
         head = (
-            self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns, *self._consumed,
+            self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
+            *self._taken, self._exposure_ns, *self._heard, seq,
             self._phase, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
         self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes()))

@@ -102,8 +102,8 @@ class Launcher:
         for name in ("supervisor", "tracker"):
             fleet.start(name, name)
         fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
-        for robot in self._config.robots:
-            fleet.start(f"driver-{robot.id}", "driver", "--robots", robot.id)
+        for name, robots in self._config.driven.items():
+            fleet.start(name, "driver", "--robots", ",".join(robots))
         fleet.wait_ready(self._clock, self._heed)
 
     def _drive(self, fleet: Children) -> Outcome:

@@ -67,20 +67,20 @@ class Lockstep:
         config, queue, faults = self._config, self._queue, self.faults
         if faults is not None:
             queue.add("faults", lambda _: ProcessFaults(faults, queue, self.bus))
-        for robot in config.robots:
-            queue.add(f"driver-{robot.id}", partial(self._driver, robot.id))
+        for name, robots in config.driven.items():
+            queue.add(name, partial(self._driver, robots))
         queue.add("tracker", self._made_tracker).timed = True
         queue.add("supervisor", self._made_supervisor)
         queue.add("controller", self._made_controller).timed = True
         if faults is not None and faults.of("second_controller"):
             queue.add(SECOND_CONTROLLER, self._made_controller).kill()
 
-    def _driver(self, robot: str, slot: Slot) -> DriverProcess:
+    def _driver(self, robots: tuple[str, ...], slot: Slot) -> DriverProcess:
         keeping: Keeping = self.keeping if self.faults is None else FaultyKeeping(self.keeping, self.faults)
-        rng = self._rng(slot, "driver", robot)
+        rng = self._rng(slot, "driver", *robots)
         bus, clock = self._edges(slot)
         return DriverProcess(
-            self._config, (robot,), bus, clock, slot, rng, keeping, witness=self._witness, faults=self.faults
+            self._config, robots, bus, clock, slot, rng, keeping, witness=self._witness, faults=self.faults
         )
 
     def _made_tracker(self, slot: Slot) -> Tracker:

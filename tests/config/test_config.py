@@ -157,7 +157,7 @@ def test_aliases_that_explode_are_refused_at_once(platoon: Path) -> None:
 
 MISTAKES = [
     (("spacing_m:", "«spacing:"), "groups.0.spacing", "unknown key: did you mean 'spacing_m'?"),
-    (("run: {", "run: {«xyz: 1, "), "run.xyz", "known: attended, duration_s, seed"),
+    (("run: {", "run: {«xyz: 1, "), "run.xyz", "known: attended, bounds, duration_s, seed"),
     (("  alpha: 45  # paper\n", ""), "controller.alpha", "is missing"),
     ((ALPHA, "alpha:« "), "controller.alpha", "is missing"),
     ((ALPHA, "alpha: «fast "), "controller.alpha", "must be a number, not 'fast'"),

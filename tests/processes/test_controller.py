@@ -104,7 +104,7 @@ def test_poses_that_echo_an_old_tick_are_not_used(stand: Stand, behind: int, use
     stand.next_tick()
     assert {robot.measured for robot in stand.newest.robots} == {float(used)}
     assert {robot.lost for robot in stand.newest.robots} == {float(not used)}
-    assert (stand.newest.poses_seq > 0) == used
+    assert (stand.newest.exposure_ns > 0) == used
 
 
 def test_poses_that_echo_no_tick_are_not_used(stand: Stand) -> None:

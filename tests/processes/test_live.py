@@ -43,9 +43,7 @@ class View:
         self.terminal = Terminal()
         self.recording, self._config = Recording(config), config
         robots = (RobotTick(*(0.0,) * len(RobotTick._fields)),) * 4
-        self.recording.add(
-            key("platoon", TICK), TICK_RECORD.encode(TickRecord(1, 1, 9, -1, 1, 0, 0, 0, 0, 0, 0, robots))
-        )
+        self.recording.add(key("platoon", TICK), TICK_RECORD.encode(TickRecord(1, 1, 9, -1, 1, *[0] * 10, robots)))
         for robot in config.platoon:
             self.gate(robot.id, GateStatus.OPEN, Latch.NONE)
 

@@ -112,7 +112,22 @@ class Story:
             items.append(RobotTick(*pose, *point, 0, 0, 0, 0, 0, error, 0, 0, float(row == 0 and k == 1), 1, 0, 0, 0))
         phase, run_tick = (Phase.RUNNING, k) if k >= 0 else (Phase.ARMED, -1)
         exposure_ns = self.stamp(k) - 18 * MS
-        head = 1, 1, k + 10, run_tick, self.stamp(k), 1, exposure_ns, phase, max(k, 0) // 10 + 7, 1000 * (k + 10)
+        head = (
+            1,
+            1,
+            k + 10,
+            run_tick,
+            self.stamp(k),
+            1,
+            1,
+            exposure_ns,
+            1,
+            1,
+            0,
+            phase,
+            max(k, 0) // 10 + 7,
+            1000 * (k + 10),
+        )
         return TickRecord(*head, 50_000, tuple(items))
 
 
