@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robofleet.clock import S, WallClock, utc_now
-from robofleet.processes import commands
+from robofleet.processes import commands, run_commands
 from robofleet.processes.refusal import RefusedError, bad_input
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
 app.add_typer(commands.app)
+app.add_typer(run_commands.app)
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 Overrides = Annotated[
