@@ -73,9 +73,9 @@ class FloorTag(Model):
     side_m: Positive
     """Of its black square."""
     x_m: Finite
-    """[world frame]"""
+    """Of its middle, in the world frame."""
     y_m: Finite
-    """[world frame]"""
+    """Of its middle, in the world frame."""
     heading_deg: Finite = 0.0
     """Of the print's right, counter-clockwise."""
     height_m: NonNegative = 0.0

@@ -73,7 +73,7 @@ class Knock(Model):
     rotation_deg: Annotated[tuple[Turn, Turn, Turn], Field(strict=False)] = (0.0, 0.0, 0.0)
     """About the camera's axes: x right, y down, z forward."""
     shift_m: Annotated[tuple[Shift, Shift, Shift], Field(strict=False)] = (0.0, 0.0, 0.0)
-    """[world frame]"""
+    """In the world frame."""
     focal_ratio: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     """Of the focal lengths, after over before."""
 
@@ -99,7 +99,7 @@ class Swap(Model):
 
 
 class TrueTagOffset(TagOffset):
-    """Where a simulated robot's tag really is on it."""
+    """Where a simulated robot's tag really is on it: from the centre of the axle, in the body's frame."""
 
     robot: Name
     """Which one."""

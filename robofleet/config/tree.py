@@ -35,7 +35,7 @@ class Knot(Model):
     """A joint of the path: position and derivative with respect to the parameter, one unit a side."""
 
     at_m: Vector2
-    """[world frame]"""
+    """Its position [world frame]."""
     derivative_m: Vector2
     """With respect to the parameter, which is 1 longer at the next knot."""
 
@@ -166,7 +166,7 @@ class Config(Model):
     controller: ControllerSettings
     """The law, and what it believes."""
     tracker: TrackerSettings
-    """Where poses come from."""
+    """How the robots are seen."""
     camera: CameraSettings
     """The overhead camera."""
     run: RunSettings

@@ -15,7 +15,7 @@ Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class Timed(Model):
-    """When: without ``at_s`` from the first moment, before the checks; without ``duration_s`` for good."""
+    """When something goes wrong; times count from the start of the run."""
 
     at_s: NonNegative | None = None
     """null: from the first moment, before the checks."""
