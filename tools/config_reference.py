@@ -6,7 +6,7 @@ python tools/config_reference.py
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -152,12 +152,12 @@ def _list(node: Node) -> str:
     return f"list{count}, {of}" if of == _BELOW else f"list{count}: {of}"
 
 
-_RANGES = {
+_RANGES: dict[str, Callable[[Node], str]] = {
     "null": lambda _node: "null",
     "boolean": lambda _node: "`true`, `false`",
     "integer": lambda node: f"whole, {_number(node)}".removesuffix(" number"),
     "number": _number,
-    "string": lambda node: _PATTERNS.get(node.get("pattern"), "text"),
+    "string": lambda node: _PATTERNS.get(node.get("pattern", ""), "text"),
     "array": _list,
     "object": lambda _node: "mapping",
 }

@@ -31,6 +31,7 @@ def test_hold_status_resume_stop(real_run: Start) -> None:
     run.wait_for(lambda: "\nheld: hold requested" in run.said)
     found = json.loads(run.robofleet("status", "--json").stdout)
     assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
+    assert found["next"] == "the run is held: resume it, or stop it"
     assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
     (robot,) = found["robots"]
     assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == ("r1", "no enable", "none", None)
