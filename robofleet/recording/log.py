@@ -14,6 +14,7 @@ from robofleet.config.tree import Config
 FILE = "run.mcap"
 ENCODING = f"robofleet-{VERSION}"  # of this project's own messages
 CONFIG = "config.yaml"  # the attachment
+ENDING = "ending.json"  # the attachment: Recording.ending()
 _CHUNK = 64 * 1024  # [bytes]
 _FLUSH_NS = 250 * MS
 
@@ -34,6 +35,8 @@ class RunLog:
         self._channels: dict[str, int] = {}
         self._flushed_ns = 0
         self.messages = 0
+        self.dropped = 0
+        self.failed = False
 
     def add(self, full: str, payload: bytes, at_ns: int) -> None:
         """Keep a message that came at an instant of this process's clock."""
@@ -47,6 +50,16 @@ class RunLog:
         if now_ns - self._flushed_ns >= _FLUSH_NS:
             self._flushed_ns = now_ns
             self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def drop(self, count: int) -> None:
+        """Note that messages came that are not kept."""
+        self.dropped += count
+
+    def end(self, ending: bytes) -> None:
+        """Keep how the run ended, where somebody knows it, and close."""
+        if ending:
+            self._writer.add_attachment(0, 0, ENDING, "application/json", ending)
+        self.close()
 
     def close(self) -> None:
         """End the file with its index. Idempotent."""

@@ -8,7 +8,7 @@ from mcap.records import Attachment, Channel, Message
 from mcap.stream_reader import StreamReader
 
 from robofleet.config.load import load_config
-from robofleet.recording.log import CONFIG, ENCODING, FILE
+from robofleet.recording.log import CONFIG, ENCODING, ENDING, FILE
 from robofleet.recording.run import Recording
 
 
@@ -26,6 +26,8 @@ def read(run: Path) -> Recording:
             for record in StreamReader(stream).records:
                 if isinstance(record, Attachment) and record.name == CONFIG:
                     recording = Recording(_config(record.data))
+                elif isinstance(record, Attachment) and record.name == ENDING and recording is not None:
+                    recording.end(record.data)
                 elif isinstance(record, Channel) and record.message_encoding == ENCODING:
                     channels[record.id] = record.topic
                 elif isinstance(record, Message) and record.channel_id in channels and recording is not None:
