@@ -107,7 +107,7 @@ class FaultyBus:
 
     def _cuts(self, topic: Topic, name: str) -> tuple[Injection, ...]:
         """Return the cuts that lie between this process and the sender of a topic."""
-        sender = f"driver-{name}" if topic is STATUS else _SENDERS.get(topic, self._process)
+        sender = self._schedule.driver_of(name) if topic is STATUS else _SENDERS.get(topic, self._process)
         cuts = tuple(
             cut
             for cut in self._schedule.of("network_cut")
