@@ -12,7 +12,6 @@ from robofleet.comms.keys import (
     NEWS,
     PICTURE,
     POSES,
-    REQUEST,
     STATE,
     STATUS,
     TICK,
@@ -70,7 +69,7 @@ def keys(config: Config) -> Iterator[str]:
 
 
 def schema(full: str) -> tuple[str, bytes]:
-    """Return name and description of the messages of a key: ``fields``, then ``items`` or ``rest``, if there are any."""
+    """Return name and description of a key's messages: ``fields``, then ``items`` or ``rest``, if there are any."""
     topic = named(full)
     layout = None if topic is None else _LAYOUTS.get(topic[0])
     name, parts = _OTHER if layout is None else layout.describe()

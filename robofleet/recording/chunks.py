@@ -1,23 +1,30 @@
 """A chunk of an MCAP file: definitions and messages, compressed and checked by their CRC. Layouts: mcap.dev/spec."""
 
 import zlib
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from io import BytesIO
-from struct import Struct
+from operator import itemgetter
+from struct import Struct, pack
 from typing import NamedTuple
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, MessageIndex, Schema
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema
 from zstandard import ZstdCompressor, ZstdDecompressor, ZstdError, frame_content_size
 
 RECORD = Struct("<BQ")  # opcode, bytes that follow
 MESSAGE_OVERHEAD = 31  # [bytes] of a message beside its payload
 _MESSAGE = Struct("<HIQQ")  # channel, sequence, log time and publish time [ns]; the payload follows
 _RECORD_MESSAGE = Struct("<BQHIQQ")
+_INDEX = Struct("<BQHI")  # of a channel's messages in a chunk; log time and offset of each follow
+_OPCODE = int(Opcode.MESSAGE)
 _COMPRESSION = "zstd"
 _LEVEL = 3
+
+
+Waiting = tuple[int, int, int, bytes]  # a message's channel, sequence, log time [ns] and payload
 
 
 class Message(NamedTuple):
@@ -43,25 +50,25 @@ def encode(record: McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def encode_chunk(definitions: Sequence[bytes], messages: Sequence[Message], at: int) -> tuple[bytes, ChunkIndex]:
+def encode_chunk(definitions: Sequence[bytes], messages: Sequence[Waiting], at: int) -> tuple[bytes, ChunkIndex]:
     """Return a chunk with its message indexes behind it, to stand at ``at`` in the file, and its entry in the index."""
-    parts, place, places = [*definitions], sum(map(len, definitions)), dict[int, list[tuple[int, int]]]()
+    parts, place, indexes = [*definitions], sum(map(len, definitions)), defaultdict[int, list[int]](list)
     for channel, sequence, log_ns, data in messages:
-        places.setdefault(channel, []).append((log_ns, place))
-        parts.append(_RECORD_MESSAGE.pack(Opcode.MESSAGE, _MESSAGE.size + len(data), channel, sequence, log_ns, log_ns))
-        parts.append(data)
-        place += MESSAGE_OVERHEAD + len(data)
-    content, times = b"".join(parts), [message.log_ns for message in messages]
-    packed = ZstdCompressor(level=_LEVEL).compress(content)
-    block = bytearray(encode(Chunk(_COMPRESSION, packed, max(times), min(times), zlib.crc32(content), len(content))))
+        indexes[channel] += log_ns, place
+        length = _MESSAGE.size + len(data)
+        parts += _RECORD_MESSAGE.pack(_OPCODE, length, channel, sequence, log_ns, log_ns), data
+        place += RECORD.size + length
+    content, times = b"".join(parts), [*map(itemgetter(2), messages)]
+    packed, first, last = ZstdCompressor(_LEVEL).compress(content), min(times), max(times)
+    block = bytearray(encode(Chunk(_COMPRESSION, packed, last, first, zlib.crc32(content), len(content))))
     length, offsets = len(block), dict[int, int]()
-    for channel, records in places.items():
+    for channel, index in indexes.items():
         offsets[channel] = at + len(block)
-        block += encode(MessageIndex(channel, records))
-    index = ChunkIndex(
-        length, at, _COMPRESSION, len(packed), max(times), len(block) - length, offsets, min(times), len(content)
-    )
-    return bytes(block), index
+        block += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(index), channel, 8 * len(index))
+        block += pack(f"<{len(index)}Q", *index)
+    index_length = len(block) - length
+    entry = ChunkIndex(length, at, _COMPRESSION, len(packed), last, index_length, offsets, first, len(content))
+    return bytes(block), entry
 
 
 def decode_chunk(body: bytes) -> Iterator[Content]:
@@ -92,7 +99,7 @@ def _contents(content: bytes) -> Iterator[Content]:
     while at < end:
         opcode, length = RECORD.unpack_from(content, at)
         at += RECORD.size
-        if opcode == Opcode.MESSAGE:
+        if opcode == _OPCODE:
             channel, sequence, log_ns, _ = _MESSAGE.unpack_from(content, at)
             yield Message(channel, sequence, log_ns, content[at + _MESSAGE.size : at + length])
         elif opcode == Opcode.SCHEMA:

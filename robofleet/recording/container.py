@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import FileIO
+from operator import itemgetter
 
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -29,7 +30,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from robofleet.recording.chunks import MESSAGE_OVERHEAD, Message, encode, encode_chunk
+from robofleet.recording.chunks import MESSAGE_OVERHEAD, Waiting, encode, encode_chunk
 
 FOOTER_CRC = 4  # [bytes] at the footer's end, of all that comes before since the end of the data
 
@@ -56,7 +57,7 @@ class Container:
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._definitions: list[bytes] = []
-        self._waiting: list[Message] = []
+        self._waiting: list[Waiting] = []
         self._written = _Written()
         self.waiting_bytes = 0
 
@@ -74,7 +75,7 @@ class Container:
 
     def add_message(self, channel: int, sequence: int, log_ns: int, data: bytes) -> None:
         """Let a message wait for the next block."""
-        self._waiting.append(Message(channel, sequence, log_ns, data))
+        self._waiting.append((channel, sequence, log_ns, data))
         self.waiting_bytes += MESSAGE_OVERHEAD + len(data)
 
     def discard(self) -> None:
@@ -97,12 +98,12 @@ class Container:
             chunk, chunk_index = encode_chunk(self._definitions[was.definitions :], messages, was.size + len(block))
             indexes[Opcode.CHUNK_INDEX] += (encode(chunk_index),)
             block += chunk
-        times = *was.times, *(message.log_ns for message in messages)
+        times = *was.times, *map(itemgetter(2), messages)
         written = _Written(
             self._put(block),
             zlib.crc32(block, was.crc),
             len(self._definitions) if messages else was.definitions,
-            was.counts + Counter(message.channel for message in messages),
+            was.counts + Counter(map(itemgetter(0), messages)),
             (min(times), max(times)) if times else (),
             indexes,
         )

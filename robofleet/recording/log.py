@@ -1,6 +1,7 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -159,6 +160,6 @@ def _news(config: Config) -> dict[str, slice]:
 
 def _span(dtype: "np.dtype[Any]", first: str, last: str) -> slice:
     """Return where neighbouring fields lie in a message."""
-    fields = dtype.fields or {}
+    fields: Mapping[str, Any] = dtype.fields or {}
     end, size = fields[last][1], fields[last][0].itemsize
     return slice(fields[first][1], end + size)

@@ -57,7 +57,7 @@ class Scan:
     def _items(self) -> Iterator[Item]:
         if self._take(len(MAGIC)) != MAGIC:
             raise DamageError
-        expected = _DATA
+        expected: tuple[Opcode, ...] = _DATA
         while True:
             self.good, crc = self._read, self._crc
             opcode, length = RECORD.unpack(self._take(RECORD.size))
