@@ -31,7 +31,7 @@ def read(run: Path) -> Recording:
     """Return the messages of a run: its folder, or its file. RecordingError where there is none that can be read."""
     file = file_of(run)
     with opened(file) as stream:
-        scan = Scan(stream, os.fstat(stream.fileno()).st_size)
+        scan = scanned(stream)
         recording = _recording(scan, file)
     if recording is None:
         raise RecordingError(f"{file}: no recording: {scan.trouble or 'it holds no configuration'}")
@@ -50,12 +50,18 @@ def file_of(run: Path) -> Path:
 def opened(file: Path) -> Iterator[BinaryIO]:
     """Open a recording; RecordingError where it cannot be read."""
     try:
-        with file.open("rb") as stream:
-            yield stream
+        stream = file.open("rb")
     except FileNotFoundError as error:
         raise RecordingError(f"{file}: there is no such recording: name a folder of robofleet run's") from error
     except OSError as error:
-        raise RecordingError(f"{file}: it cannot be read: {error.strerror}") from error
+        raise RecordingError(f"{file}: cannot be read: {error.strerror}") from error
+    with stream:
+        yield stream
+
+
+def scanned(stream: BinaryIO) -> Scan:
+    """Return a walk through a file that is at its start."""
+    return Scan(stream, os.fstat(stream.fileno()).st_size)
 
 
 def check_maker(header: Header, file: Path) -> None:

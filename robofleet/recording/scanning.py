@@ -15,7 +15,8 @@ from robofleet.recording.container import FOOTER_CRC
 
 _ATTACHMENT_CRC = 4  # [bytes] at its end
 _LONGEST = 1 << 28  # [bytes] of a record: a length beyond it is no length
-_DATA = (Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
+_START = (Opcode.HEADER,)
+_DATA = (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
 _SUMMARY = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -51,13 +52,15 @@ class Scan:
             yield from self._items()
         except EOFError:
             self.torn, self.trouble = True, "ends before its index: its recorder was killed or had no room"
+        except OSError as error:
+            self.trouble = f"cannot be read {self.good} bytes from its start: {error.strerror}"
         except (DamageError, McapError, ValueError, struct.error):
             self.trouble = f"is damaged {self.good} bytes from its start"
 
     def _items(self) -> Iterator[Item]:
         if self._take(len(MAGIC)) != MAGIC:
             raise DamageError
-        expected: tuple[Opcode, ...] = _DATA
+        expected: tuple[Opcode, ...] = _START
         while True:
             self.good, crc = self._read, self._crc
             opcode, length = RECORD.unpack(self._take(RECORD.size))
@@ -71,6 +74,9 @@ class Scan:
                 head = RECORD.pack(opcode, length) + body[:-FOOTER_CRC]
                 _check(zlib.crc32(head, crc), Footer.read(stream(body)).summary_crc)
                 break
+            elif expected is _START:
+                expected = _DATA
+                yield Header.read(stream(body))
             elif expected is _DATA:
                 yield from _decoded(opcode, body)
         if self._take(len(MAGIC)) != MAGIC or self._read != self._size:
@@ -90,8 +96,6 @@ class Scan:
 def _decoded(opcode: int, body: bytes) -> Iterator[Item]:
     """Yield what a record of the data is, if it is more than an index of what came before."""
     match opcode:
-        case Opcode.HEADER:
-            yield Header.read(stream(body))
         case Opcode.ATTACHMENT:
             crc = int.from_bytes(body[-_ATTACHMENT_CRC:], "little")
             _check(zlib.crc32(body[:-_ATTACHMENT_CRC]), crc)
