@@ -1,21 +1,17 @@
 """The recorder: everything that is said is in the file, and what is not is counted."""
 
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Arrival
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import COMMAND, RECORDER, STATUS, TICK, key
-from robofleet.comms.messages import RECORDER_STATUS, RecorderStatus
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.comms.messages import RecorderStatus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
@@ -24,9 +20,7 @@ from robofleet.processes.run import in_lockstep
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import read
-from robofleet.safety.supervisor import Event, Phase
 from tests.processes.conftest import Bench
-from tests.processes.realrun import ALONE, RealRun
 
 ConfigOf = Callable[..., Config]
 CLOCK = WallClock()
