@@ -26,8 +26,10 @@ app = typer.Typer(
     "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you; 2: bad input.",
 )
 
-app.add_typer(commands.app)
+for _afterwards in run_commands.app.registered_commands:
+    _afterwards.rich_help_panel = "A run afterwards, from the file that it left"
 app.add_typer(run_commands.app)
+app.add_typer(commands.app)
 
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/README.md lists every key.")
@@ -268,7 +270,7 @@ def _summary(
 
     try:
         if lockstep:
-            return runs.in_lockstep(tree, name, quiet=quiet)
+            return runs.in_lockstep(tree, name, folder, quiet=quiet)
         return runs.in_real_time(tree, name, folder, quiet=quiet, reset=reset, take_over=take_over)
     except OSError as error:
         print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)

@@ -135,6 +135,20 @@ def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 
 @app.command(rich_help_panel=PROCESSES)
+def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The recorder of a run: it writes run.mcap beside CONFIG.
+
+    $ robofleet recorder lab/config.yaml
+    """
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    tree = _for_one_process(config)
+    with bad_input():
+        child.recorder(tree, Lifeline(lifeline), config.parent)
+
+
+@app.command(rich_help_panel=PROCESSES)
 def controller(
     config: ConfigFile,
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
