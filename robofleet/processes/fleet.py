@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 from robofleet.clock import S
 from robofleet.config import slices
-from robofleet.config.tree import Config, Robot
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.path import Path
 from robofleet.control.platoon import Platoon, PlatoonSettings
