@@ -10,6 +10,7 @@ from robofleet.clock import MS
 from robofleet.comms.layouts import VERSION
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.recording.scene import Scene
 
 FILE = "run.mcap"
 ENCODING = f"robofleet-{VERSION}"  # of this project's own messages
@@ -32,6 +33,8 @@ class RunLog:
         self._writer.start("robofleet", "robofleet")
         self._writer.add_attachment(0, 0, CONFIG, "application/yaml", resolved_yaml(config).encode())
         self._channels: dict[str, int] = {}
+        self._scene = Scene(config, epoch_ns=epoch_ns)
+        self._register_scene()
         self._flushed_ns = 0
         self.messages = 0
 
@@ -41,6 +44,8 @@ class RunLog:
         self.messages += 1
         log_ns = at_ns + self._epoch_ns
         self._writer.add_message(channel, log_ns, payload, log_ns, self.messages & 0xFFFFFFFF)
+        for topic, drawn in self._scene.update(full, payload, at_ns):
+            self._writer.add_message(self._channels[topic], log_ns, drawn, log_ns, self.messages & 0xFFFFFFFF)
 
     def flush(self, now_ns: int) -> None:
         """Write what is not in the file yet, if it is time to."""
@@ -64,6 +69,12 @@ class RunLog:
     ) -> None:
         """End the file."""
         self.close()
+
+    def _register_scene(self) -> None:
+        schemas: dict[str, int] = {}
+        for topic, name, descriptor in self._scene.channels:
+            schema = schemas.get(name) or self._writer.register_schema(name, "protobuf", descriptor)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schemas.setdefault(name, schema))
 
     def _register(self, full: str) -> int:
         channel = self._channels[full] = self._writer.register_channel(full, ENCODING, 0)
