@@ -1,5 +1,7 @@
 """The fleet as viewers draw it: frames that move, and shapes in them."""
 
+from collections.abc import Sequence
+
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
@@ -18,7 +20,7 @@ from robofleet.safety.supervisor import Phase
 
 _STOPPED = (Phase.HOLD, Phase.FAULT, Phase.ESTOP)
 
-Said = list[tuple[str, Message]]  # (topic, message)
+Said = Sequence[tuple[str, Message]]  # (topic, message)
 
 
 def stamp(date_ns: int) -> Timestamp:
@@ -46,13 +48,15 @@ class FleetScene:
         self._looks: dict[int, Look] = {}  # as drawn
         self._references: list[int] = []  # rows; as drawn
 
-    def tick(self, payload: bytes, at_ns: int) -> None:
-        """Take the controller's record."""
-        self._ticked = at_ns, payload
+    def tick(self, payload: bytes, date_ns: int) -> Said:
+        """Take the controller's record; it is drawn later."""
+        self._ticked = date_ns, payload
+        return ()
 
-    def truth(self, row: int, payload: bytes, at_ns: int) -> None:
-        """Take a simulated robot's true state."""
-        self._truths[row] = at_ns, payload
+    def truth(self, row: int, payload: bytes, date_ns: int) -> Said:
+        """Take a simulated robot's true state; it is drawn later."""
+        self._truths[row] = date_ns, payload
+        return ()
 
     def draw(self, date_ns: int) -> Said:
         """Return what is new since the last call."""
@@ -67,9 +71,9 @@ class FleetScene:
             said.append(("/fleet", SceneUpdate(entities=bodies)))
         return said
 
-    def _estimates(self) -> tuple[Said, list[FrameTransform]]:
+    def _estimates(self) -> tuple[list[tuple[str, Message]], list[FrameTransform]]:
         """Where the newest tick says that the robots are, and are to be."""
-        said: Said = []
+        said: list[tuple[str, Message]] = []
         frames: list[FrameTransform] = []
         (date_ns, payload), self._ticked = self._ticked or (0, b""), None
         tick = TICK_RECORD.decode(payload)

@@ -13,7 +13,6 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
-from numpy.typing import NDArray
 
 from robofleet.comms.keys import CAMERA
 from robofleet.comms.messages import TagPose
@@ -74,12 +73,9 @@ class Overlay:
 
     def outlines(self, poses: tuple[TagPose, ...], at: Timestamp) -> ImageAnnotations:
         """Return the outlines of the robots' tags with the robots' ids; what was predicted has another colour."""
-        drawn = ImageAnnotations(timestamp=at)
-        for pose in poses:
-            if pose.tag not in self._robots:
-                continue
-            # Foxglove's origin is the corner of the first pixel, not its centre.
-            corners = [Point2(x=u, y=v) for u, v in ((self._corners(pose) + 0.5) * self._scale).tolist()]
+        drawn, known = ImageAnnotations(timestamp=at), [pose for pose in poses if pose.tag in self._robots]
+        for pose, outline in zip(known, self._outlines(known), strict=True):
+            corners = [Point2(x=u, y=v) for u, v in outline]
             ink = colour(COLOURS[4] if pose.coasted_ns else COLOURS[2])
             kind = PointsAnnotation.LINE_LOOP
             drawn.points.append(
@@ -91,11 +87,19 @@ class Overlay:
             )
         return drawn
 
-    def _corners(self, pose: TagPose) -> NDArray[np.float64]:
-        """Return the corners of a robot's tag in the camera's image (4, 2) [px]."""
+    def _outlines(self, poses: list[TagPose]) -> list[list[list[float]]]:
+        """Return the corners of every robot's tag in the picture [px]."""
+        if not poses:
+            return []
+        pixels = self._geometry.project(np.array([self._corners(pose) for pose in poses]))
+        # Foxglove's origin is the corner of the first pixel, not its centre.
+        corners: list[list[list[float]]] = ((pixels + 0.5) * self._scale).reshape(-1, 4, 2).tolist()
+        return corners
+
+    def _corners(self, pose: TagPose) -> list[tuple[float, float, float]]:
+        """Return the corners of a robot's tag [m; world]."""
         target, calibration = self._targets[pose.tag], self._robots[pose.tag].calibration
         offset = TagOffset() if calibration is None else calibration.tag_offset
         x, y, psi = tag_from_centre(pose.x_m, pose.y_m, pose.psi_rad, offset)
         c, s = math.cos(psi) * target.side, math.sin(psi) * target.side
-        corners = [(x + c * a - s * b, y + s * a + c * b, target.height) for a, b in _CORNERS]
-        return self._geometry.project(np.array(corners))
+        return [(x + c * a - s * b, y + s * a + c * b, target.height) for a, b in _CORNERS]

@@ -52,7 +52,7 @@ class Scene:
         self._overlay = Overlay(config) if config.tracker.source == "camera" else None
         self.channels = tuple(Channel(*channel) for channel in self._described())
         self._takes = self._by_key()
-        self._due_ns: int | None = None
+        self._due_ns = 0
         self._images: deque[tuple[int, bytes]] = deque(maxlen=_IMAGES)
 
     def update(self, full: str, payload: bytes, at_ns: int) -> list[tuple[str, bytes]]:
@@ -60,16 +60,16 @@ class Scene:
 
         ``at_ns``: when it came, on the caller's clock.
         """
-        date_ns, said = at_ns + self._epoch_ns, []
-        if self._due_ns is None:
-            said, self._due_ns = self._unchanging(date_ns), at_ns
+        date_ns = at_ns + self._epoch_ns
         take = self._takes.get(full)
-        if take is not None:
-            said += take(payload, date_ns)
+        said = () if take is None else take(payload, date_ns)
         if at_ns >= self._due_ns:
-            self._due_ns = at_ns + _PERIOD_NS
-            said += self._fleet.draw(date_ns)
-        return [(topic, message.SerializeToString()) for topic, message in said]
+            said = (*said, *self._draw(at_ns, date_ns))
+        return [(topic, message.SerializeToString()) for topic, message in said] if said else []
+
+    def _draw(self, at_ns: int, date_ns: int) -> Said:
+        first, self._due_ns = not self._due_ns, at_ns + _PERIOD_NS
+        return (*(self._unchanging(date_ns) if first else ()), *self._fleet.draw(date_ns))
 
     def _described(self) -> Iterator[tuple[str, str, bytes]]:
         kinds: dict[str, type[Message]] = {
@@ -85,7 +85,7 @@ class Scene:
     def _by_key(self) -> dict[str, Callable[[bytes, int], Said]]:
         arena = self._config.arena.name
         takes: dict[str, Callable[[bytes, int], Said]] = {
-            key(arena, TICK): self._tick,
+            key(arena, TICK): self._fleet.tick,
             key(arena, STATE): self._state,
             key(arena, NEWS, CAMERA): self._news,
         }
@@ -94,61 +94,50 @@ class Scene:
             takes[key(arena, PICTURE, CAMERA)] = partial(self._picture, self._overlay)
         for row, robot in enumerate(self._ids):
             takes[key(arena, STATUS, robot)] = partial(self._status, row)
-            takes[key(arena, TRUTH, robot)] = partial(self._truth, row)
+            takes[key(arena, TRUTH, robot)] = partial(self._fleet.truth, row)
         return takes
 
     def _unchanging(self, date_ns: int) -> Said:
         at = stamp(date_ns)
-        said: Said = [("/arena", SceneUpdate(entities=shapes.arena(self._config, at)))]
+        said: list[tuple[str, Message]] = [("/arena", SceneUpdate(entities=shapes.arena(self._config, at)))]
         if self._overlay is not None:
             said.append(("/tf_static", FrameTransforms(transforms=[self._overlay.place(at)])))
             if (lens := self._overlay.calibration(at)) is not None:
                 said.append(("/camera/calibration", lens))
         return said
 
-    def _tick(self, payload: bytes, date_ns: int) -> Said:
-        self._fleet.tick(payload, date_ns)
-        return []
-
-    def _truth(self, row: int, payload: bytes, date_ns: int) -> Said:
-        self._fleet.truth(row, payload, date_ns)
-        return []
-
     def _state(self, payload: bytes, date_ns: int) -> Said:
-        state = RUN_STATE.decode(payload)
-        if state is None:
-            return []
-        lines = state_lines(self._fleet.state, state, self._ids)
+        before, state = self._fleet.state, RUN_STATE.decode(payload)
+        if state is None or (before is not None and before[2:] == state[2:]):
+            return ()
         self._fleet.state = state
-        return _log(lines, date_ns)
+        return _log(state_lines(before, state, self._ids), date_ns)
 
     def _status(self, row: int, payload: bytes, date_ns: int) -> Said:
         status = ROBOT_STATUS.decode(payload)
         if status is None or status.latch == self._fleet.latches[row]:
-            return []
+            return ()
         self._fleet.latches[row] = status.latch
         return _log([latch_line(self._ids[row], status.latch)], date_ns)
 
     def _news(self, payload: bytes, date_ns: int) -> Said:
         news = TRACKER_NEWS.decode(payload)
-        return [] if news is None else _log([news_line(news)], date_ns)
+        return () if news is None else _log([news_line(news)], date_ns)
 
     def _poses(self, payload: bytes, date_ns: int) -> Said:
         self._images.append((date_ns, payload))
-        return []
+        return ()
 
     def _picture(self, overlay: Overlay, payload: bytes, date_ns: int) -> Said:
         picture = PICTURE_LAYOUT.decode(payload)
         if picture is None:
-            return []
+            return ()
         exposed, poses = self._image(picture.exposure_ns) or (date_ns, None)
         at = stamp(exposed)
-        said: Said = [
-            ("/camera/image", CompressedImage(timestamp=at, frame_id=CAMERA, data=picture.jpeg, format="jpeg"))
-        ]
-        if poses is not None:
-            said.append(("/camera/annotations", overlay.outlines(poses.poses, at)))
-        return said
+        shown = CompressedImage(timestamp=at, frame_id=CAMERA, data=picture.jpeg, format="jpeg")
+        if poses is None:
+            return (("/camera/image", shown),)
+        return ("/camera/image", shown), ("/camera/annotations", overlay.outlines(poses.poses, at))
 
     def _image(self, exposure_ns: int) -> tuple[int, FleetPoses] | None:
         """Return an image's date and its poses. The tracker's clock is not compared with this one."""

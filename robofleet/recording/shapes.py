@@ -2,6 +2,7 @@
 
 import math
 from enum import Enum
+from functools import cache
 
 import numpy as np
 from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
@@ -42,6 +43,7 @@ class Look(Enum):
     LATCHED = COLOURS[1]
 
 
+@cache
 def colour(code: str, opacity: float = 1.0) -> Color:
     """Return a colour of the form #rrggbb."""
     r, g, b = (int(code[k : k + 2], 16) / 255 for k in (1, 3, 5))
