@@ -80,7 +80,7 @@ class Tracker:
         if observation is None:
             self._pictures.publish()
         elif self._pictures.waits:
-            return now_ns
+            return now_ns + 1
         next_ns = self._source.next_ns()
         return now_ns + _IDLE_NS if next_ns is None else next_ns
 

@@ -35,7 +35,8 @@ def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...
     """Yield what the supervisor's word says that the one before did not; ``robots`` in the group's order."""
     if before is None or (before.phase, before.cause, before.robot) != (state.phase, state.cause, state.robot):
         grave = next((level for phase, level in _GRAVE.items() if phase == state.phase), Level.INFO)
-        yield Line(grave, "supervisor", f"{named(Phase, state.phase)}: {run_cause(state, robots)}")
+        why = f": {run_cause(state, robots)}" if state.cause else ""
+        yield Line(grave, "supervisor", f"{named(Phase, state.phase)}{why}")
     for row, robot in enumerate(robots):
         was, now = "" if before is None else halt_cause(before, row), halt_cause(state, row)
         if now and now != was:

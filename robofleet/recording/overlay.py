@@ -18,7 +18,6 @@ from robofleet.comms.keys import CAMERA
 from robofleet.comms.messages import TagPose
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
-from robofleet.figures import COLOURS
 from robofleet.recording.shapes import WORLD, colour
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.offset import tag_from_centre
@@ -27,6 +26,7 @@ from robofleet.tracking.targets import robot_targets
 
 _CORNERS = ((0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5))
 _FONT_PX, _LINE_PX = 22.0, 2.0
+_MEASURED, _PREDICTED, _LABEL = "#1fd655", "#ffb000", "#000000"  # on grey images
 # Foxglove's names of the lenses that OpenCV's coefficients mean, with how many of them; longer ones it does not know.
 _PINHOLES = (("plumb_bob", 5), ("rational_polynomial", 8))
 
@@ -76,14 +76,21 @@ class Overlay:
         drawn, known = ImageAnnotations(timestamp=at), [pose for pose in poses if pose.tag in self._robots]
         for pose, outline in zip(known, self._outlines(known), strict=True):
             corners = [Point2(x=u, y=v) for u, v in outline]
-            ink = colour(COLOURS[4] if pose.coasted_ns else COLOURS[2])
+            ink = colour(_PREDICTED if pose.coasted_ns else _MEASURED)
             kind = PointsAnnotation.LINE_LOOP
             drawn.points.append(
                 PointsAnnotation(timestamp=at, type=kind, points=corners, outline_color=ink, thickness=_LINE_PX)
             )
             text, corner = self._robots[pose.tag].id, max(corners, key=lambda point: point.x)
             drawn.texts.append(
-                TextAnnotation(timestamp=at, position=corner, text=text, font_size=_FONT_PX, text_color=ink)
+                TextAnnotation(
+                    timestamp=at,
+                    position=corner,
+                    text=text,
+                    font_size=_FONT_PX,
+                    text_color=ink,
+                    background_color=colour(_LABEL, 0.6),
+                )
             )
         return drawn
 
