@@ -1,8 +1,9 @@
 """Pictures of what the tracker's camera sees: seldom, more while somebody looks, and never before the poses."""
 
 import math
+from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from robofleet.comms.messages import TickRecord, Truth
 from robofleet.processes.tracker import Tracker
 from robofleet.simulation.faults import Schedule
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.sources import CameraContext, Frame
 
 Make = Callable[..., Any]
 TICK_NS = 33 * MS
@@ -76,9 +78,9 @@ def shown(picture: Any) -> np.ndarray:
 def tags_in(picture: Any) -> dict[int, np.ndarray]:
     """Return where OpenCV's own detector finds tags in a picture: their middles [px of the camera's image]."""
     image = shown(picture)
-    corners, ids, _ = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)).detectMarkers(
-        image
-    )
+    corners, ids, _ = cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    ).detectMarkers(image)
     scale = picture.width / image.shape[1]
     return {int(tag): (four[0].mean(axis=0) + 0.5) * scale - 0.5 for four, (tag,) in zip(corners, ids, strict=True)}
 
@@ -192,3 +194,37 @@ def test_a_camera_that_stalls_shows_nothing_new(stand_of: Make) -> None:
     stand = stand_of("camera.picture_rate_hz=10", "faults=[{kind: camera_stalled, at_s: 1, duration_s: 9}]")
     began_ns = stand.bench.now_ns
     assert max(picture.exposure_ns for picture in stand.run(2 * S)) <= began_ns + S
+
+
+class Hurried:
+    """A camera whose images are there at once: what the test gives it."""
+
+    given: ClassVar[deque[Frame]]
+    identity = "hurried"
+
+    def __init__(self, _context: CameraContext) -> None:
+        type(self).given = deque()
+
+    def ready_ns(self) -> int | None:
+        return 0 if self.given else None
+
+    def read(self) -> Frame:
+        return self.given.popleft()
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def test_an_image_that_is_there_goes_before_a_picture(stand_of: Make) -> None:
+    stand = stand_of(f"camera.source='{__name__}:Hurried'", "camera.trigger=free", "camera.noise_gray=0")
+    image = np.arange(720 * 1280, dtype=np.uint32).reshape(720, 1280).astype(np.uint8)
+    Hurried.given.extend(Frame(image + k, stand.bench.now_ns + k) for k in range(3))
+    said = []
+    for _ in range(4):
+        before = len(stand.order)
+        stand.node.step(stand.bench.now_ns)
+        said += [full.rpartition("/")[2] for full in stand.order[before:]]
+    assert said == ["overhead", "overhead", "overhead", "picture"]
+    (picture,) = stand.bench.heard(PICTURE, CAMERA)
+    newest = stand.bench.heard(POSES, CAMERA)[-1]
+    assert picture.exposure_ns == newest.exposure_ns, "what was to be shown may be written over by then"
