@@ -158,7 +158,8 @@ def _driven(
             if done == 1 or taken == (NO_NAME, NO_NAME):
                 player = _Player(config, TickGrid(stamp_ns - tick * period_ns, period_ns), takings)
             elif done != before + 1:
-                player, why = None, f"{done - before - 1} records before them are missing"
+                missing = done - before - 1
+                player, why = None, f"{missing} record{'s' * (missing > 1)} before them {'are' if missing > 1 else 'is'} missing"
         before = done
         payload = None if player is None else player.tick(tick, taken)
         if payload is None and player is not None:

@@ -27,9 +27,20 @@ def replay(run: RunFolder) -> None:
 
     robofleet replay runs/20260101T120000Z-platoon
     """
+    from robofleet.processes.controller import compile_kernels  # noqa: PLC0415
+    from robofleet.processes.replay import replay as replayed  # noqa: PLC0415
+    from robofleet.recording.reading import RecordingError, read  # noqa: PLC0415
+
+    began_ns = stopwatch_ns()
     with bad_input():
-        verdict = _replayed(_read(run))
-    for difference in verdict.differences[:_SHOWN]:
-        print(difference)
-    if len(verdict.differences) > _SHOWN:
-        print(f"and {len(verdict.differences) - _SHOWN} more differences")
+        try:
+            recording = read(run)
+            compile_kernels(recording.config)
+            tolerance = 0.0
+            verdict = replayed(recording, tolerance)
+        except RecordingError as error:
+            raise RefusedError(str(error)) from error
+    for line in verdict.lines(_SHOWN):
+        print(line)
+    if not verdict.equal:
+        raise typer.Exit(1)
