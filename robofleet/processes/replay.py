@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S, SimulatedClock, TickGrid, stopwatch_ns
+from robofleet.clock import S, SimulatedClock, TickGrid
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
 from robofleet.comms.layouts import ListLayout
@@ -21,6 +21,7 @@ from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, WHEEL_
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller
+from robofleet.recording.provenance import Provenance
 from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import Recording
 
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 Name = tuple[int, int]  # of a message: its sender's epoch, and its number
 NO_NAME = (0, 0)
 
+_ELSEWHERE = 1e-9  # other versions, or another processor: sums may be in another order
+_SHOWN = 5  # differences
 _HEAD = ("run_tick", "phase", "exposure_ns")  # the rest of a record's head is whose it is, and what the time was
 _WHEELS = [RobotTick._fields.index(name) for name in ("left_rad_s", "right_rad_s")]
 
@@ -63,9 +66,10 @@ class Hole:
 class Verdict:
     """What a replay found."""
 
+    robots: int
+    tolerance: float  # of a figure; 0: to the last bit
     ticks: int = 0  # compared
     commands: int = 0  # compared
-    elapsed_s: float = 0.0  # that it took
     differences: list[Difference] = field(default_factory=list)
     holes: list[Hole] = field(default_factory=list)
 
@@ -74,15 +78,28 @@ class Verdict:
         """Whether everything was compared, and nothing is different."""
         return not (self.differences or self.holes)
 
+    def lines(self) -> list[str]:
+        """Return what an operator should read: the first differences, what was not compared, and the result."""
+        found = [*map(str, self.differences[:_SHOWN]), *map(str, self.holes)]
+        exactly = f"within {self.tolerance:g}" if self.tolerance else "bit for bit"
+        many = len(self.differences)
+        result = f"{many} difference{'s' * (many > 1)}" if many else f"equal, {exactly}"
+        return [*found, f"{self.ticks} ticks and {self.commands} commands of {self.robots} robots: {result}"]
 
-def replay(recording: Recording, tolerance: float) -> Verdict:
-    """Drive today's controller with what the recorded ones took; ``tolerance`` 0: bit for bit.
+
+def tolerance(recording: Recording) -> float:
+    """Return how far a figure may be off: not at all where the same versions on the same processor recorded it."""
+    made_by = recording.provenance
+    return 0.0 if made_by and made_by.same_machine(Provenance.here(recording.config, made_by.mode)) else _ELSEWHERE
+
+
+def replay(recording: Recording, within: float) -> Verdict:
+    """Drive today's controller with what the recorded ones took; ``within`` is the tolerance, 0: bit for bit.
 
     Raises:
         RecordingError: if no controller said anything.
     """
-    began_ns = stopwatch_ns()
-    arena, verdict = recording.config.arena.name, Verdict()
+    arena, verdict = recording.config.arena.name, Verdict(len(recording.config.platoon), within)
     dtype = TICK_RECORD.dtype(len(recording.config.platoon))
     payloads = recording.messages.get(key(arena, TICK), ())
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
@@ -93,10 +110,9 @@ def replay(recording: Recording, tolerance: float) -> Verdict:
         _, once = np.unique(ticks["tick"][(of_it := np.flatnonzero(ticks["epoch"] == epoch))], return_index=True)
         recorded = ticks[of_it[once]]
         known, now = _driven(recording.config, recorded, takings, verdict.holes)
-        _compare_ticks(recording.config, recorded[known], now, tolerance, verdict)
-        _compare_commands(recording, recorded, known, now, tolerance, verdict)
+        _compare_ticks(recording.config, recorded[known], now, verdict)
+        _compare_commands(recording, recorded, known, now, verdict)
     verdict.differences.sort(key=lambda difference: difference.tick)
-    verdict.elapsed_s = (stopwatch_ns() - began_ns) / S
     return verdict
 
 
@@ -159,7 +175,10 @@ def _driven(
                 player = _Player(config, TickGrid(stamp_ns - tick * period_ns, period_ns), takings)
             elif done != before + 1:
                 missing = done - before - 1
-                player, why = None, f"{missing} record{'s' * (missing > 1)} before them {'are' if missing > 1 else 'is'} missing"
+                player, why = (
+                    None,
+                    f"{missing} record{'s' * (missing > 1)} before them {'are' if missing > 1 else 'is'} missing",
+                )
         before = done
         payload = None if player is None else player.tick(tick, taken)
         if payload is None and player is not None:
@@ -173,20 +192,20 @@ def _driven(
     return known, np.frombuffer(b"".join(payload for payload in said if payload is not None), dtype=recorded.dtype)
 
 
-def _compare_ticks(config: Config, recorded: Rows, now: Rows, tolerance: float, verdict: Verdict) -> None:
+def _compare_ticks(config: Config, recorded: Rows, now: Rows, verdict: Verdict) -> None:
     verdict.ticks += len(recorded)
     for name in _HEAD:
         for k in np.flatnonzero(recorded[name] != now[name]):
             verdict.differences.append(Difference(int(now["tick"][k]), name, int(recorded[name][k]), int(now[name][k])))
     old, new = _columns(recorded), _columns(now)
-    for k, row, column in np.argwhere(_different(old, new, tolerance)):
+    for k, row, column in np.argwhere(_different(old, new, verdict.tolerance)):
         what = f"{config.platoon[row].id}: {RobotTick._fields[column]}"
         values = float(old[k, row, column]), float(new[k, row, column])
         verdict.differences.append(Difference(int(now["tick"][k]), what, *values))
 
 
 def _compare_commands(
-    recording: Recording, recorded: Rows, known: NDArray[np.bool_], now: Rows, tolerance: float, verdict: Verdict
+    recording: Recording, recorded: Rows, known: NDArray[np.bool_], now: Rows, verdict: Verdict
 ) -> None:
     """Compare every command with its tick's wheels: its number is above that of the tick's record.
 
@@ -206,7 +225,7 @@ def _compare_commands(
         given, at = given[counted], at[counted]
         verdict.commands += len(given)
         old, new = np.stack([given["left_rad_s"], given["right_rad_s"]], axis=-1), wheels[at, row]
-        for k, side in np.argwhere(_different(old, new, tolerance)):
+        for k, side in np.argwhere(_different(old, new, verdict.tolerance)):
             what = f"{robot.id}: command {given['seq'][k]}, {RobotTick._fields[_WHEELS[side]]}"
             tick = int(recorded["tick"][at[k]])
             verdict.differences.append(Difference(tick, what, float(old[k, side]), float(new[k, side])))

@@ -16,6 +16,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.recording.provenance import Provenance
 
 Array = NDArray[np.float64]
 
@@ -25,6 +26,9 @@ class Recording:
     """Every message of a run, by key, as it came; and what the one who ran it measured."""
 
     config: Config
+    provenance: Provenance | None = None  # None: the file does not say
+    dropped: int = 0  # messages that are not in the file
+    trouble: str | None = None  # what is wrong with the file, behind the last of these messages; None: it is whole
     messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
     elapsed_s: float = 0.0
     trace_hash: str | None = None
@@ -32,6 +36,11 @@ class Recording:
     tracker_durations_ns: list[int] | None = None
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     _count: int = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether the file is as it was written, up to its end."""
+        return self.trouble is None
 
     def add(self, full: str, payload: bytes) -> None:
         """Keep a message."""

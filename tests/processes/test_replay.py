@@ -127,7 +127,9 @@ def test_one_figure_that_is_a_little_off_is_named_unless_the_tolerance_is_wider(
         return TICK_RECORD.encode(record._replace(robots=robots)) if k == 50 else payload
 
     verdict = replay(altered(recording, TICK, off), tolerance)
-    assert [(d.tick, d.what, d.now) for d in verdict.differences] == [(meant.tick, "r1: y_m", meant.robots[1].y_m)][:found]
+    assert [(d.tick, d.what, d.now) for d in verdict.differences] == [(meant.tick, "r1: y_m", meant.robots[1].y_m)][
+        :found
+    ]
 
 
 @pytest.mark.parametrize("column", ["phase", "run_tick", "exposure_ns"])
