@@ -79,7 +79,7 @@ class Verdict:
         return not (self.differences or self.holes)
 
     def lines(self) -> list[str]:
-        """Return what an operator should read: the first differences, what was not compared, and the result."""
+        """Return what an operator should read: the first differences, what was not compared; at last, the result."""
         found = [*map(str, self.differences[:_SHOWN]), *map(str, self.holes)]
         exactly = f"within {self.tolerance:g}" if self.tolerance else "bit for bit"
         many = len(self.differences)

@@ -40,12 +40,9 @@ def replay(run: RunFolder) -> None:
             raise RefusedError(str(error)) from error
     times_ns.append(stopwatch_ns())
     reading_s, loading_s, driving_s = ((after - before) / S for before, after in pairwise(times_ns))
-    print("\n".join(verdict.lines()))
     lasted_s, took_s = verdict.ticks * recording.config.controller.tick_s, reading_s + driving_s
-    print(
-        f"{lasted_s:.1f} s in {took_s:.2f} s, {lasted_s / took_s:.0f} x real time, "
-        f"after {loading_s:.1f} s for loading the controller's kernels"
-    )
+    speed = f"{lasted_s:.1f} s in {took_s:.2f} s, {lasted_s / took_s:.0f} x real time; kernels in {loading_s:.1f} s"
+    print("\n".join(verdict.lines()), f"({speed})")
     if not verdict.equal:
         raise typer.Exit(1)
 

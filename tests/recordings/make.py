@@ -29,8 +29,8 @@ class Scenario(NamedTuple):
 
     keys: tuple[str, ...] = ()
     faults: str = ""
-    asked: tuple[tuple[float, bytes], ...] = ((3.5, b"stop"),)  # seconds after the first start
-    shows: Callable[[Run], bool] = lambda run: bool(len(run.ticks) > 100 and run.items["measured"].mean() > 0.9)
+    asked: tuple[tuple[float, bytes], ...] = ((3.0, b"stop"),)  # seconds after the first start
+    shows: Callable[[Run], bool] = lambda run: bool(len(run.ticks) > 80 and run.items["measured"].mean() > 0.9)
 
 
 def _phases(run: Run) -> list[int]:
@@ -55,19 +55,19 @@ def _two_controllers(run: Run) -> bool:
 
 _ARMED, _RUNNING, _HOLD, _IDLE = Phase.ARMED, Phase.RUNNING, Phase.HOLD, Phase.IDLE
 SCENARIOS = {
-    "platoon": Scenario(("groups.0.robots=[r1, r2, r3]",), asked=((4.5, b"stop"),)),
+    "platoon": Scenario(("groups.0.robots=[r1, r2, r3]",), asked=((3.5, b"stop"),)),
     "centre": Scenario(("groups.0.track=centre",)),
     "euler": Scenario(("controller.integrator=euler",)),
     "disturbed": Scenario(("controller.disturbance=estimated",), "{kind: slip, robot: r2, at_s: 1}"),
     "lost": Scenario((), "{kind: pose_dropout, robot: r2, at_s: 1, duration_s: 1.2}", shows=_lost_and_found),
     "carried": Scenario((), "{kind: id_swap, robots: [r1, r2], at_s: 1.5}", ((3.0, b"stop"),), _jumped),
     "held": Scenario(
-        asked=((1.5, b"hold"), (2.3, b"resume"), (3.5, b"stop")),
+        asked=((1.0, b"hold"), (1.8, b"resume"), (3.0, b"stop")),
         shows=lambda run: _phases(run) == [_ARMED, _RUNNING, _HOLD, _RUNNING, _IDLE],
     ),
     "restarted": Scenario(
         ("groups.0.robots=[r1]",),
-        asked=((2.0, b"stop"), (3.0, b"start"), (7.5, b"stop")),
+        asked=((1.5, b"stop"), (2.5, b"start"), (6.5, b"stop")),
         shows=lambda run: _phases(run) == [_ARMED, _RUNNING, _IDLE, _ARMED, _RUNNING, _IDLE],
     ),
     "barrier": Scenario(
