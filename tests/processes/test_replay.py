@@ -24,7 +24,7 @@ FAULTS = """[
 {kind: lost, topics: [poses, state], share: 0.1}, {kind: late, topics: [poses, state]},
 {kind: duplicated, topics: [poses, state], share: 0.3}, {kind: malformed, topics: [poses, state], share: 0.1},
 {kind: stopped, process: controller, at_s: 0.5, duration_s: 0.1},
-{kind: second_controller, at_s: 0.8, duration_s: 1.6}, {kind: killed, process: controller, at_s: 1, duration_s: 1}]"""
+{kind: second_controller, at_s: 0.8, duration_s: 2.6}, {kind: killed, process: controller, at_s: 1, duration_s: 2}]"""
 Alter = Callable[[int, bytes], bytes | None]
 
 
@@ -42,7 +42,7 @@ def wild(platoon_of: Callable[..., Config]) -> Recording:
     run = Lockstep(platoon_of("tracker.source=truth", "groups.0.robots=[r1]", f"faults={FAULTS}"))
     run.request(b"start")
     assert run.advance(20.0, lambda: run.status.phase is Phase.RUNNING)
-    run.advance(3.5)
+    run.advance(4.7)
     for what in (b"stop", b"reset", b"start"):
         run.request(what)
         run.advance(0.2)
