@@ -105,11 +105,8 @@ def test_without_a_run_there_is_nothing_to_stop(real_run: Start) -> None:
     assert run.ended(20) == 2
     for command in ("stop", "hold", "resume", "reset", "status"):
         done = run.robofleet(command)
-        assert (done.returncode, done.stdout, done.stderr) == (
-            2,
-            "",
-            "no arena has a run: start one with `robofleet run CONFIG`\n",
-        ), command
+        answer = "no arena has a run: start one with `robofleet run CONFIG`\n"
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", answer), command
 
 
 def test_stop_waits_for_no_heavy_library() -> None:
