@@ -26,8 +26,10 @@ app = typer.Typer(
     "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you; 2: bad input.",
 )
 
-app.add_typer(commands.app)
+for _afterwards in run_commands.app.registered_commands:
+    _afterwards.rich_help_panel = "A run afterwards, from the file that it left"
 app.add_typer(run_commands.app)
+app.add_typer(commands.app)
 
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/README.md lists every key.")

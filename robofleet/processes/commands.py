@@ -136,7 +136,10 @@ def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 @app.command(rich_help_panel=PROCESSES)
 def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
-    """The recorder of a run, as a process of its own: it writes run.mcap beside CONFIG."""
+    """The recorder of a run: it writes run.mcap beside CONFIG.
+
+    $ robofleet recorder lab/config.yaml
+    """
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 

@@ -51,7 +51,7 @@ def replay(run: RunFolder) -> None:
 def repair(run: RunFolder) -> None:
     """Mend the recording of a run that was killed: all that was written stays, and gets its index.
 
-    robofleet repair runs/20260102T030405Z-platoon
+    $ robofleet repair runs/20260102T030405Z-platoon
     """
     from robofleet.recording.reading import RecordingError  # noqa: PLC0415
     from robofleet.recording.repair import repair as mend  # noqa: PLC0415
