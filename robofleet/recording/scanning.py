@@ -59,7 +59,8 @@ class Scan:
 
     def _items(self) -> Iterator[Item]:
         if self._take(len(MAGIC)) != MAGIC:
-            raise DamageError
+            self.trouble = "is no MCAP file"
+            return
         expected: tuple[Opcode, ...] = _START
         while True:
             self.good, crc = self._read, self._crc
