@@ -116,10 +116,14 @@ class RunLog:
 
     def _register(self, full: str) -> int:
         name, description = schema(full)
-        if name not in self._schemas:
-            self._schemas[name] = self._container.register_schema(name, SCHEMA_ENCODING, description)
-        channel = self._channels[full] = self._container.register_channel(full, ENCODING, self._schemas[name])
+        channel = self._channels[full] = self._channel(full, ENCODING, name, SCHEMA_ENCODING, description)
         return channel
+
+    def _channel(self, topic: str, encoding: str, name: str, schema_encoding: str, description: bytes) -> int:
+        """Return the id of a new channel whose messages the schema ``name`` describes."""
+        if name not in self._schemas:
+            self._schemas[name] = self._container.register_schema(name, schema_encoding, description)
+        return self._container.register_channel(topic, encoding, self._schemas[name])
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
         self._kept.append(Attachment(0, 0, name, media_type, data))

@@ -95,18 +95,19 @@ def _recording(scan: Scan, file: Path) -> Recording | None:
             recording = Recording(_config(item.data, made_by, file))
         elif recording is None:
             continue
-        elif isinstance(item, Attachment) and item.name == ENDING:
-            recording.end(item.data)
-        elif isinstance(item, Metadata):
-            with suppress(KeyError, ValueError):  # no CRC says whether it is as it was written
+        elif isinstance(item, Attachment | Metadata):
+            with suppress(KeyError, ValueError):  # metadata have no CRC; another version may say less
                 _note(recording, item)
         elif isinstance(item, Iterator):
             _fill(recording, item, channels)
     return recording
 
 
-def _note(recording: Recording, told: Metadata) -> None:
-    if told.name == PROVENANCE:
+def _note(recording: Recording, told: Attachment | Metadata) -> None:
+    if isinstance(told, Attachment):
+        if told.name == ENDING:
+            recording.end(told.data)
+    elif told.name == PROVENANCE:
         recording.provenance = Provenance.of(told.metadata)
     elif told.name == DROPPED:
         recording.dropped += int(told.metadata[COUNT])
