@@ -67,7 +67,6 @@ def keys(config: Config) -> Iterator[str]:
     """Yield the full keys that are known from the configuration."""
     arena = config.arena.name
     yield from (key(arena, topic) for topic in _ABOUT_ALL)
-    yield key(arena, RECORDER)
     yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, robot.id) for robot in config.robots for topic in _ABOUT_ROBOTS)
 
