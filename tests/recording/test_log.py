@@ -7,6 +7,7 @@ import re
 import subprocess
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -237,19 +238,16 @@ def noise(k: int) -> bytes:
 def test_a_full_disk_leaves_a_valid_beginning_and_writing_goes_on_when_there_is_room(
     room: int, log: RunLog, tmp_path: Path
 ) -> None:
-    file, dropped, size_before = tmp_path / FILE, list[int](), 0
+    file, dropped, size, limit = tmp_path / FILE, list[int](), 0, 0
     for k in range(1, 31):
-        if 11 <= k < 21:
-            with room_for(size_before + room):
-                log.add(TRUTH_KEY, noise(k), k * S)
-                log.flush(k * S)
-            if log.failed:
-                dropped.append(k)
-        else:
+        limit = size + room if k == 11 else limit
+        with room_for(limit) if 11 <= k < 21 else nullcontext():
             log.add(TRUTH_KEY, noise(k), k * S)
             log.flush(k * S)
-            assert log.failed is None
-        size_before = file.stat().st_size if k < 11 else size_before
+        if log.failed:
+            dropped.append(k)
+            assert file.stat().st_size == size  # no half of a block
+        size = file.stat().st_size
         in_file = as_if_killed(file, tmp_path / "killed.mcap").messages[TRUTH_KEY]
         assert in_file == [noise(j) for j in range(1, k + 1) if j not in dropped]
     assert dropped[-1] == 20
