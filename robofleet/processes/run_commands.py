@@ -64,8 +64,11 @@ def repair(run: RunFolder) -> None:
         except OSError as error:
             print(f"{run}: {error.strerror}: make room; the recording is as it was", file=sys.stderr)
             raise typer.Exit(1) from error
-    what = "needs no repair" if done.trouble is None else f"mended: it {done.trouble}"
-    print(f"{done.file}: {what}")
-    print(f"{done.messages} messages over {done.span_ns / S:.1f} s, {done.lost} bytes behind them lost")
+    there = f"{done.messages} messages over {done.span_ns / S:.1f} s"
+    if done.trouble is None:
+        print(f"{done.file}: needs no repair: {there}")
+        return
+    lost = f"; {done.lost} bytes behind them are lost" if done.lost else ""
+    print(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}")
     if done.kept is not None:
-        print(f"the damaged file is kept: {done.kept}")
+        print(f"The damaged file is kept: {done.kept}")
