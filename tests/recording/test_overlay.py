@@ -70,7 +70,9 @@ def test_outlines_are_around_the_tags_that_are_to_be_seen(story: Make, zoom: flo
     middles_off = []
     for robot, outline, text in zip(config.robots, drawn.points, drawn.texts, strict=True):
         at = np.array([(point.x, point.y) for point in outline.points])
-        assert np.linalg.norm(at[:, None] - corners[robot.tag][None], axis=-1).min(axis=1).max() < 1.0
+        assert (
+            np.linalg.norm(at[:, None] - corners[robot.tag][None], axis=-1).min(axis=1).max() < 1.5
+        )  # OpenCV stays inside
         middles_off.append(at.mean(axis=0) - corners[robot.tag].mean(axis=0))
         assert np.hypot(*(at.mean(axis=0) - (text.position.x, text.position.y))) < 30
     assert np.hypot(*np.mean(middles_off, axis=0)) < 0.15, "and not half a pixel aside"
