@@ -154,7 +154,8 @@ def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_st
     add_state(recording, Phase.RUNNING, Event.PROVED)
     add_state(recording, Phase.RUNNING, Event.PROVED)
     add_state(recording, Phase.RUNNING, Event.PROVED, halts=(0, Event.TAG_LATE, 0, 0))
-    add_state(recording, Phase.RUNNING, Event.PROVED)
+    add_state(recording, Phase.RUNNING, Event.PROVED, halts=(0, Event.TAG_LATE, Event.TAG_LATE, 0))
+    add_state(recording, Phase.RUNNING, Event.PROVED, halts=(0, 0, Event.TAG_LATE, 0))
     add_state(recording, Phase.FAULT, Event.TAG_LOST, robot=2)
     news = TrackerNews(1, 1, S, TrackerEvent.CAMERA_STALLED, NO_TAG, 0.5)
     recording.add(key("platoon", NEWS, CAMERA), TRACKER_NEWS.encode(news))
@@ -167,6 +168,7 @@ def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_st
     assert viewer.log == [
         (INFO, "supervisor", "running: every check passed"),
         (WARNING, "r2", "stands still: its tag is not seen"),
+        (WARNING, "r3", "stands still: its tag is not seen"),
         (INFO, "r2", "may move again"),
         (ERROR, "supervisor", "fault: r3: the tracker lost the robot"),
         (WARNING, "tracker", "camera stalled: no image for 0.50 s"),
