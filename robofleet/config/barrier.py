@@ -2,7 +2,8 @@
 
 from robofleet.clock import S
 from robofleet.config import slices
-from robofleet.config.tree import Config, Robot
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
 from robofleet.safety.barrier import Body, Keepout
 
 

@@ -89,14 +89,19 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     return complaints
 
 
-def proofs(config: Config) -> list[tuple[str, str, str]]:
-    """Return what was proved: (what, the tightest value, its limit)."""
+def proofs(config: Config) -> list[tuple[str, str, str, str]]:
+    """Return what was proved: (what, the tightest value, its limit, how much of it is used)."""
     tightest: dict[str, Bound] = {}
     for bound in _bounds(config):
         if bound.what not in tightest or bound.tightness > tightest[bound.what].tightness:
             tightest[bound.what] = bound
     return [
-        (b.what, _shown(b.value, b.unit), ("at least " if b.at_least else "at most ") + _shown(b.limit, b.unit))
+        (
+            b.what,
+            _shown(b.value, b.unit),
+            ("≥ " if b.at_least else "< " if b.strict else "≤ ") + _shown(b.limit, b.unit),
+            f"{b.tightness:.0%}",
+        )
         for b in tightest.values()
     ]
 

@@ -21,7 +21,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.comms.messages import RobotTick
 from robofleet.config import barrier, slices
-from robofleet.config.tree import Config, Robot
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.figures import COLOURS, INK, QUIET
 from robofleet.safety.barrier import apart

@@ -33,8 +33,8 @@ LAYOUTS: dict[Topic, Any] = {
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
     keys.NEWS: messages.TRACKER_NEWS,
-    keys.PICTURE: messages.PICTURE,
     keys.RECORDER: messages.RECORDER_STATUS,
+    keys.PICTURE: messages.PICTURE,
 }
 
 
