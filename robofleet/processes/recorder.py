@@ -35,8 +35,9 @@ class Recorder:
         """Keep what came since the step before."""
         self._keep()
         self._log.flush(now_ns)
-        if now_ns >= self._say_ns or self._log.failed != self._failed:
-            self._failed, self._say_ns = self._log.failed, now_ns + _SAID_NS
+        failed = self._log.failed is not None
+        if now_ns >= self._say_ns or failed != self._failed:
+            self._failed, self._say_ns = failed, now_ns + _SAID_NS
             self._seq += 1
             status = RecorderStatus(self._epoch, self._seq, self._log.messages, self._log.dropped, int(self._failed))
             self._publish(RECORDER_STATUS.encode(status))

@@ -17,6 +17,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.recording.provenance import Provenance
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,9 @@ class Recording:
 
     config: Config
     messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
-    dropped: int = 0  # messages that were not kept
+    provenance: Provenance | None = None  # None: the file does not say
+    dropped: int = 0  # messages that are not in the file
+    trouble: str | None = None  # what is wrong with the file, behind the last of these messages; None: it is whole
     outcome: str | None = None  # completed, stopped or fault; None: whoever ran it did not come to say it
     cause: str | None = None
     elapsed_s: float = 0.0
@@ -39,6 +42,11 @@ class Recording:
     tracker_durations_ns: list[int] | None = None
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     count: int = 0  # of all messages
+
+    @property
+    def whole(self) -> bool:
+        """Whether the file is as it was written, up to its end."""
+        return self.trouble is None
 
     def add(self, full: str, payload: bytes) -> None:
         """Keep a message."""
@@ -57,8 +65,10 @@ class Recording:
         return json.dumps({name: getattr(self, name) for name in _ENDING}).encode()
 
     def end(self, text: bytes) -> None:
-        """Take how the run ended from its file."""
+        """Take how the run ended from its file; ValueError where it does not say so."""
         ending = json.loads(text)
+        if not isinstance(ending, dict) or ending.keys() != set(_ENDING):
+            raise ValueError("no ending of a run")
         for name in _ENDING:
             setattr(self, name, ending[name])
 
