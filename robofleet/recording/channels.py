@@ -12,6 +12,7 @@ from robofleet.comms.keys import (
     NEWS,
     PICTURE,
     POSES,
+    RECORDER,
     STATE,
     STATUS,
     TICK,
@@ -27,6 +28,7 @@ from robofleet.comms.messages import (
 from robofleet.comms.messages import (
     FLEET_POSES,
     LEASE_REQUEST,
+    RECORDER_STATUS,
     ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
@@ -53,6 +55,7 @@ _LAYOUTS: dict[Topic, Layout[Any] | ListLayout[Any] | BlobLayout[Any]] = {
     PICTURE: PICTURE_LAYOUT,
     TICK: TICK_RECORD,
     STATE: RUN_STATE,
+    RECORDER: RECORDER_STATUS,
     TRUTH: TRUTH_LAYOUT,
 }
 _ABOUT_ROBOTS, _ABOUT_CAMERA = (COMMAND, STATUS, ENABLE, LEASE, TRUTH), (POSES, NEWS, PICTURE)
@@ -64,6 +67,7 @@ def keys(config: Config) -> Iterator[str]:
     arena = config.arena.name
     yield key(arena, TICK)
     yield key(arena, STATE)
+    yield key(arena, RECORDER)
     yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, robot.id) for robot in config.robots for topic in _ABOUT_ROBOTS)
 

@@ -15,7 +15,7 @@ from robofleet.comms.layouts import VERSION
 from robofleet.config.tree import Config
 from robofleet.recording.channels import ENCODING
 from robofleet.recording.chunks import Content, Message
-from robofleet.recording.log import CONFIG, COUNT, DROPPED, FILE, LIBRARY, PROFILE, PROVENANCE
+from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, LIBRARY, PROFILE, PROVENANCE
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Recording
 from robofleet.recording.scanning import Scan
@@ -87,6 +87,8 @@ def _recording(scan: Scan, file: Path) -> Recording | None:
             recording = Recording(_config(item.data, file))
         elif recording is None:
             continue
+        elif isinstance(item, Attachment) and item.name == ENDING:
+            recording.end(item.data)
         elif isinstance(item, Metadata):
             with suppress(KeyError, ValueError):  # no CRC says whether it is as it was written
                 _note(recording, item)
