@@ -143,7 +143,7 @@ class Supervisor:
         """Go on with the checks before a start."""
         if self._status.phase is Phase.ARMED:
             checks = self._checks or arming.begin(self._view.now_ns)
-            self._checks, happening = arming.step(checks, self._arming, self._view, start=self._start)
+            self._checks, happening = arming.step(checks, self._arming, self._view, self._start)
             if happening is not None:
                 self._happen(happening)
 

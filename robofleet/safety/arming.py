@@ -72,7 +72,7 @@ def begin(now_ns: int) -> ArmingState:
 
 
 def step(
-    state: ArmingState, settings: ArmingSettings, view: FleetView, *, start: bool
+    state: ArmingState, settings: ArmingSettings, view: FleetView, start: bool
 ) -> tuple[ArmingState, Happening | None]:
     """Go on; a happening is Event.PROVED at the end, or why the fleet must not start.
 

@@ -118,9 +118,7 @@ def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view
         yield Happening(Event.TICKS_OVERRUN, NOBODY, view.overruns - before.overruns)
 
 
-def _tracker(
-    before: FleetView, settings: MonitorSettings, view: FleetView, *, checking: bool
-) -> Iterator[Happening]:
+def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView, *, checking: bool) -> Iterator[Happening]:
     if view.tracker_ns == NEVER:
         return
     stale = view.image_tick != 0 and view.tick - view.image_tick > STALE_TICKS
