@@ -60,6 +60,8 @@ def _asking(what: str, described: str) -> None:
     app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
 
 
+_asking("arm", "Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.")
+_asking("start", "Start a fleet that waits for its operator (run.start: operator).")
 _asking("hold", "Let every robot stand; `robofleet resume` goes on.")
 _asking("resume", "Go on after a hold.")
 _asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")

@@ -20,6 +20,7 @@ from robofleet.processes.terminal import Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.advice import advised
+from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
@@ -33,7 +34,7 @@ _AT_REST_RAD_S = 0.01
 _PHASES = {Phase.ARMED: "arming", Phase.RUNNING: "running", Phase.HOLD: "held"}
 _EMERGENCY = "emergency stop"
 _TWICE = 2
-_ASKED_BY_KEY = {"h": b"hold", "r": b"resume"}
+_ASKED_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
 
 Outcome = tuple[str, str | None]
 
@@ -138,17 +139,21 @@ class Launcher:
 
     def _follow(self) -> Outcome:
         """See the run through its checks and its laps; returns how it ended."""
-        self._phase = "arming"
+        waits = self._config.run.start == "operator"
+        self._phase = "waiting" if waits else "arming"
         if self._reset:
             self._ask(b"reset")
-        self._ask(b"start")
+        if not waits:
+            self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        phases, began_ns = {Phase.IDLE: "arming", **_PHASES}, 0  # IDLE: it was asked to start and has not said so yet
+        phases, began_ns = {Phase.IDLE: self._phase, **_PHASES}, 0
+        before = (Phase.IDLE, Phase.ARMED) if waits else (Phase.IDLE,)  # who waits for a start may stop the checks
         try:
             while (state := self._polled()) is None or state.phase in phases:
-                if state is not None and state.phase != Phase.IDLE:
-                    self._enter(_PHASES[Phase(state.phase)])
-                    phases = _PHASES
+                if state is not None:
+                    proved = state.phase == Phase.ARMED and state.stage == Stage.DONE
+                    self._enter("armed" if proved else phases[Phase(state.phase)])
+                    phases = phases if state.phase in before else _PHASES
                 if self._phase == "running":
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()

@@ -22,7 +22,7 @@ def replay(run: RunFolder) -> None:
     Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
     different, or could not be compared.
 
-    robofleet replay runs/20260102T030405Z-platoon
+    $ robofleet replay runs/20260102T030405Z-platoon
     """
     from robofleet.processes import replay as replaying  # noqa: PLC0415
     from robofleet.processes.controller import compile_kernels  # noqa: PLC0415
