@@ -74,7 +74,7 @@ def run(
     else:
         from rich.console import Console  # noqa: PLC0415
 
-        from robofleet.recording.report import summary_table  # noqa: PLC0415
+        from robofleet.recording.tables import summary_table  # noqa: PLC0415
 
         Console().print(summary_table(summary))
         print(f"{folder / 'summary.json'}")

@@ -7,8 +7,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from robofleet.recording.report import status_table, summary_table
 from robofleet.recording.run import Recording
+from robofleet.recording.tables import status_table, summary_table
 from robofleet.safety.gate import GateStatus
 
 Make = Callable[..., Any]
