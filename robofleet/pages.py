@@ -118,7 +118,8 @@ class Page:
         buffer = io.StringIO()
         with mpl.rc_context({**STYLE, "svg.fonttype": "none"}):
             figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
-        svg = _NAMES.sub("", _PRECISION.sub(r"\1", re.sub(r"^.*?(?=<svg)", "", buffer.getvalue(), flags=re.DOTALL)))
+        _, start, rest = buffer.getvalue().partition("<svg")
+        svg = _NAMES.sub("", _PRECISION.sub(r"\1", start + rest))
         chips = "".join(f'<span><i style="background:{colour}"></i>{_text(label)}</span>' for label, colour in legend)
         self._parts.append(
             "<figure>" + (f"<h3>{_text(title)}</h3>" if title else "")

@@ -1,0 +1,264 @@
+"""The plots of a run's report: each is a function and its entry in ``SECTIONS``.
+
+A function is given a run with at least one tick; it returns None where what it would show was not measured.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator, StrMethodFormatter
+
+from robofleet.config import slices
+from robofleet.figures import COLOURS, QUIET
+from robofleet.recording.canvas import View, level, lines, logarithmic, settling, sheet, strips, zoomed
+from robofleet.recording.measures import compute_us, delays_ms
+from robofleet.recording.overview import happened, paths
+from robofleet.recording.run import Array
+from robofleet.recording.tables import PAPER_CONTROL_ERROR_MM
+
+_LOWEST_MM = 1e-2  # of a logarithmic axis
+_BINS = 60
+
+
+def control_error(view: View) -> Figure | None:
+    """Draw the control error."""
+    figure, (axes,) = strips(view, ["control error, mm"], 2.6)
+    settling(axes, view.config.run.settle_s)
+    lines(axes, view, np.maximum(view.series.control_mm, _LOWEST_MM))
+    logarithmic(axes, _LOWEST_MM)
+    level(axes, view.bounds.control_error_mean_mm, "bound of the mean")
+    level(axes, PAPER_CONTROL_ERROR_MM, "the paper's mean, on hardware")
+    return figure
+
+
+def spacing(view: View) -> Figure | None:
+    """Draw the distances between neighbours, and how far they are from what was asked."""
+    if len(view.series.robots) < 2:
+        return None
+    asked_mm = view.config.groups[0].spacing_m * 1e3
+    figure, (whole, off) = strips(view, ["distance, mm", "from d, mm"])
+    lines(whole, view, view.series.spacing_mm, view.colours[1:])
+    level(whole, asked_mm, f"d = {asked_mm:g} mm")
+    deviation, settle_s = view.series.spacing_mm - asked_mm, view.config.run.spacing_settle_s
+    settling(off, settle_s)
+    lines(off, view, deviation, view.colours[1:])
+    limit = view.bounds.spacing_max_deviation_mm
+    zoomed(off, deviation[view.counted(settle_s)], limit, limit and -limit)
+    for sign in (1, -1):
+        level(off, limit and sign * limit, "bound")
+    return figure
+
+
+def speeds(view: View) -> Figure | None:
+    """Draw the references' speeds |rho'|, and each robot's faster wheel."""
+    run, tick_s = view.series.run, view.config.controller.tick_s
+    drives = [slices.drive(robot) for robot in view.config.platoon]
+    figure, (reference, wheels) = strips(view, ["|ρ′|, m/s", "faster wheel, rad/s"])
+    at = np.stack([run.items["reference_x_m"], run.items["reference_y_m"]], axis=-1)
+    speed = np.linalg.norm(np.diff(at, axis=0, prepend=at[:1]), axis=-1) / tick_s
+    speed[:1] = np.nan
+    speed[1:][np.diff(run.ticks["run_tick"]) != 1] = np.nan
+    lines(reference, view, speed)
+    fastest = min(drive.max_speed for drive in drives)
+    zoomed(reference, speed[view.counted(view.config.run.settle_s)], fastest) if len(speed) > 1 else None
+    level(reference, fastest, f"the body's limit, {fastest:g} m/s")
+    lines(wheels, view, np.maximum(abs(run.items["left_rad_s"]), abs(run.items["right_rad_s"])))
+    limit = min(drive.max_wheel_speed for drive in drives)
+    wheels.set_ylim(0.0, 1.08 * limit)
+    level(wheels, limit, f"the wheels' limit, {limit:g} rad/s")
+    return figure
+
+
+def true_errors(view: View) -> Figure | None:
+    """Draw the distances from the path, and from where each point should be now."""
+    path, timed = view.series.path_mm, view.series.timed_mm
+    if path is None or timed is None:
+        return None
+    figure, axes = strips(view, ["off the path, mm", "timed error, mm"])
+    bounds = view.bounds.path_error_mean_mm, view.bounds.timed_error_mean_mm
+    names = "bound of the mean", "bound of the leader's mean"
+    for each, values, bound, name in zip(axes, (path, timed), bounds, names, strict=True):
+        settling(each, view.config.run.spacing_settle_s)
+        lines(each, view, values)
+        zoomed(each, values[view.counted(view.config.run.spacing_settle_s)], bound)
+        level(each, bound, name)
+    return figure
+
+
+def poses(view: View) -> Figure | None:
+    """Draw the filter's poses against the true ones over time."""
+    off, turn = view.series.pose_mm, view.series.heading_deg
+    if off is None or turn is None:
+        return None
+    figure, (position, heading) = strips(view, ["position off, mm", "heading off, deg"])
+    lines(position, view, off)
+    zoomed(position, off, view.bounds.pose_error_rms_mm)
+    level(position, view.bounds.pose_error_rms_mm, "bound of the rms")
+    lines(heading, view, turn)
+    return figure
+
+
+def pose_distribution(view: View) -> Figure | None:
+    """Draw which share of the ticks had a pose error below which size."""
+    off = view.series.pose_mm
+    if off is None:
+        return None
+    figure, (position, heading) = sheet(2.4, 1, 2)
+    share = np.linspace(0.0, 100.0, 201)
+    for axes, values in ((position, off), (heading, np.abs(view.series.heading_deg))):
+        for column, colour in zip(values.T, view.colours, strict=True):
+            axes.plot(np.percentile(column, share), share, color=colour, lw=1.2)
+        axes.set(ylim=(0, 100), xlim=(0, None))
+    position.set(xlabel="position off, mm", ylabel="share of ticks, %")
+    heading.set(xlabel="heading off, deg")
+    return figure
+
+
+def latency(view: View) -> Figure | None:
+    """Draw how long after its mid-exposure an image was a pose, in a tick, at a wheel."""
+    delays = delays_ms(view.series.run)
+    if not len(delays.wheel):
+        return None
+    figure, (axes,) = sheet(2.3)
+    longest = max(float(values.max(initial=0.0)) for values in delays)
+    edges = np.linspace(0.0, 1.05 * longest, _BINS + 1)
+    for values, colour in zip(delays, COLOURS, strict=False):
+        if len(values):
+            share = 100 * np.histogram(values, edges)[0] / len(values)
+            axes.stairs(share, edges, color=colour, fill=True, alpha=0.35)
+            axes.stairs(share, edges, color=colour)
+    axes.set(xlabel="time since mid-exposure, ms", ylabel="share, %", xlim=(0, edges[-1]))
+    if (limit := view.bounds.exposure_to_wheel_p99_ms) is not None:
+        axes.axvline(limit, color=QUIET, lw=0.9, ls=(0, (5, 3)), label="bound")
+    return figure
+
+
+def ticks(view: View) -> Figure | None:
+    """Draw how long the ticks computed, and how late they were."""
+    run = view.series.run
+    figure, (compute, late) = sheet(2.5, 1, 2)
+    _histogram(compute, compute_us(run, view.recording), "computing a tick, us")
+    _histogram(late, run.ticks["lateness_ns"] / 1e3, "tick late by, us")
+    compute.set_ylabel("ticks")
+    return figure
+
+
+def _histogram(axes: Axes, values: Array, label: str) -> None:
+    """Draw a histogram over a logarithmic axis, ticks counted on another one."""
+    axes.set(xlabel=label)
+    if not (values > 0).any():
+        axes.text(0.5, 0.5, "0 at every tick", transform=axes.transAxes, ha="center", color=QUIET)
+        axes.set(xticks=[], yticks=[])
+        return
+    values = np.maximum(values, 1.0)
+    axes.hist(values, np.geomspace(1.0, max(2.0, 1.2 * values.max()), _BINS), color=COLOURS[0])
+    axes.set(xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    p50, p99 = np.percentile(values, (50, 99))
+    axes.set_title(f"p50 {p50:,.0f}, p99 {p99:,.0f}, largest {values.max():,.0f}", fontsize=8)
+
+
+class Plot(NamedTuple):
+    """A plot and what to look for in it."""
+
+    title: str
+    draw: Callable[[View], Figure | None]
+    caption: str
+    legend: Callable[[View], list[tuple[str, str]]] = lambda _: []
+    missing: str = ""  # why it was not measured
+
+
+def _robots(view: View) -> list[tuple[str, str]]:
+    return list(zip(view.series.robots, view.colours, strict=True))
+
+
+def _pairs(view: View) -> list[tuple[str, str]]:
+    ids = view.series.robots
+    return [(f"{one} to {other}", c) for one, other, c in zip(ids, ids[1:], view.colours[1:], strict=False)]
+
+
+def _delays(view: View) -> list[tuple[str, str]]:
+    names = "poses sent", "taken by a tick", "at a wheel"
+    shown = zip(names, delays_ms(view.series.run), COLOURS, strict=False)
+    return [(f"{name}: {np.median(ms):.1f} ms, p99 {np.percentile(ms, 99):.1f} ms", c) for name, ms, c in shown if len(ms)]
+
+
+_NO_TRUTH = "Not measured: true poses are known of simulated robots only."
+
+SECTIONS: dict[str, tuple[Plot, ...]] = {
+    "What happened": (
+        Plot(
+            "On the time axis", happened,
+            "Phases on top. A cross is a stop of a robot; a bar is something that lasted: a fault that was injected, "
+            "ticks that were missed, the barrier changing a command; a stroke is news of the tracker. Dotted red lines "
+            "and grey or red bands stand at the same times in every plot below.",
+        ),
+        Plot(
+            "Paths of the points", paths,
+            "The dashed line is the path, a ring a start, a disc a robot's body at the end. The trails lie over each "
+            "other, the leader's the widest: a platoon that follows looks like one striped band. Red crosses: stops.",
+            _robots,
+        ),
+    ),
+    "Following": (
+        Plot(
+            "Control error", control_error,
+            "How far each point will be from its reference after the horizon, before the controller's correction, on "
+            "its own estimate. It falls steeply at the start and then stays low and level; a robot that does not do as "
+            "told rises above the others. In the grey part it is not counted.",
+            _robots,
+        ),
+        Plot(
+            "Spacing", spacing,
+            "Distance of each point from its predecessor's: above all of it, below the difference from d, large enough "
+            "to see what counts. Lines should close in on d and stay; a swing that grows from robot to robot would mean "
+            "that the platoon amplifies.",
+            _pairs, "Not measured: one robot has no neighbour.",
+        ),
+        Plot(
+            "Reference speed and wheels", speeds,
+            "Above, how fast the references move along the path, which asks for this speed. Below, the faster wheel of "
+            "each robot as commanded: where it touches the limit the robot cannot follow.",
+            _robots,
+        ),
+        Plot(
+            "True errors", true_errors,
+            "From the true poses. Above, distance from the path; below, distance from where the point should be now. "
+            "The axes show the part that counts: the start may lie above them. A robot that stands still keeps a small "
+            "control error, but not these.",
+            _robots, _NO_TRUTH,
+        ),
+    ),
+    "Poses": (
+        Plot(
+            "The filter against the truth", poses,
+            "How far the controller's idea of each robot is from where it really was at the tick. Peaks are moments "
+            "without an image, or with a slip that the filter did not expect.",
+            _robots, _NO_TRUTH,
+        ),
+        Plot(
+            "Distribution", pose_distribution,
+            "Which share of the ticks had an error below a size: steep and far left is good, a long tail to the right "
+            "means rare, large errors.",
+            _robots, _NO_TRUTH,
+        ),
+    ),
+    "Timing": (
+        Plot(
+            "From the image to the wheel", latency,
+            "How old an image is when its poses are sent, when a tick takes them, and when a wheel is given the "
+            "command. Narrow and left is good; a tail to the right is a late message.",
+            _delays, "Not measured: no command reached a wheel.",
+        ),
+        Plot(
+            "Ticks", ticks,
+            "How long each tick computed, and how late it began; both axes are logarithmic, so that one bad tick in "
+            "thousands can be seen. In lockstep no time passes while a process computes: no tick is late.",
+        ),
+    ),
+}  # fmt: skip

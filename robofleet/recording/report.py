@@ -1,0 +1,153 @@
+"""What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+from robofleet.config.load import resolved_yaml
+from robofleet.figures import STYLE
+from robofleet.pages import Marked, Page, Tile
+from robofleet.recording.bounds import JUDGED, failures
+from robofleet.recording.canvas import View
+from robofleet.recording.plots import SECTIONS
+from robofleet.recording.run import Recording, Run
+from robofleet.recording.series import CSV, series, write_csv
+from robofleet.recording.timeline import Timeline
+
+Summary = dict[str, Any]
+
+PAGE = "report.html"
+_SHOWN = 80  # entries of a table; a run that is worse shows its first ones
+
+
+def write(recording: Recording, summary: Summary, folder: Path) -> Path:
+    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be."""
+    run = Run(recording)
+    view = View(recording, series(run), Timeline(run, summary["stops"]))
+    page = Page(summary["config"], _subtitle(summary))
+    _verdict(page, summary)
+    page.tiles(_tiles(summary))
+    _bounds(page, summary)
+    with mpl.rc_context(STYLE):
+        _plots(page, view)
+    _stops(page, summary)
+    _entries(page, view.timeline)
+    _robots(page, summary)
+    _origin(page, recording, folder)
+    write_csv(view.series, folder / CSV)
+    page.write(folder / PAGE)
+    return folder / PAGE
+
+
+def _subtitle(summary: Summary) -> str:
+    mode = "lockstep, on a simulated clock" if summary["mode"] == "lockstep" else "real time"
+    robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
+    return f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+
+
+def _verdict(page: Page, summary: Summary) -> None:
+    """Say what became of the run, and why."""
+    missed, cause, stops = failures(summary), summary["cause"], len(summary["stops"])
+    good: bool | None = not missed and summary["outcome"] == "completed"
+    if summary["outcome"] == "completed":
+        of = len(summary["bounds"])
+        said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
+        said += ", every bound met" if of and not missed else ""
+    else:
+        ended = "Ended by a fault" if summary["outcome"] == "fault" else summary["outcome"].capitalize()
+        said = ended if summary["ticks"] else f"Did not start ({summary['outcome']})"
+        said += f": {cause}" if cause else ""
+    lines = missed or ([] if summary["bounds"] else ["No bounds are configured: nothing was judged."])
+    lines = [f"{stops} stop{'s' * (stops > 1)} of a robot on the way.", *lines] if stops else lines
+    page.verdict(said, good=good, detail="\n".join(lines) or "No robot was stopped on the way.")
+
+
+def _tiles(summary: Summary) -> list[Tile]:
+    verdicts = {bound["figure"]: bound for bound in summary["bounds"]}
+    tiles = []
+    for name, figure in JUDGED.items():
+        value, bound = figure.of(summary), verdicts.get(name)
+        note = Marked("no bound", None)
+        if bound is not None:
+            limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
+            note = Marked(f"✓ {limit}" if bound["pass"] else f"✗ {limit}", bound["pass"])
+        shown = "–" if value is None else _short(value)
+        tiles.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
+    return tiles
+
+
+def _short(value: float) -> str:
+    """Return a number as it is read at a glance."""
+    digits = 0 if isinstance(value, int) or abs(value) >= 100 else 1 if abs(value) >= 10 else 2
+    return f"{value:,.{digits}f}"
+
+
+def _bounds(page: Page, summary: Summary) -> None:
+    if not summary["bounds"]:
+        page.note("To have runs judged, write bounds into the configuration, e.g.")
+        page.listing("run:\n  bounds: {control_error_mean_mm: 1.0, spacing_max_deviation_mm: 12, stops: 0}")
+        return
+    page.section("Bounds", "What run.bounds asks for. A figure that was not measured has not met its bound.")
+    rows = []
+    for bound in summary["bounds"]:
+        figure = JUDGED[bound["figure"]]
+        limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}"
+        verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)
+        rows.append((figure.label, bound["value"], limit, verdict, f"run.bounds.{bound['figure']}"))
+    page.table(("figure", "value", "bound", "", "key"), rows)
+
+
+def _plots(page: Page, view: View) -> None:
+    for section, plots in SECTIONS.items():
+        page.section(section)
+        if not len(view.series.t):
+            page.note("The fleet was never running: there is nothing to show.")
+            continue
+        for plot in plots:
+            figure = plot.draw(view)
+            if figure is None:
+                page.note(f"{plot.title}. {plot.missing}")
+            else:
+                page.figure(figure, plot.caption, title=plot.title, legend=plot.legend(view))
+
+
+def _stops(page: Page, summary: Summary) -> None:
+    if summary["stops"]:
+        page.section("Stops", "Times after the stop: from the newest word heard to a target, and to an output of zero.")
+        rows = [
+            (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"])
+            for s in summary["stops"][:_SHOWN]
+        ]
+        page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms"), rows)
+
+
+def _entries(page: Page, timeline: Timeline) -> None:
+    page.section("Events", "Everything that happened, in order; before the start at times below 0.")
+    rows = [(f"{entry.t_s:.2f}", entry.who, entry.what) for entry in timeline.entries[:_SHOWN]]
+    page.table(("t, s", "who", "what"), rows)
+    if (more := len(timeline.entries) - _SHOWN) > 0:
+        page.note(f"And {more} more.")
+
+
+def _robots(page: Page, summary: Summary) -> None:
+    page.section("Robots", "Means over the time that counts; spacing from the robot before.")
+    errors = [
+        summary[name]["per_robot_mean"] if summary[name] else [None] * len(summary["robots"])
+        for name in ("control_error_mm", "timed_error_mm", "path_error_mm", "centre_error_mm")
+    ]
+    gaps = [None, *(summary["spacing_m"]["mean"] if summary["spacing_m"] else [None] * (len(summary["robots"]) - 1))]
+    stops = [sum(stop["robot"] == robot for stop in summary["stops"]) for robot in summary["robots"]]
+    rows = [
+        (robot, *(error[k] for error in errors), gaps[k], stops[k], summary["rejected"][robot])
+        for k, robot in enumerate(summary["robots"])
+    ]
+    units = "control error, mm", "timed error, mm", "off the path, mm", "centre off, mm", "spacing, m"
+    page.table(("robot", *units, "stops", "messages refused"), rows)
+
+
+def _origin(page: Page, recording: Recording, folder: Path) -> None:
+    page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
+    page.listing(f"robofleet replay {shlex.quote(str(folder))}")
+    page.listing(resolved_yaml(recording.config), folded="The configuration, all of it")
