@@ -40,7 +40,8 @@ th {{ font-weight: 600 }}
 .verdict {{ padding: .8rem 1.1rem; border-left: 6px solid {QUIET}; margin: 1.2rem 0; background: #f6f6f6;
   white-space: pre-line }}
 .verdict strong {{ font-size: 1.25rem }}
-.verdict.good {{ border-color: {GOOD}; background: #f0f6f1 }} .verdict.bad {{ border-color: {BAD}; background: #fbf1ee }}
+.verdict.good {{ border-color: {GOOD}; background: #f0f6f1 }}
+.verdict.bad {{ border-color: {BAD}; background: #fbf1ee }}
 .tiles {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(10.5rem, 1fr)); gap: .7rem; margin: 1.2rem 0 }}
 .tile {{ border: 1px solid {FAINT}; border-top: 4px solid {FAINT}; border-radius: 4px; padding: .5rem .8rem }}
 .tile.good {{ border-top-color: {GOOD} }} .tile.bad {{ border-top-color: {BAD}; background: #fbf1ee }}

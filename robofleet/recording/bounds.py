@@ -17,7 +17,7 @@ class Judged(NamedTuple):
     at_least: bool = False
 
 
-def _part(*keys: str) -> Callable[[Figures], float | None]:
+def part(*keys: str) -> Callable[[Figures], float | None]:
     """Return what finds a figure of the summary, below figures that may not have been measured."""
 
     def value(figures: Figures) -> Any:
@@ -35,14 +35,14 @@ def _leaders_timed(figures: Figures) -> float | None:
 
 
 JUDGED = {  # by the keys of run.bounds
-    "control_error_mean_mm": Judged("control error, mean", "mm", _part("control_error_mm", "mean")),
+    "control_error_mean_mm": Judged("control error, mean", "mm", part("control_error_mm", "mean")),
     "timed_error_mean_mm": Judged("leader's timed error, mean", "mm", _leaders_timed),
-    "path_error_mean_mm": Judged("path error, mean", "mm", _part("path_error_mm", "mean")),
-    "spacing_max_deviation_mm": Judged("spacing off by, at most", "mm", _part("spacing_m", "max_deviation_mm")),
-    "min_gap_mm": Judged("smallest gap of bodies", "mm", _part("min_gap_mm"), at_least=True),
-    "pose_error_rms_mm": Judged("pose error, rms", "mm", _part("pose_error", "rms_mm")),
-    "overruns": Judged("ticks overrun", "", _part("tick", "overruns")),
-    "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", _part("latency_ms", "exposure_to_wheel", "p99")),
+    "path_error_mean_mm": Judged("path error, mean", "mm", part("path_error_mm", "mean")),
+    "spacing_max_deviation_mm": Judged("spacing off by, at most", "mm", part("spacing_m", "max_deviation_mm")),
+    "min_gap_mm": Judged("smallest gap of bodies", "mm", part("min_gap_mm"), at_least=True),
+    "pose_error_rms_mm": Judged("pose error, rms", "mm", part("pose_error", "rms_mm")),
+    "overruns": Judged("ticks overrun", "", part("tick", "overruns")),
+    "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", part("latency_ms", "exposure_to_wheel", "p99")),
     "stops": Judged("stops of a robot", "", lambda figures: len(figures["stops"]) if figures["ticks"] else None),
 }
 

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
 from robofleet.figures import FAINT, INK, QUIET, robot_colours
@@ -20,9 +21,9 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 0.68, 0.14, 0.1, 0.42  # margins [inch]: equal, s
 _TITLE = 0.3  # above axes that stand side by side [inch]
 _LABEL = 0.52  # from the axis to its label [inch]
 _COLUMNS = 700  # of pixels that a line is thinned to
-_MANY = 60_000  # points of a plot: more are drawn as pixels
+_MANY = 10_000  # points of a plot
 
-PHASES = {
+_PHASES = {
     Phase.IDLE: "#efefef",
     Phase.ARMED: "#d9e6f2",
     Phase.RUNNING: "#d8ebdb",
@@ -61,7 +62,7 @@ class View:
         """From the run's first tick to its last [s]."""
         return 0.0, max(float(self.series.t[-1]), self.config.controller.tick_s)
 
-    def counted(self, settle_s: float) -> Array:
+    def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""
         after = self.series.run.after(settle_s)
         return after if after.any() else np.ones_like(after)
@@ -92,9 +93,14 @@ def interruptions(axes: Axes, timeline: Timeline) -> None:
     """Shade what is no running, and mark every stop of a robot."""
     for phase in timeline.phases:
         if phase.phase != Phase.RUNNING and phase.until_s > 0:
-            axes.axvspan(phase.t_s, phase.until_s, color=PHASES.get(Phase(phase.phase), FAINT), alpha=0.6, lw=0)
+            axes.axvspan(phase.t_s, phase.until_s, color=phase_colour(phase.phase), alpha=0.6, lw=0)
     for t in sorted({round(entry.t_s, 2) for entry in timeline.entries if entry.stop}):
         axes.axvline(t, color=ALARM, lw=0.7, ls=(0, (1, 2)))
+
+
+def phase_colour(phase: int) -> str:
+    """Return the colour of a phase of the run."""
+    return {int(known): colour for known, colour in _PHASES.items()}.get(phase, FAINT)
 
 
 def settling(axes: Axes, until_s: float) -> None:
@@ -102,10 +108,10 @@ def settling(axes: Axes, until_s: float) -> None:
     axes.axvspan(0.0, until_s, color="#f3f3f3", lw=0, zorder=0)
 
 
-def lines(axes: Axes, view: View, values: Array, colours: Sequence[str] | None = None) -> None:
-    """Draw the columns of values (K, N) over the run's time; of so many points that pixels are smaller, pixels."""
-    t, span, points = view.series.t, view.span, 0
-    for column, colour in zip(values.T, colours or view.colours, strict=True):
+def lines(axes: Axes, t: Array, values: Array, span: tuple[float, float], colours: Sequence[str]) -> None:
+    """Draw the columns of values (K, N) over time; of so many points that a page would be heavy, as pixels."""
+    points = 0
+    for column, colour in zip(values.T, colours, strict=True):
         x, y = line(t, column, span, _COLUMNS)
         points += len(x)
         axes.plot(x, y, color=colour, lw=0.9)

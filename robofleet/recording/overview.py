@@ -6,15 +6,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from robofleet.figures import INK, QUIET
-from robofleet.recording.canvas import ALARM, PHASES, WIDTH, View, sheet
+from robofleet.recording.canvas import ALARM, WIDTH, View, phase_colour, sheet
 from robofleet.recording.run import Array
 from robofleet.recording.timeline import CONTROLLER, FAULTS, TRACKER, Entry
-from robofleet.safety.supervisor import Phase
 
 _AROUND_M = 0.1  # the arena
 _TRAIL_M = 0.006  # a trail has no points that are closer
 _ROW = 0.24  # height of a row [inch]
-_FEW = 12  # robots that have a row each, whatever happened to them
+_FEW = 12  # faults, and robots that have a row whatever happened to them
 
 
 def paths(view: View) -> Figure:
@@ -22,9 +21,9 @@ def paths(view: View) -> Figure:
     figure, axes = floor(view)
     points, last = view.series.points, len(view.series.robots) - 1
     for row, colour in enumerate(view.colours):
-        trail = _trail(points[:, row])
-        axes.plot(*trail.T, color=colour, lw=1.2 + 6.0 * (1 - row / max(last, 1)))  # each shows beside the next one's
-        axes.plot(*trail[0], "o", ms=4, mfc="white", mec=colour)
+        walked = trail(points[:, row])
+        axes.plot(*walked.T, color=colour, lw=1.2 + 4.5 * (1 - row / max(last, 1)))  # each shows beside the next one's
+        axes.plot(*walked[0], "o", ms=4, mfc="white", mec=colour)
     _bodies(axes, view)
     for entry in view.timeline.entries:
         if entry.stop and entry.who in view.series.robots:
@@ -62,7 +61,7 @@ def _bodies(axes: Axes, view: View) -> None:
         axes.annotate(robot.id, (x, y), color=INK, ha="center", va="center", fontsize=8, fontweight="bold", zorder=5)
 
 
-def _trail(points: Array) -> Array:
+def trail(points: Array) -> Array:
     """Return points (K, 2) without those that are closer to the last one than a pixel."""
     walked = np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
     _, kept = np.unique((walked / _TRAIL_M).astype(np.int64), return_index=True)
@@ -70,31 +69,45 @@ def _trail(points: Array) -> Array:
 
 
 def happened(view: View) -> Figure:
-    """Draw the phases, and a row for everybody to whom something happened."""
-    timeline = view.timeline
+    """Draw the phases, and a row for every fault that was injected and for everybody to whom something happened."""
+    timeline, robots = view.timeline, view.series.robots
+    faults = [entry for entry in timeline.entries if entry.who == FAULTS][:_FEW]
     concerned = {entry.who for entry in timeline.entries}
-    robots = [name for name in view.series.robots if len(view.series.robots) <= _FEW or name in concerned]
-    rows = [name for name in (FAULTS, CONTROLLER, TRACKER) if name in concerned] + robots
-    figure, (axes,) = sheet(_ROW * (len(rows) + 1) + 0.6)
-    axes.set(xlim=(timeline.begin_s, max(timeline.end_s, timeline.begin_s + 0.1)), ylim=(len(rows) + 0.5, -0.5))
-    axes.set(xlabel="time since the start, s", yticks=range(len(rows) + 1), yticklabels=["phase", *rows])
+    rows = [name for name in (CONTROLLER, TRACKER, *robots) if name in concerned or name in robots[:_FEW]]
+    figure, (axes,) = sheet(_ROW * (len(faults) + len(rows) + 1) + 0.6)
+    labels = ["phase", *["fault"] * len(faults), *rows]
+    axes.set(xlim=(timeline.begin_s, max(timeline.end_s, timeline.begin_s + 0.1)), ylim=(len(labels) - 0.5, -0.5))
+    axes.set(xlabel="time since the start, s", yticks=range(len(labels)), yticklabels=labels)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     _phases(axes, view)
-    colours = dict(zip(view.series.robots, view.colours, strict=True))
+    for row, entry in enumerate(faults, 1):
+        _fault(axes, entry, row)
+    colours = dict(zip(robots, view.colours, strict=True))
     for entry in timeline.entries:
         if entry.who in rows:
-            _entry(axes, entry, 1 + rows.index(entry.who), colours.get(entry.who, INK))
+            _entry(axes, entry, 1 + len(faults) + rows.index(entry.who), colours.get(entry.who, INK))
     return figure
+
+
+def _fault(axes: Axes, entry: Entry, row: int) -> None:
+    """Draw a fault and its name, on the side that has room."""
+    low, high = axes.get_xlim()
+    left = (entry.t_s + entry.until_s) / 2 > (low + high) / 2
+    axes.broken_barh([(entry.t_s, entry.until_s - entry.t_s)], (row - 0.26, 0.52), color=ALARM, alpha=0.6)
+    at = entry.t_s if left else entry.until_s
+    axes.annotate(
+        entry.what, (at, row), (-4 if left else 4, 0), textcoords="offset points", ha="right" if left else "left",
+        va="center", fontsize=8, color=INK,
+    )  # fmt: skip
 
 
 def _phases(axes: Axes, view: View) -> None:
     timeline = view.timeline
     whole = max(timeline.end_s - timeline.begin_s, 0.1)
     for span in timeline.phases:
-        colour = PHASES.get(Phase(span.phase), QUIET) if span.phase in set(Phase) else QUIET
-        axes.broken_barh([(span.t_s, span.until_s - span.t_s)], (-0.42, 0.84), color=colour)
+        axes.broken_barh([(span.t_s, span.until_s - span.t_s)], (-0.42, 0.84), color=phase_colour(span.phase))
         if (span.until_s - span.t_s) / whole > 0.012 * len(span.name):  # there is room for the word
             axes.text((span.t_s + span.until_s) / 2, 0, span.name, ha="center", va="center", fontsize=8, color=INK)
 
@@ -105,7 +118,5 @@ def _entry(axes: Axes, entry: Entry, row: int, colour: str) -> None:
         axes.plot(entry.t_s, row, "x", color=ALARM, ms=7, mew=1.8)
     elif entry.until_s > entry.t_s:
         axes.broken_barh([(entry.t_s, entry.until_s - entry.t_s)], (row - 0.26, 0.52), color=colour, alpha=0.55)
-        if entry.who == FAULTS:
-            axes.text(entry.t_s, row, f" {entry.what}", va="center", fontsize=8, color=INK)
     else:
         axes.plot(entry.t_s, row, "|", color=colour, ms=9, mew=1.6)

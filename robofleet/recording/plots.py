@@ -9,29 +9,30 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from robofleet.config import slices
-from robofleet.figures import COLOURS, QUIET
-from robofleet.recording.canvas import View, level, lines, logarithmic, settling, sheet, strips, zoomed
-from robofleet.recording.measures import compute_us, delays_ms
+from robofleet.recording.canvas import View, level, lines, logarithmic, phase_colour, settling, sheet, strips, zoomed
 from robofleet.recording.overview import happened, paths
 from robofleet.recording.run import Array
 from robofleet.recording.tables import PAPER_CONTROL_ERROR_MM
+from robofleet.recording.timing import delays, latency, ticks
 
-_LOWEST_MM = 1e-2  # of a logarithmic axis
-_BINS = 60
+LOWEST_MM = 1e-2  # of a logarithmic axis
 
 
 def control_error(view: View) -> Figure | None:
     """Draw the control error."""
     figure, (axes,) = strips(view, ["control error, mm"], 2.6)
     settling(axes, view.config.run.settle_s)
-    lines(axes, view, np.maximum(view.series.control_mm, _LOWEST_MM))
-    logarithmic(axes, _LOWEST_MM)
+    _robots_lines(axes, view, np.maximum(view.series.control_mm, LOWEST_MM))
+    logarithmic(axes, LOWEST_MM)
     level(axes, view.bounds.control_error_mean_mm, "bound of the mean")
     level(axes, PAPER_CONTROL_ERROR_MM, "the paper's mean, on hardware")
     return figure
+
+
+def _robots_lines(axes: Axes, view: View, values: Array) -> None:
+    lines(axes, view.series.t, values, view.span, view.colours)
 
 
 def spacing(view: View) -> Figure | None:
@@ -40,15 +41,15 @@ def spacing(view: View) -> Figure | None:
         return None
     asked_mm = view.config.groups[0].spacing_m * 1e3
     figure, (whole, off) = strips(view, ["distance, mm", "from d, mm"])
-    lines(whole, view, view.series.spacing_mm, view.colours[1:])
+    lines(whole, view.series.t, view.series.spacing_mm, view.span, view.colours[1:])
     level(whole, asked_mm, f"d = {asked_mm:g} mm")
     deviation, settle_s = view.series.spacing_mm - asked_mm, view.config.run.spacing_settle_s
     settling(off, settle_s)
-    lines(off, view, deviation, view.colours[1:])
+    lines(off, view.series.t, deviation, view.span, view.colours[1:])
     limit = view.bounds.spacing_max_deviation_mm
     zoomed(off, deviation[view.counted(settle_s)], limit, limit and -limit)
-    for sign in (1, -1):
-        level(off, limit and sign * limit, "bound")
+    level(off, limit, "bound")
+    level(off, limit and -limit, "")
     return figure
 
 
@@ -61,11 +62,11 @@ def speeds(view: View) -> Figure | None:
     speed = np.linalg.norm(np.diff(at, axis=0, prepend=at[:1]), axis=-1) / tick_s
     speed[:1] = np.nan
     speed[1:][np.diff(run.ticks["run_tick"]) != 1] = np.nan
-    lines(reference, view, speed)
+    _robots_lines(reference, view, speed)
     fastest = min(drive.max_speed for drive in drives)
     zoomed(reference, speed[view.counted(view.config.run.settle_s)], fastest) if len(speed) > 1 else None
     level(reference, fastest, f"the body's limit, {fastest:g} m/s")
-    lines(wheels, view, np.maximum(abs(run.items["left_rad_s"]), abs(run.items["right_rad_s"])))
+    _robots_lines(wheels, view, np.maximum(abs(run.items["left_rad_s"]), abs(run.items["right_rad_s"])))
     limit = min(drive.max_wheel_speed for drive in drives)
     wheels.set_ylim(0.0, 1.08 * limit)
     level(wheels, limit, f"the wheels' limit, {limit:g} rad/s")
@@ -82,7 +83,7 @@ def true_errors(view: View) -> Figure | None:
     names = "bound of the mean", "bound of the leader's mean"
     for each, values, bound, name in zip(axes, (path, timed), bounds, names, strict=True):
         settling(each, view.config.run.spacing_settle_s)
-        lines(each, view, values)
+        _robots_lines(each, view, values)
         zoomed(each, values[view.counted(view.config.run.spacing_settle_s)], bound)
         level(each, bound, name)
     return figure
@@ -94,73 +95,27 @@ def poses(view: View) -> Figure | None:
     if off is None or turn is None:
         return None
     figure, (position, heading) = strips(view, ["position off, mm", "heading off, deg"])
-    lines(position, view, off)
+    _robots_lines(position, view, off)
     zoomed(position, off, view.bounds.pose_error_rms_mm)
     level(position, view.bounds.pose_error_rms_mm, "bound of the rms")
-    lines(heading, view, turn)
+    _robots_lines(heading, view, turn)
     return figure
 
 
 def pose_distribution(view: View) -> Figure | None:
     """Draw which share of the ticks had a pose error below which size."""
-    off = view.series.pose_mm
-    if off is None:
+    off, turn = view.series.pose_mm, view.series.heading_deg
+    if off is None or turn is None:
         return None
     figure, (position, heading) = sheet(2.4, 1, 2)
     share = np.linspace(0.0, 100.0, 201)
-    for axes, values in ((position, off), (heading, np.abs(view.series.heading_deg))):
+    for axes, values in ((position, off), (heading, np.abs(turn))):
         for column, colour in zip(values.T, view.colours, strict=True):
             axes.plot(np.percentile(column, share), share, color=colour, lw=1.2)
         axes.set(ylim=(0, 100), xlim=(0, None))
     position.set(xlabel="position off, mm", ylabel="share of ticks, %")
     heading.set(xlabel="heading off, deg")
     return figure
-
-
-def latency(view: View) -> Figure | None:
-    """Draw how long after its mid-exposure an image was a pose, in a tick, at a wheel."""
-    delays = delays_ms(view.series.run)
-    if not len(delays.wheel):
-        return None
-    figure, (axes,) = sheet(2.3)
-    longest = max(float(values.max(initial=0.0)) for values in delays)
-    edges = np.linspace(0.0, 1.05 * longest, _BINS + 1)
-    for values, colour in zip(delays, COLOURS, strict=False):
-        if len(values):
-            share = 100 * np.histogram(values, edges)[0] / len(values)
-            axes.stairs(share, edges, color=colour, fill=True, alpha=0.35)
-            axes.stairs(share, edges, color=colour)
-    axes.set(xlabel="time since mid-exposure, ms", ylabel="share, %", xlim=(0, edges[-1]))
-    if (limit := view.bounds.exposure_to_wheel_p99_ms) is not None:
-        axes.axvline(limit, color=QUIET, lw=0.9, ls=(0, (5, 3)), label="bound")
-    return figure
-
-
-def ticks(view: View) -> Figure | None:
-    """Draw how long the ticks computed, and how late they were."""
-    run = view.series.run
-    figure, (compute, late) = sheet(2.5, 1, 2)
-    _histogram(compute, compute_us(run, view.recording), "computing a tick, us")
-    _histogram(late, run.ticks["lateness_ns"] / 1e3, "tick late by, us")
-    compute.set_ylabel("ticks")
-    return figure
-
-
-def _histogram(axes: Axes, values: Array, label: str) -> None:
-    """Draw a histogram over a logarithmic axis, ticks counted on another one."""
-    axes.set(xlabel=label)
-    if not (values > 0).any():
-        axes.text(0.5, 0.5, "0 at every tick", transform=axes.transAxes, ha="center", color=QUIET)
-        axes.set(xticks=[], yticks=[])
-        return
-    values = np.maximum(values, 1.0)
-    axes.hist(values, np.geomspace(1.0, max(2.0, 1.2 * values.max()), _BINS), color=COLOURS[0])
-    axes.set(xscale="log", yscale="log")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-    p50, p99 = np.percentile(values, (50, 99))
-    axes.set_title(f"p50 {p50:,.0f}, p99 {p99:,.0f}, largest {values.max():,.0f}", fontsize=8)
 
 
 class Plot(NamedTuple):
@@ -177,15 +132,13 @@ def _robots(view: View) -> list[tuple[str, str]]:
     return list(zip(view.series.robots, view.colours, strict=True))
 
 
+def _phases(view: View) -> list[tuple[str, str]]:
+    return list({span.name: (span.name, phase_colour(span.phase)) for span in view.timeline.phases}.values())
+
+
 def _pairs(view: View) -> list[tuple[str, str]]:
     ids = view.series.robots
     return [(f"{one} to {other}", c) for one, other, c in zip(ids, ids[1:], view.colours[1:], strict=False)]
-
-
-def _delays(view: View) -> list[tuple[str, str]]:
-    names = "poses sent", "taken by a tick", "at a wheel"
-    shown = zip(names, delays_ms(view.series.run), COLOURS, strict=False)
-    return [(f"{name}: {np.median(ms):.1f} ms, p99 {np.percentile(ms, 99):.1f} ms", c) for name, ms, c in shown if len(ms)]
 
 
 _NO_TRUTH = "Not measured: true poses are known of simulated robots only."
@@ -196,7 +149,8 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
             "On the time axis", happened,
             "Phases on top. A cross is a stop of a robot; a bar is something that lasted: a fault that was injected, "
             "ticks that were missed, the barrier changing a command; a stroke is news of the tracker. Dotted red lines "
-            "and grey or red bands stand at the same times in every plot below.",
+            "and coloured bands stand at the same times in every plot below.",
+            _phases,
         ),
         Plot(
             "Paths of the points", paths,
@@ -216,8 +170,8 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
         Plot(
             "Spacing", spacing,
             "Distance of each point from its predecessor's: above all of it, below the difference from d, large enough "
-            "to see what counts. Lines should close in on d and stay; a swing that grows from robot to robot would mean "
-            "that the platoon amplifies.",
+            "to see what counts. Lines should close in on d and stay; a swing that grows from robot to robot would "
+            "mean that the platoon amplifies.",
             _pairs, "Not measured: one robot has no neighbour.",
         ),
         Plot(
@@ -253,7 +207,7 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
             "From the image to the wheel", latency,
             "How old an image is when its poses are sent, when a tick takes them, and when a wheel is given the "
             "command. Narrow and left is good; a tail to the right is a late message.",
-            _delays, "Not measured: no command reached a wheel.",
+            delays, "Not measured: no command reached a wheel.",
         ),
         Plot(
             "Ticks", ticks,

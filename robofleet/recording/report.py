@@ -24,8 +24,7 @@ _SHOWN = 80  # entries of a table; a run that is worse shows its first ones
 
 def write(recording: Recording, summary: Summary, folder: Path) -> Path:
     """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be."""
-    run = Run(recording)
-    view = View(recording, series(run), Timeline(run, summary["stops"]))
+    view = view_of(recording, summary)
     page = Page(summary["config"], _subtitle(summary))
     _verdict(page, summary)
     page.tiles(_tiles(summary))
@@ -39,6 +38,12 @@ def write(recording: Recording, summary: Summary, folder: Path) -> Path:
     write_csv(view.series, folder / CSV)
     page.write(folder / PAGE)
     return folder / PAGE
+
+
+def view_of(recording: Recording, summary: Summary) -> View:
+    """Return what there is to draw of a run."""
+    run = Run(recording)
+    return View(recording, series(run), Timeline(run, summary["stops"]))
 
 
 def _subtitle(summary: Summary) -> str:
@@ -56,8 +61,8 @@ def _verdict(page: Page, summary: Summary) -> None:
         said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
         said += ", every bound met" if of and not missed else ""
     else:
-        ended = "Ended by a fault" if summary["outcome"] == "fault" else summary["outcome"].capitalize()
-        said = ended if summary["ticks"] else f"Did not start ({summary['outcome']})"
+        ends = {"fault": "Ended by a fault", "stopped": "Stopped", "unknown": "Nobody came to say how it ended"}
+        said = ends.get(summary["outcome"], summary["outcome"]) if summary["ticks"] else "Did not start"
         said += f": {cause}" if cause else ""
     lines = missed or ([] if summary["bounds"] else ["No bounds are configured: nothing was judged."])
     lines = [f"{stops} stop{'s' * (stops > 1)} of a robot on the way.", *lines] if stops else lines

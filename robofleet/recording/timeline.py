@@ -43,9 +43,11 @@ class Timeline:
         """Collect; ``stops`` are the summary's."""
         self._run = run
         self._stamps, self._places = _instants(run)
-        firsts = [run.ticks["stamp_ns"][:1], self._stamps[:1], run.all_ticks["stamp_ns"][:1], [0]]
-        self._zero_ns = int(next(first[0] for first in firsts if len(first)))
-        lasts = [(stamps[-1] - self._zero_ns) / 1e9 for stamps in (self._stamps, run.all_ticks["stamp_ns"]) if len(stamps)]
+        begun = (run.ticks["stamp_ns"], self._stamps, run.all_ticks["stamp_ns"])
+        self._zero_ns = next((int(stamps[0]) for stamps in begun if len(stamps)), 0)
+        lasts = [
+            (stamps[-1] - self._zero_ns) / 1e9 for stamps in (self._stamps, run.all_ticks["stamp_ns"]) if len(stamps)
+        ]
         self.begin_s = min(0.0, self._seconds(self._stamps[:1]).min(initial=0.0))
         self.end_s = max([0.0, *map(float, lasts)])
         self.phases = list(self._spans())
@@ -107,7 +109,8 @@ class Timeline:
 def _in_words(fault: Fault) -> str:
     given = fault.model_dump(exclude={"kind", "at_s", "duration_s"}, exclude_none=True, exclude_defaults=True)
     values = (
-        f"{key} {', '.join(map(str, value)) if isinstance(value, tuple | list) else value}" for key, value in given.items()
+        f"{key} {', '.join(map(str, value)) if isinstance(value, tuple | list) else value}"
+        for key, value in given.items()
     )
     return f"{fault.kind.replace('_', ' ')} ({'; '.join(values)})" if given else fault.kind.replace("_", " ")
 
