@@ -30,13 +30,14 @@ h2 {{ font-size: 1.25rem; margin: 2.6rem 0 .4rem; padding-top: .8rem; border-top
 nav {{ margin: 0 0 1.5rem; font-size: .9rem }} nav a {{ color: {COLOURS[0]}; text-decoration: none; margin-right: 1rem;
   white-space: nowrap }}
 figure {{ margin: 1.4rem 0 }} figcaption {{ color: #666; font-size: .9rem; max-width: 46rem }}
-.plot {{ overflow-x: auto }} .plot svg {{ display: block; width: 100%; height: auto; min-width: 36rem }}
+.plot {{ overflow-x: auto }} .plot svg {{ display: block; width: 100%; height: auto }}
+.plot.long svg {{ min-width: 36rem }}
 .plot svg text {{ font-family: system-ui, sans-serif !important }}
 .legend span {{ margin-right: 1rem; font-size: .85rem; white-space: nowrap }}
 .legend i {{ display: inline-block; width: .7rem; height: .7rem; border-radius: 50%; margin-right: .3rem }}
 .wide {{ overflow-x: auto }} table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0 }}
 th, td {{ text-align: left; padding: .25rem 1.2rem .25rem 0; border-bottom: 1px solid {FAINT}; vertical-align: top }}
-th {{ font-weight: 600 }}
+th {{ font-weight: 600 }} td {{ white-space: nowrap }} td:last-child {{ white-space: normal; min-width: 7rem }}
 .verdict {{ padding: .8rem 1.1rem; border-left: 6px solid {QUIET}; margin: 1.2rem 0; background: #f6f6f6;
   white-space: pre-line }}
 .verdict strong {{ font-size: 1.25rem }}
@@ -52,7 +53,7 @@ pre {{ overflow-x: auto; background: #f6f6f6; padding: .8rem 1rem; font-size: .8
 summary {{ cursor: pointer; color: {COLOURS[0]} }}
 @media print {{
   body {{ font-size: 11px; max-width: none; margin: 0 }} nav {{ display: none }} h2 {{ break-after: avoid }}
-  figure, tr, .tiles, .verdict {{ break-inside: avoid }} .plot svg {{ min-width: 0 }} * {{ print-color-adjust: exact }}
+  figure, tr, .tiles, .verdict {{ break-inside: avoid }} .plot.long svg {{ min-width: 0 }} * {{ print-color-adjust: exact }}
 }}
 """
 
@@ -114,8 +115,19 @@ class Page:
             '<div class="wide"><table>' + "".join(f"<tr>{line}</tr>" for line in lines) + "</table></div>"
         )
 
-    def figure(self, figure: Figure, caption: str, *, title: str = "", legend: Iterable[tuple[str, str]] = ()) -> None:
-        """Add a plot, with its legend's (label, colour); make it inside ``with mpl.rc_context(STYLE):``."""
+    def figure(
+        self,
+        figure: Figure,
+        caption: str,
+        *,
+        title: str = "",
+        legend: Iterable[tuple[str, str]] = (),
+        long: bool = False,
+    ) -> None:
+        """Add a plot, with its legend's (label, colour); make it inside ``with mpl.rc_context(STYLE):``.
+
+        A long one does not shrink to a narrow screen: it is moved to the side there.
+        """
         buffer = io.StringIO()
         with mpl.rc_context({**STYLE, "svg.fonttype": "none"}):
             figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
@@ -125,7 +137,7 @@ class Page:
         self._parts.append(
             "<figure>" + (f"<h3>{_text(title)}</h3>" if title else "")
             + (f'<div class="legend">{chips}</div>' if chips else "")
-            + f'<div class="plot">{svg}</div><figcaption>{_text(caption)}</figcaption></figure>'
+            + f'<div class="plot{" long" if long else ""}">{svg}</div><figcaption>{_text(caption)}</figcaption></figure>'
         )  # fmt: skip
 
     def listing(self, text: str, folded: str = "") -> None:

@@ -38,7 +38,7 @@ JUDGED = {  # by the keys of run.bounds
     "control_error_mean_mm": Judged("control error, mean", "mm", part("control_error_mm", "mean")),
     "timed_error_mean_mm": Judged("leader's timed error, mean", "mm", _leaders_timed),
     "path_error_mean_mm": Judged("path error, mean", "mm", part("path_error_mm", "mean")),
-    "spacing_max_deviation_mm": Judged("spacing off by, at most", "mm", part("spacing_m", "max_deviation_mm")),
+    "spacing_max_deviation_mm": Judged("largest spacing error", "mm", part("spacing_m", "max_deviation_mm")),
     "min_gap_mm": Judged("smallest gap of bodies", "mm", part("min_gap_mm"), at_least=True),
     "pose_error_rms_mm": Judged("pose error, rms", "mm", part("pose_error", "rms_mm")),
     "overruns": Judged("ticks overrun", "", part("tick", "overruns")),

@@ -120,13 +120,13 @@ def lines(axes: Axes, t: Array, values: Array, span: tuple[float, float], colour
             drawn.set_rasterized(True)
 
 
-def level(axes: Axes, value: float | None, label: str, colour: str = QUIET) -> None:
+def level(axes: Axes, value: float | None, label: str = "") -> None:
     """Draw a line across that says what it is; nothing where there is none."""
     if value is not None:
-        axes.axhline(value, color=colour, lw=0.9, ls=(0, (5, 3)))
+        axes.axhline(value, color=QUIET, lw=0.9, ls=(0, (5, 3)))
         axes.annotate(
             label, (1.0, value), (-2, 2), xycoords=("axes fraction", "data"), textcoords="offset points",
-            ha="right", color=INK if colour == QUIET else colour, fontsize=8,
+            ha="right", color=INK, fontsize=8, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
         )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from robofleet.recording.series import Series
 Summary = dict[str, Any]
 
 _SAME = 0.01  # a difference of a figure that is no difference, relative to the larger one
+_AS_BEFORE = "the same"
 _SHOWN = 60  # keys
 _COLOURS = COLOURS[:2]
 
@@ -29,10 +30,10 @@ _ALSO = (
     Judged("centre off the path, mean", "mm", part("centre_error_mm", "mean")),
     Judged("heading error, rms", "deg", part("pose_error", "heading_rms_deg")),
     Judged("tags found", "of all", part("tracker", "measured_fraction"), at_least=True),
+)
+_NOT_JUDGED = (  # a difference is neither good nor bad, or the machine's and its load's
     Judged("wheels at their limit", "of all ticks", part("saturated_fraction")),
     Judged("changed by the barrier", "of all ticks", part("filtered_fraction")),
-)
-_OF_THE_MACHINE = (  # compared where both ran in the same mode
     Judged("computing a tick, p50", "us", part("tick", "compute_us", "p50")),
     Judged("computing a tick, p99", "us", part("tick", "compute_us", "p99")),
     Judged("tick late by, p99", "us", part("tick", "lateness_us", "p99")),
@@ -54,7 +55,7 @@ def write(first: Side, second: Side, file: Path) -> None:
     page = Page(f"{first.name} and {second.name}", "Two runs side by side: the second one is judged against the first")
     rows = list(_rows(*sides))
     counts = [sum(row[-1].good is good for row in rows) for good in (True, False)]
-    same = sum(row[-1].text == "the same" for row in rows)
+    same = sum(row[-1].text == _AS_BEFORE for row in rows)
     detail = "\n".join(f"{side.name}: {_ended(side.summary)}" for side in sides)
     page.verdict(f"{counts[0]} figures better, {counts[1]} worse, {same} the same", good=None, detail=detail)
     page.section("Figures")
@@ -68,7 +69,7 @@ def write(first: Side, second: Side, file: Path) -> None:
         for overlay in OVERLAYS:
             figure = _overlaid(sides, overlay)
             if figure is not None:
-                page.figure(figure, overlay.caption, title=overlay.title, legend=legend)
+                page.figure(figure, overlay.caption, title=overlay.title, legend=legend, long=True)
     page.write(file)
 
 
@@ -81,18 +82,23 @@ def _ended(summary: Summary) -> str:
 
 
 def _rows(first: Side, second: Side) -> Iterator[tuple[str, float | None, float | None, str, Marked]]:
-    alike = first.summary["mode"] == second.summary["mode"]
-    for figure in (*JUDGED.values(), *_ALSO, *(_OF_THE_MACHINE if alike else ())):
+    for figure in (*JUDGED.values(), *_ALSO, *_NOT_JUDGED):
         one, other = figure.of(first.summary), figure.of(second.summary)
         label = f"{figure.label}, {figure.unit}" if figure.unit else figure.label
         if one is None or other is None:
-            yield label, one, other, "", Marked("" if one == other else "measured once", None)
-        elif abs(other - one) <= _SAME * max(abs(one), abs(other)):
-            yield label, one, other, f"{other - one:+.3g}", Marked("the same", None)
+            yield label, one, other, "", Marked("not measured in both", None)
         else:
-            better = (other > one) == figure.at_least
-            by = f" by {100 * abs(other - one) / abs(one):.0f} %" if one else ""
-            yield label, one, other, f"{other - one:+.3g}", Marked(f"{'better' if better else 'worse'}{by}", better)
+            verdict = Marked("", None) if figure in _NOT_JUDGED else _verdict(one, other, more=figure.at_least)
+            yield label, one, other, f"{other - one:+.3g}", verdict
+
+
+def _verdict(one: float, other: float, *, more: bool) -> Marked:
+    """Say whether the other one is better; ``more`` is, or less."""
+    if abs(other - one) <= _SAME * max(abs(one), abs(other)):
+        return Marked(_AS_BEFORE, None)
+    better = (other > one) == more
+    by = f" by {100 * abs(other - one) / abs(one):.0f} %" if one else ""
+    return Marked(f"{'better' if better else 'worse'}{by}", better)
 
 
 def _keys(page: Page, first: Side, second: Side) -> None:

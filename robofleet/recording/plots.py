@@ -1,6 +1,7 @@
 """The plots of a run's report: each is a function and its entry in ``SECTIONS``.
 
-A function is given a run with at least one tick; it returns None where what it would show was not measured.
+A function is given a run with at least one tick, but the first one of all; it returns None where what it would show
+was not measured.
 """
 
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from robofleet.recording.run import Array
 from robofleet.recording.tables import PAPER_CONTROL_ERROR_MM
 from robofleet.recording.timing import delays, latency, ticks
 
+_LEGEND = 16  # robots
 LOWEST_MM = 1e-2  # of a logarithmic axis
 
 
@@ -49,7 +51,7 @@ def spacing(view: View) -> Figure | None:
     limit = view.bounds.spacing_max_deviation_mm
     zoomed(off, deviation[view.counted(settle_s)], limit, limit and -limit)
     level(off, limit, "bound")
-    level(off, limit and -limit, "")
+    level(off, limit and -limit)
     return figure
 
 
@@ -126,10 +128,17 @@ class Plot(NamedTuple):
     caption: str
     legend: Callable[[View], list[tuple[str, str]]] = lambda _: []
     missing: str = ""  # why it was not measured
+    long: bool = True  # it must not shrink to a narrow screen
 
 
 def _robots(view: View) -> list[tuple[str, str]]:
-    return list(zip(view.series.robots, view.colours, strict=True))
+    return _few(list(zip(view.series.robots, view.colours, strict=True)))
+
+
+def _few(legend: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return a legend that can be read: of very many robots first, middle and last, whose colours lead over."""
+    many = len(legend) > _LEGEND
+    return [legend[0], ("…", legend[len(legend) // 2][1]), legend[-1]] if many else legend
 
 
 def _phases(view: View) -> list[tuple[str, str]]:
@@ -138,7 +147,7 @@ def _phases(view: View) -> list[tuple[str, str]]:
 
 def _pairs(view: View) -> list[tuple[str, str]]:
     ids = view.series.robots
-    return [(f"{one} to {other}", c) for one, other, c in zip(ids, ids[1:], view.colours[1:], strict=False)]
+    return _few([(f"{one} to {other}", c) for one, other, c in zip(ids, ids[1:], view.colours[1:], strict=False)])
 
 
 _NO_TRUTH = "Not measured: true poses are known of simulated robots only."
@@ -156,7 +165,7 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
             "Paths of the points", paths,
             "The dashed line is the path, a ring a start, a disc a robot's body at the end. The trails lie over each "
             "other, the leader's the widest: a platoon that follows looks like one striped band. Red crosses: stops.",
-            _robots,
+            _robots, long=False,
         ),
     ),
     "Following": (

@@ -27,8 +27,9 @@ def write(recording: Recording, summary: Summary, folder: Path) -> Path:
     view = view_of(recording, summary)
     page = Page(summary["config"], _subtitle(summary))
     _verdict(page, summary)
-    page.tiles(_tiles(summary))
-    _bounds(page, summary)
+    if summary["ticks"]:
+        page.tiles(_tiles(summary))
+        _bounds(page, summary)
     with mpl.rc_context(STYLE):
         _plots(page, view)
     _stops(page, summary)
@@ -61,9 +62,15 @@ def _verdict(page: Page, summary: Summary) -> None:
         said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
         said += ", every bound met" if of and not missed else ""
     else:
-        ends = {"fault": "Ended by a fault", "stopped": "Stopped", "unknown": "Nobody came to say how it ended"}
-        said = ends.get(summary["outcome"], summary["outcome"]) if summary["ticks"] else "Did not start"
+        ends: dict[str, str] = {
+            "fault": "Ended by a fault",
+            "stopped": "Stopped",
+            "unknown": "Nobody came to say how it ended",
+        }
+        said = ends.get(summary["outcome"], "Ended") if summary["ticks"] else "Did not start"
         said += f": {cause}" if cause else ""
+    if missed and not summary["ticks"]:
+        missed = ["Nothing was measured."]
     lines = missed or ([] if summary["bounds"] else ["No bounds are configured: nothing was judged."])
     lines = [f"{stops} stop{'s' * (stops > 1)} of a robot on the way.", *lines] if stops else lines
     page.verdict(said, good=good, detail="\n".join(lines) or "No robot was stopped on the way.")
@@ -105,17 +112,18 @@ def _bounds(page: Page, summary: Summary) -> None:
 
 
 def _plots(page: Page, view: View) -> None:
+    ran = len(view.series.t) > 0
     for section, plots in SECTIONS.items():
         page.section(section)
-        if not len(view.series.t):
-            page.note("The fleet was never running: there is nothing to show.")
-            continue
-        for plot in plots:
+        for plot in plots if ran else plots[:1]:
             figure = plot.draw(view)
             if figure is None:
                 page.note(f"{plot.title}. {plot.missing}")
             else:
-                page.figure(figure, plot.caption, title=plot.title, legend=plot.legend(view))
+                page.figure(figure, plot.caption, title=plot.title, legend=plot.legend(view), long=plot.long)
+        if not ran:
+            page.note("The fleet was never running: there is nothing more to show.")
+            return
 
 
 def _stops(page: Page, summary: Summary) -> None:
