@@ -53,7 +53,8 @@ pre {{ overflow-x: auto; background: #f6f6f6; padding: .8rem 1rem; font-size: .8
 summary {{ cursor: pointer; color: {COLOURS[0]} }}
 @media print {{
   body {{ font-size: 11px; max-width: none; margin: 0 }} nav {{ display: none }} h2 {{ break-after: avoid }}
-  figure, tr, .tiles, .verdict {{ break-inside: avoid }} .plot.long svg {{ min-width: 0 }} * {{ print-color-adjust: exact }}
+  figure, tr, .tiles, .verdict {{ break-inside: avoid }}
+  .plot.long svg {{ min-width: 0 }} * {{ print-color-adjust: exact }}
 }}
 """
 
@@ -134,11 +135,10 @@ class Page:
         _, start, rest = buffer.getvalue().partition("<svg")
         svg = _NAMES.sub("", _PRECISION.sub(r"\1", start + rest))
         chips = "".join(f'<span><i style="background:{colour}"></i>{_text(label)}</span>' for label, colour in legend)
-        self._parts.append(
-            "<figure>" + (f"<h3>{_text(title)}</h3>" if title else "")
-            + (f'<div class="legend">{chips}</div>' if chips else "")
-            + f'<div class="plot{" long" if long else ""}">{svg}</div><figcaption>{_text(caption)}</figcaption></figure>'
-        )  # fmt: skip
+        head = f"<h3>{_text(title)}</h3>" if title else ""
+        head += f'<div class="legend">{chips}</div>' if chips else ""
+        plot = f'<div class="plot{" long" if long else ""}">{svg}</div>'
+        self._parts.append(f"<figure>{head}{plot}<figcaption>{_text(caption)}</figcaption></figure>")
 
     def listing(self, text: str, folded: str = "") -> None:
         """Add text as it is, folded away under a line where one is given."""

@@ -12,6 +12,7 @@ from robofleet.recording.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
 _AROUND_M = 0.1  # the arena
 _TRAIL_M = 0.006  # a trail has no points that are closer
+_NAME = 0.3  # of the axis that a fault's name takes
 _ROW = 0.24  # height of a row [inch]
 _FEW = 12  # faults, and robots that have a row whatever happened to them
 
@@ -92,15 +93,16 @@ def happened(view: View) -> Figure:
 
 
 def _fault(axes: Axes, entry: Entry, row: int) -> None:
-    """Draw a fault and its name, on the side that has room."""
+    """Draw a fault and its name: where there is more room, before it or behind it, else on it."""
     low, high = axes.get_xlim()
-    left = (entry.t_s + entry.until_s) / 2 > (low + high) / 2
-    axes.broken_barh([(entry.t_s, entry.until_s - entry.t_s)], (row - 0.26, 0.52), color=ALARM, alpha=0.6)
-    at = entry.t_s if left else entry.until_s
+    before, behind = entry.t_s - low, high - entry.until_s
+    axes.broken_barh([(entry.t_s, entry.until_s - entry.t_s)], (row - 0.26, 0.52), color=ALARM, alpha=0.45)
+    at, side, shift = (entry.t_s, "right", -4) if before > behind else (entry.until_s, "left", 4)
+    if max(before, behind) < _NAME * (high - low):
+        at, side, shift = entry.t_s, "left", 4
     axes.annotate(
-        entry.what, (at, row), (-4 if left else 4, 0), textcoords="offset points", ha="right" if left else "left",
-        va="center", fontsize=8, color=INK,
-    )  # fmt: skip
+        entry.what, (at, row), (shift, 0), textcoords="offset points", ha=side, va="center", fontsize=8, color=INK
+    )
 
 
 def _phases(axes: Axes, view: View) -> None:

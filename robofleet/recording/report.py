@@ -19,6 +19,7 @@ from robofleet.recording.timeline import Timeline
 Summary = dict[str, Any]
 
 PAGE = "report.html"
+_ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
 _SHOWN = 80  # entries of a table; a run that is worse shows its first ones
 
 
@@ -62,12 +63,8 @@ def _verdict(page: Page, summary: Summary) -> None:
         said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
         said += ", every bound met" if of and not missed else ""
     else:
-        ends: dict[str, str] = {
-            "fault": "Ended by a fault",
-            "stopped": "Stopped",
-            "unknown": "Nobody came to say how it ended",
-        }
-        said = ends.get(summary["outcome"], "Ended") if summary["ticks"] else "Did not start"
+        ended = _ENDS.get(summary["outcome"], "Nobody came to say how it ended")
+        said = ended if summary["ticks"] else "Did not start"
         said += f": {cause}" if cause else ""
     if missed and not summary["ticks"]:
         missed = ["Nothing was measured."]
@@ -107,8 +104,8 @@ def _bounds(page: Page, summary: Summary) -> None:
         figure = JUDGED[bound["figure"]]
         limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}"
         verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)
-        rows.append((figure.label, bound["value"], limit, verdict, f"run.bounds.{bound['figure']}"))
-    page.table(("figure", "value", "bound", "", "key"), rows)
+        rows.append((figure.label, verdict, bound["value"], limit, f"run.bounds.{bound['figure']}"))
+    page.table(("figure", "", "value", "bound", "key"), rows)
 
 
 def _plots(page: Page, view: View) -> None:
