@@ -213,7 +213,7 @@ def _summary(
 
     try:
         if lockstep:
-            return runs.in_lockstep(tree, name, quiet=quiet)
+            return runs.in_lockstep(tree, name, folder, quiet=quiet)
         return runs.in_real_time(tree, name, folder, quiet=quiet, reset=reset, take_over=take_over)
     except OSError as error:
         print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)

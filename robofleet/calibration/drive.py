@@ -31,6 +31,7 @@ from robofleet.processes.fleet import excitation
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.terminal import Terminal
+from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording, Watch
 from robofleet.tracking.offset import tag_from_centre
 
@@ -109,9 +110,9 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
 def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, str | None, Recording]:
     try:
         with claimed(config, folder, WallClock()), Terminal() as terminal:
-            launcher = Launcher(config, folder, watch, terminal)
-            return *launcher.run(), launcher.recording
-    except ArenaBusyError as error:
+            outcome, cause = Launcher(config, folder, watch, terminal).run()
+        return outcome, cause, read(folder) if outcome == "completed" else Recording(config)
+    except (ArenaBusyError, RecordingError) as error:
         raise CalibrationError(str(error)) from error
 
 

@@ -245,6 +245,10 @@ class Config(Model):
         ids, most = [robot.id for robot in self.robots], self.drivers.robots_per_process
         return {f"driver-{ids[k]}": tuple(ids[k : k + most]) for k in range(0, len(ids), most)}
 
+    def driver_of(self, robot_id: str) -> str:
+        """Return the name of the process that drives a robot."""
+        return next(name for name, robots in self.driven.items() if robot_id in robots)
+
     def robot(self, robot_id: str) -> Robot:
         """Return a robot by its id; KeyError if there is none."""
         for robot in self.robots:

@@ -105,6 +105,17 @@ def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 
 @app.command()
+def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The recorder of a run, as a process of its own: it writes run.mcap beside CONFIG."""
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    tree = _for_one_process(config)
+    with bad_input():
+        child.recorder(tree, Lifeline(lifeline), config.parent)
+
+
+@app.command()
 def controller(
     config: ConfigFile,
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,

@@ -38,7 +38,7 @@ def emergency_stop(bus: Bus, clock: Clock, arena: str, robots: tuple[str, ...]) 
         answered = answered or (answer is not None and answer.take() is not None)
         if not answered and now_ns >= again_ns:
             answer, again_ns = bus.ask(REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
-        for full, payload in heard.drain():
+        for _, full, payload in heard.drain():
             status = ROBOT_STATUS.decode(payload)
             if full in names and status is not None and status.latch not in (Latch.NONE, Latch.DRILL):
                 after_ms.setdefault(names[full], (clock.now_ns() - started_ns) / MS)

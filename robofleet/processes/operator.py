@@ -86,7 +86,7 @@ def status(there: ArenaFile) -> dict[str, Any]:
         while (now_ns := clock.now_ns()) < end_ns:
             if (payload := states.take()) is not None:
                 state = RUN_STATE.decode(payload) or state
-            for full, payload in statuses.drain():
+            for _, full, payload in statuses.drain():
                 if full in names and (message := ROBOT_STATUS.decode(payload)) is not None:
                     newest[names[full]] = now_ns, message
             clock.sleep_until(now_ns + _POLL_NS)
