@@ -34,11 +34,13 @@ def _side(run: Path) -> comparison.Side:
 
 
 def _looked_at(run: Path) -> tuple[Recording, Summary]:
-    """Return a recording and its figures, worked out anew; what only the one who ran it knew is in its summary."""
+    """Return a recording and its figures, worked out anew; what the file does not say of the run, its summary may."""
     recording = read(run)
     told = _told(_folder(run) / SUMMARY)
-    outcome, cause = told.get("outcome", "unknown"), told.get("cause")
-    name, mode = told.get("config", _name(run)), told.get("mode", "realtime")
+    outcome = recording.outcome or told.get("outcome", "unknown")
+    cause = recording.cause or told.get("cause")
+    mode = recording.provenance.mode if recording.provenance else told.get("mode", "unknown")
+    name = told.get("config", _name(run))
     return recording, metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause)
 
 

@@ -1,11 +1,13 @@
 """What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
 
 import shlex
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 
+from robofleet.clock import S
 from robofleet.config.load import resolved_yaml
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
@@ -26,8 +28,8 @@ _SHOWN = 80  # entries of a table; a run that is worse shows its first ones
 def write(recording: Recording, summary: Summary, folder: Path) -> Path:
     """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be."""
     view = view_of(recording, summary)
-    page = Page(summary["config"], _subtitle(summary))
-    _verdict(page, summary)
+    page = Page(summary["config"], _subtitle(recording, summary))
+    _verdict(page, recording, summary)
     if summary["ticks"]:
         page.tiles(_tiles(summary))
         _bounds(page, summary)
@@ -48,13 +50,18 @@ def view_of(recording: Recording, summary: Summary) -> View:
     return View(recording, series(run), Timeline(run, summary["stops"]))
 
 
-def _subtitle(summary: Summary) -> str:
-    mode = "lockstep, on a simulated clock" if summary["mode"] == "lockstep" else "real time"
+def _subtitle(recording: Recording, summary: Summary) -> str:
+    mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
     robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
-    return f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+    said = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+    made, ticks = recording.provenance, Run(recording).all_ticks
+    if made is None or not made.epoch_ns or not len(ticks):
+        return said
+    began = datetime.fromtimestamp((made.epoch_ns + int(ticks["stamp_ns"][0])) // S, UTC)
+    return f"{began:%Y-%m-%d %H:%M:%S} UTC; {said}"
 
 
-def _verdict(page: Page, summary: Summary) -> None:
+def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
     """Say what became of the run, and why."""
     missed, cause, stops = failures(summary), summary["cause"], len(summary["stops"])
     good: bool | None = not missed and summary["outcome"] == "completed"
@@ -70,6 +77,10 @@ def _verdict(page: Page, summary: Summary) -> None:
         missed = ["Nothing was measured."]
     lines = missed or ([] if summary["bounds"] else ["No bounds are configured: nothing was judged."])
     lines = [f"{stops} stop{'s' * (stops > 1)} of a robot on the way.", *lines] if stops else lines
+    if recording.trouble:
+        lines.append(f"The recording is not whole: the file {recording.trouble}.")
+    if recording.dropped:
+        lines.append(f"The recorder did not get {recording.dropped:,} messages: figures lack what they said.")
     page.verdict(said, good=good, detail="\n".join(lines) or "No robot was stopped on the way.")
 
 
@@ -160,4 +171,8 @@ def _robots(page: Page, summary: Summary) -> None:
 def _origin(page: Page, recording: Recording, folder: Path) -> None:
     page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
     page.listing(f"robofleet replay {shlex.quote(str(folder))}")
+    made = recording.provenance
+    if made is not None:
+        rows = [("processor", made.processor), ("architecture", made.architecture), *made.versions.items()]
+        page.table(("made with", ""), [*rows, *((f"sha256 of {name}", value) for name, value in made.hashes.items())])
     page.listing(resolved_yaml(recording.config), folded="The configuration, all of it")
