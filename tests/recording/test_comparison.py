@@ -18,6 +18,12 @@ __all__ = ["kept"]
 
 
 @pytest.fixture
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the plots out: they take their time."""
+    monkeypatch.setattr(comparison, "OVERLAYS", ())
+
+
+@pytest.fixture
 def compared(figures: Make, tmp_path: Path) -> Callable[[Recording, Recording], str]:
     def write(first: Recording, second: Recording) -> str:
         sides = []
@@ -35,6 +41,7 @@ def row(page: str, label: str) -> list[str]:
     return re.findall(r"<td[^>]*>(.*?)</td>", found)
 
 
+@pytest.mark.usefixtures("plain")
 def test_the_second_run_is_better_or_worse_where_that_has_a_meaning(story: Make, compared: Make) -> None:
     first, second = story(), story()
     first.aside(0.002)
@@ -50,12 +57,14 @@ def test_the_second_run_is_better_or_worse_where_that_has_a_meaning(story: Make,
     assert 'class=" good">better by 75 %' in page
 
 
+@pytest.mark.usefixtures("plain")
 def test_more_is_better_for_the_gap_of_bodies(story: Make, compared: Make) -> None:
     near, far = story("groups.0.spacing_m=0.25"), story("groups.0.spacing_m=0.3")
     page = compared(near.recording(), far.recording())
     assert row(page, "smallest gap of bodies, mm")[-1].startswith("better")
 
 
+@pytest.mark.usefixtures("plain")
 def test_keys_that_differ_are_listed_and_no_others(story: Make, compared: Make) -> None:
     page = compared(story().recording(), story("controller.alpha=30", "robots.2.tag=9").recording())
     keys = re.findall(r"<td>([a-z_]+\.[a-z0-9_.]+)</td>", page)
