@@ -89,10 +89,11 @@ def run(
     else:
         from rich.console import Console  # noqa: PLC0415
 
-        from robofleet.recording.report import summary_table  # noqa: PLC0415
+        from robofleet.recording.tables import summary_table  # noqa: PLC0415
 
         Console().print(summary_table(summary))
         print(f"{folder / 'summary.json'}")
+    _report(folder, summary, quiet=as_json)
     if summary["outcome"] != "completed":
         print(f"{summary['outcome']}: {summary['cause']}", file=sys.stderr)
         raise typer.Exit(1)
@@ -214,6 +215,23 @@ def storm(
 def main() -> None:
     """Run a command."""
     app()
+
+
+def _report(folder: Path, summary: dict[str, Any], *, quiet: bool) -> None:
+    """Write the run's report; where that fails, the run and its summary are there all the same."""
+    from robofleet.recording import after  # noqa: PLC0415
+    from robofleet.recording.bounds import failures  # noqa: PLC0415
+    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
+
+    try:
+        page, _ = after.report(folder)
+    except (OSError, RecordingError) as error:
+        print(f"there is no report: {error}", file=sys.stderr)
+    else:
+        if not quiet:
+            print(page)
+    for line in failures(summary):
+        print(f"bound not met: {line}", file=sys.stderr)
 
 
 def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockstep: bool) -> "Config":

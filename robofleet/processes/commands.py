@@ -87,7 +87,7 @@ def status(
     else:
         from rich.console import Console  # noqa: PLC0415
 
-        from robofleet.recording.report import status_table  # noqa: PLC0415
+        from robofleet.recording.tables import status_table  # noqa: PLC0415
 
         Console().print(status_table(found))
         print(found["next"] or "")
