@@ -193,9 +193,8 @@ def test_the_emergency_stop_also_comes_by_post(stand: WebStand) -> None:
 
 
 def test_a_stop_reaches_the_robots_also_when_its_page_is_gone(stand: WebStand) -> None:
-    page = stand.page()
-    page.say(do="estop")
-    page.socket.close()
+    with stand.page() as page:
+        page.say(do="estop")
     assert wait(lambda: b"estop" in stand.asked, 2)
 
 
@@ -280,9 +279,8 @@ def test_the_last_word_of_a_run_is_said_only_when_it_has_ended(stand: WebStand, 
 
 
 def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> None:
-    run = real_run(*ALONE, "--web", "--duration", "4")
+    run = real_run(*ALONE, "--web", "--duration", "1")
     run.wait_for(lambda: "the operator's page: http://127.0.0.1:" in run.said)
-    run.wait_until_running()
     run.kill("web")
     run.wait_for(lambda: "\nthe page is gone, the run goes on: `robofleet web` opens another one" in run.said)
     assert run.ended(30) == 0

@@ -2,14 +2,16 @@
 
 import re
 import socket
-import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from tests.processes.webstand import WebStand, web_stand
 
@@ -131,13 +133,13 @@ def test_a_forged_websocket_is_refused(stand: WebStand, changes: dict[str, Any])
 
 def forged(stand: WebStand, uri_host: str | None = None, **changes: Any) -> None:
     if uri_host is None:
-        stand.page(**changes)
-        return
-    from websockets.sync.client import connect
-
+        with stand.page(**changes):
+            return
     name, port = stand.authority.split(":")
     with socket.create_connection((name, int(port))) as there:
-        connect(f"ws://{uri_host}:{port}/live?token={stand.token}", sock=there, origin=f"http://{uri_host}:{port}")
+        uri, origin = f"ws://{uri_host}:{port}/live?token={stand.token}", f"http://{uri_host}:{port}"
+        with connect(uri, sock=there, origin=Origin(origin)):
+            pass
 
 
 @pytest.mark.parametrize(
@@ -207,10 +209,8 @@ def test_every_start_draws_another_token_of_128_bits(tmp_path: Path, stand: WebS
 
 
 def test_no_more_pages_than_a_run_needs(stand: WebStand) -> None:
-    pages = [stand.page() for _ in range(16)]
-    try:
-        with pytest.raises(InvalidStatus):
-            stand.page()
-    finally:
-        for page in pages:
-            threading.Thread(target=page.socket.close).start()
+    with ExitStack() as opened:
+        for _ in range(16):
+            opened.enter_context(stand.page())
+        with pytest.raises(InvalidStatus), stand.page():
+            pass
