@@ -2,7 +2,7 @@
 
 import { FINE, HALTED, LATCHED, LOST, SLOWED } from "./robots.js";
 
-const MARGIN_PX = 28; // for the scale
+const MARGIN_PX = { left: 32, right: 14, top: 12, bottom: 24 }; // for the scale
 const GRID_STEPS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20];
 const GRID_PX = 56; // at least, between two lines
 const TRAIL_EVERY = 3; // ticks
@@ -64,8 +64,9 @@ export class Arena {
     const style = getComputedStyle(document.documentElement);
     for (const name of COLOURS) this.#colour[name] = style.getPropertyValue(`--${name}`);
     const [w, h] = this.#hello.arena.size_m;
-    const scale = Math.min((width - 2 * MARGIN_PX) / w, (height - 2 * MARGIN_PX) / h);
-    this.#view = { scale, x: width / 2, y: height / 2, width, height };
+    const { left, right, top, bottom } = MARGIN_PX;
+    const scale = Math.min((width - left - right) / w, (height - top - bottom) / h);
+    this.#view = { scale, x: (width + left - right) / 2, y: (height + top - bottom) / 2, width, height };
     this.#drawFloor();
     if (this.#tick) this.#drawRobots();
   }
@@ -108,7 +109,7 @@ export class Arena {
     lines(w / 2, (x) => {
       g.moveTo(this.#x(x), this.#y(-h / 2));
       g.lineTo(this.#x(x), this.#y(h / 2));
-      g.fillText(words(x), this.#x(x), this.#y(-h / 2) + 6);
+      g.fillText(words(x) + (x + step > w / 2 ? " m" : ""), this.#x(x), this.#y(-h / 2) + 6);
     });
     g.textAlign = "right";
     g.textBaseline = "middle";
@@ -118,9 +119,6 @@ export class Arena {
       g.fillText(words(y), this.#x(-w / 2) - 6, this.#y(y));
     });
     g.stroke();
-    g.textAlign = "left";
-    g.textBaseline = "top";
-    g.fillText("m", this.#x(w / 2) + 8, this.#y(-h / 2) + 6);
   }
 
   #drawPath(g) {
@@ -203,7 +201,8 @@ export class Arena {
       for (const robot of some) circle(bodies, this.#x(robot.x_m), this.#y(robot.y_m), this.#radius(robot));
       g.lineWidth = trouble === FINE ? 1 : 2.5;
       g.setLineDash(trouble === LOST ? [5, 4] : []);
-      if (trouble !== LOST) g.fill(bodies);
+      if (trouble === LOST) g.fillStyle = this.#colour.floor;
+      g.fill(bodies);
       g.stroke(bodies);
       g.setLineDash([]);
       g.strokeStyle = g.fillStyle = trouble === LOST ? amber : this.#colour["on-accent"];
@@ -250,26 +249,48 @@ export class Arena {
     }
   }
 
-  // The worst first; a label that would cover another one is left out.
+  // The worst first, each where nothing is yet; a label without a place is left out, but for a robot in trouble.
   #drawLabels(g, robots) {
     g.textAlign = "center";
-    g.textBaseline = "bottom";
-    const taken = [];
+    g.textBaseline = "middle";
+    g.lineWidth = 3;
+    const taken = robots.map((robot) => {
+      const r = this.#radius(robot);
+      return [this.#x(robot.x_m), this.#y(robot.y_m), r, r];
+    });
     for (const robot of [...robots].sort((a, b) => b.trouble - a.trouble || a.row - b.row)) {
       const bad = robot.trouble >= HALTED;
       const words = bad ? `${robot.id} ${WORDS[robot.trouble]}` : robot.id;
       g.font = `${bad ? 700 : 600} 12px system-ui, sans-serif`;
-      const half = words.length * 3.6 + 2;
-      const [x, y] = [this.#x(robot.x_m), this.#y(robot.y_m) - this.#radius(robot) - 4];
-      if (!bad && taken.some(([u, v, w]) => Math.abs(u - x) < half + w && Math.abs(v - y) < 14)) continue;
-      taken.push([x, y, half]);
-      g.lineWidth = 3;
+      const half = g.measureText(words).width / 2 + 2;
+      const places = this.#places(robot, half);
+      const place = places.find(([x, y]) => taken.every(([u, v, w, h]) => apart(x - u, half + w, y - v, 7 + h)));
+      if (!place && !bad) continue;
+      const [x, y] = place ?? places[0];
+      taken.push([x, y, half, 7]);
       g.strokeStyle = this.#colour.floor;
       g.strokeText(words, x, y);
       g.fillStyle = this.#colour.ink;
       g.fillText(words, x, y);
     }
   }
+
+  // Where a label may stand: above, below, right, left of what is drawn of the robot.
+  #places(robot, half) {
+    const [x, y] = [this.#x(robot.x_m), this.#y(robot.y_m)];
+    const ring = robot.trouble === FINE ? 0 : robot.safety_radius_m * this.#view.scale;
+    const off = Math.max(this.#radius(robot), ring) + 3;
+    return [
+      [x, y - off - 6],
+      [x, y + off + 7],
+      [x + off + half, y],
+      [x - off - half, y],
+    ];
+  }
+}
+
+function apart(dx, width, dy, height) {
+  return Math.abs(dx) >= width || Math.abs(dy) >= height;
 }
 
 function circle(path, x, y, r) {

@@ -1,6 +1,7 @@
 // What the operator asks for. The emergency stop acts when it is pressed, not when it is let go.
 
 const FAILED = "The emergency stop did not get through: use the terminal (robofleet stop) or the switch.";
+const HINT = matchMedia("(pointer: coarse)").matches ? "" : "Space or E";
 const LET_GO_MS = 1000; // a click so soon after a press is the same press
 
 export class Controls {
@@ -12,7 +13,8 @@ export class Controls {
   #answer = document.getElementById("run-answer");
   #notice = document.getElementById("notice");
   #pressedAt = -Infinity;
-  #said = "Space or E"; // under the button while the link is well
+  #said = HINT; // under the button while it works
+  #inert = "";
 
   constructor(link) {
     this.#link = link;
@@ -68,23 +70,24 @@ export class Controls {
     }
   }
 
-  /** Permit what the phase permits; nothing where the link is lost or the run has ended. */
-  permit(phase, alive) {
+  /** Permit what the phase permits; nothing where `inert` says in words why not. */
+  permit(phase, latched, inert) {
     for (const button of this.#buttons) {
-      const permitted = alive && button.dataset.in.split(" ").includes(phase);
+      const needless = button.dataset.do === "reset" && phase === "idle" && !latched;
+      const permitted = !inert && !needless && button.dataset.in.split(" ").includes(phase);
       if (button.disabled === permitted) button.disabled = !permitted;
     }
-    if (this.#estop.dataset.alive === `${alive}`) return;
-    this.#estop.dataset.alive = alive;
-    this.#estop.setAttribute("aria-disabled", `${!alive}`); // not `disabled`: whoever presses it all the same is tried for
-    this.#label.textContent = alive ? "EMERGENCY STOP" : "CANNOT STOP";
-    this.#note.textContent = alive ? this.#said : "no link to the robots";
+    if (this.#inert === inert) return;
+    this.#inert = inert;
+    this.#estop.setAttribute("aria-disabled", `${Boolean(inert)}`); // not `disabled`: pressed all the same, it tries
+    this.#label.textContent = inert ? "CANNOT STOP" : "EMERGENCY STOP";
+    this.#note.textContent = inert || this.#said;
   }
 
   /** Another phase: what was said about the stop before is over once the fleet is reset. */
   entered(phase) {
     if (phase === "idle" || phase === "armed") {
-      this.#say("Space or E");
+      this.#say(HINT);
       this.#notice.hidden = true;
     }
   }

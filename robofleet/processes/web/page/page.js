@@ -5,12 +5,13 @@ import { Camera } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
 import { Link } from "./link.js";
-import { robotsOf } from "./robots.js";
+import { LATCHED, robotsOf } from "./robots.js";
 import { RobotTable } from "./table.js";
 
 const LOOK_MS = 100;
 const EVENTS = 200; // kept in the list
 const PHASES = {
+  starting: "Starting",
   idle: "Idle",
   armed: "Arming",
   running: "Running",
@@ -111,7 +112,8 @@ function look() {
     write("lost-since", `For ${(lost.ms / 1000).toFixed(lost.ms < 10_000 ? 1 : 0)} s.`);
   }
   if (link.ended !== null) write("ended-text", link.ended);
-  controls.permit(state.phase, lost === null && link.ended === null && state.tick !== null);
+  const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
+  controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
 }
 
 function write(name, text) {
