@@ -9,6 +9,7 @@ import { LATCHED, robotsOf } from "./robots.js";
 import { RobotTable } from "./table.js";
 
 const LOOK_MS = 100;
+const FIGURES_MS = 200; // between two writings of what is read, not watched
 const EVENTS = 200; // kept in the list
 const PHASES = {
   starting: "Starting",
@@ -29,6 +30,7 @@ const [controls, camera] = [new Controls(link), new Camera(link)];
 window.robofleet = { state };
 
 let drawing = false;
+let writtenAt = -Infinity;
 
 const frames = {
   hello(hello) {
@@ -56,7 +58,7 @@ const frames = {
 
 // At once, not with the next drawing: a page in the background draws nothing.
 function enter({ phase, cause, stage, what_next: next }) {
-  write("phase-cause", phase === "armed" && stage ? stage : cause);
+  write("phase-cause", stage ?? (cause === "nothing" ? "" : (cause ?? "")));
   write("phase-next", next);
   if (phase === state.phase) return;
   state.phase = phase;
@@ -72,14 +74,18 @@ function draw(now) {
   const tick = state.tick;
   state.robots = robotsOf(state.hello, tick);
   arena.draw(state.robots);
-  table.draw(state.robots);
-  charts.draw(tick.health, now);
-  writeHealth(tick);
+  charts.add(tick.health);
+  if (now - writtenAt >= FIGURES_MS) {
+    writtenAt = now;
+    table.draw(state.robots);
+    charts.draw();
+    writeFigures(tick);
+  }
   link.send({ ack: tick.seq });
   if (state.drawn++ === 0) performance.mark("first-tick-drawn");
 }
 
-function writeHealth({ t_s: t, health }) {
+function writeFigures({ t_s: t, health }) {
   write("lap-time", t === null ? "–" : t.toFixed(1));
   id("lap-progress").value = Math.min(1, (t ?? 0) / state.hello.duration_s);
   write("health-overruns", `${health.overruns ?? "–"}`);
