@@ -13,7 +13,7 @@ from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
 from robofleet.processes.child_faults import ChildFaults
-from robofleet.processes.children import Children, RunError
+from robofleet.processes.children import Child, Children, RunError
 from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import Interrupts, Terminal, interrupts
@@ -47,7 +47,7 @@ class Launcher:
     """One run in real time. ``run`` returns (outcome, cause); the messages are in ``recording``.
 
     ``reset`` clears the latches that an earlier run left; ``take_over`` takes the robots from a controller that still
-    has them, if they stand.
+    has them, if they stand; ``web`` opens the operator's page, which the run does not need.
     """
 
     def __init__(
@@ -59,9 +59,10 @@ class Launcher:
         *,
         reset: bool = False,
         take_over: bool = False,
+        web: bool = False,
     ) -> None:
         self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
-        self._reset, self._take_over = reset, take_over
+        self._reset, self._take_over, self._web = reset, take_over, web
         self._clock = WallClock()
         self.recording = Recording(config)
         self._arena, self._robots = config.arena.name, config.groups[0].robots
@@ -73,6 +74,7 @@ class Launcher:
         self._heard_ns = 0  # when the supervisor was heard last
         self._answer: Answer | None = None  # to what a key asked
         self._counted = Interrupts()
+        self._page: Child | None = None
 
     def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
@@ -99,6 +101,8 @@ class Launcher:
         self._watch(self.recording, "starting")
         fleet.start("router", "router")
         fleet.wait_ready(self._clock, self._heed)
+        if self._web:
+            self._page = fleet.start("web", "web", needed=False)
         for name in ("supervisor", "tracker"):
             fleet.start(name, name)
         fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
@@ -206,6 +210,9 @@ class Launcher:
                 self._heard_ns = self._clock.now_ns()
         self._faults.step()
         self._fleet.check()
+        if self._page is not None:
+            gone = "the page is gone, the run goes on: `robofleet web` opens another one"
+            self._terminal.page = gone if self._page.died else f"the operator's page: {self._page.said}"
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
             raise RunError("the supervisor went silent")
         self._watch(self.recording, self._phase)

@@ -55,6 +55,8 @@ def foot(terminal: Terminal) -> Text:
     text = Text()
     if terminal.note:
         text.append(f"{terminal.note}\n\n", "red" if terminal.note.startswith("refused") else "green")
+    if terminal.page:
+        text.append(f"{terminal.page}\n\n", "cyan")
     if terminal.present:
         for key, does in _KEYS:
             text.append(f" {key} ", "bold red reverse" if key == "e" else "reverse").append(f" {does}   ")
