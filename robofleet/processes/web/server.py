@@ -5,7 +5,6 @@ import json
 import os
 import socket
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,8 +44,7 @@ def web(config: Config, folder: Path, lifeline: Lifeline, listening: socket.sock
 
     ``name`` is how browsers call this host; ``of_run``: this process ends with its run.
     """
-    with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+    os.nice(_NICE)
     clock = WallClock()
     bus = ZenohBus(config.arena.name, config.bus.endpoint, "web", clock)
     try:
