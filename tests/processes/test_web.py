@@ -105,7 +105,7 @@ def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: Web
         page.next("event", lambda event: event["text"] == "running: every check passed")
         stand.say_tick(300)
         page.next("tick", lambda tick: tick["t_s"] == 9.9)
-        for halted in (Event.TAG_LATE, Event.NOTHING) * 60:
+        for halted in (Event.TAG_LATE, Event.NOTHING) * 51:
             stand.say_state(Phase.RUNNING, Event.PROVED, halted=halted)
             expected = "r1 stands: its tag is not seen" if halted else "r1 may move again"
             event = page.next("event", lambda event, expected=expected: event["text"] == expected)  # type: ignore[misc]

@@ -68,6 +68,10 @@ def test_another_name_for_this_host_is_refused(stand: WebStand, host: str, path:
     assert is_bare(response)
 
 
+def test_the_page_has_no_second_address_without_a_token(stand: WebStand) -> None:
+    assert is_bare(ask(stand, "GET", "/index.html"))
+
+
 def test_localhost_is_a_name_of_this_host(stand: WebStand) -> None:
     port = stand.authority.split(":")[1]
     assert ask(stand, "GET", f"/?token={stand.token}", host=f"localhost:{port}").status_code == 200
@@ -148,7 +152,9 @@ def forged(stand: WebStand, uri_host: str | None = None, **changes: Any) -> None
 def test_no_other_file_is_served(stand: WebStand, path: str) -> None:
     name, port = stand.authority.split(":")
     with socket.create_connection((name, int(port))) as there:  # httpx would tidy the path up
-        there.sendall(f"GET {path} HTTP/1.1\r\nHost: {stand.authority}\r\nConnection: close\r\n\r\n".encode())
+        there.sendall(
+            f"GET {path}?token={stand.token} HTTP/1.1\r\nHost: {stand.authority}\r\nConnection: close\r\n\r\n".encode()
+        )
         answer = b"".join(iter(lambda: there.recv(65536), b""))
     assert answer.startswith(b"HTTP/1.1 404 ")
 

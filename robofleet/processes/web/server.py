@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.websockets import WebSocket
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.bus import Bus
@@ -132,8 +132,11 @@ async def _follow(socket: WebSocket, feed: Feed, controls: Controls) -> None:
         await asyncio.wait({telling, obeying}, return_when=asyncio.FIRST_COMPLETED)
         if obeying.done() and not obeying.result():
             await socket.close(_POLICY_VIOLATION)
-        elif telling.done() and telling.exception() is None:
+        elif telling.done():
+            telling.result()
             await socket.close(_GOING_AWAY)
+    except WebSocketDisconnect:
+        pass
     finally:
         feed.pages.discard(page)
         for task in (telling, obeying):
