@@ -120,6 +120,17 @@ def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: Web
     assert {"estop: r2: the robot's own e-stop", latched["text"]} <= {event["text"] for event in events[-3:]}
 
 
+def test_what_happens_is_told_at_once(stand: WebStand) -> None:
+    took_ms = []
+    with stand.page() as page:
+        for phase in (Phase.RUNNING, Phase.HOLD) * 20:
+            said_ns = CLOCK.now_ns()
+            stand.say_state(phase)
+            page.next("event")
+            took_ms.append((CLOCK.now_ns() - said_ns) / MS)
+    assert np.median(took_ms) < 20, "small messages wait for one another"
+
+
 @pytest.mark.parametrize("what", ["arm", "start", "hold", "stop", "reset"])
 def test_what_the_page_asks_for_is_asked_of_the_supervisor(stand: WebStand, what: str) -> None:
     with stand.page() as page:
