@@ -37,5 +37,10 @@ def show_as(browser: Chrome, size: tuple[int, int]) -> None:
     """Give the browser's window a size; a phone's has fingers."""
     width, height = size
     phone = size == PHONE
-    metrics: dict[str, Any] = {"width": width, "height": height, "deviceScaleFactor": 2 if phone else 1, "mobile": phone}
+    metrics: dict[str, Any] = {
+        "width": width,
+        "height": height,
+        "deviceScaleFactor": 2 if phone else 1,
+        "mobile": phone,
+    }
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)

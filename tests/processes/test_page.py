@@ -1,5 +1,6 @@
-"""The operator's page in a real browser: what it shows of a fleet, what it lets the operator do, and when it must not."""
+"""The operator's page in a real browser: what it shows, what it lets the operator do, and when it must not."""
 
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,14 +14,19 @@ from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 
 from robofleet.clock import MS, S
-from robofleet.comms.messages import TagPose
+from robofleet.comms import keys
+from robofleet.comms.keys import key
+from robofleet.comms.messages import ROBOT_STATUS, RobotStatus, TagPose
+from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.config.load import load_config
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from tests.processes.browser import DESKTOP, PHONE, chromium, show_as
-from tests.processes.realrun import wait
+from tests.processes.realrun import RealRun, wait
 from tests.processes.webstand import CLOCK, WebStand, placed, web_stand
 
 SOON_S = 5.0
+ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
 PERMITTED = {
     Phase.IDLE: {"arm", "start"},
     Phase.ARMED: {"start", "stop"},
@@ -35,6 +41,19 @@ PERMITTED = {
 def browser() -> Iterator[Chrome]:
     with chromium() as browser:
         yield browser
+
+
+@pytest.fixture(scope="module")
+def stand(browser: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
+    with web_stand(tmp_path_factory.mktemp("run")) as stand:
+        yield stand
+
+
+@pytest.fixture
+def mortal(browser: Chrome, tmp_path: Path) -> Iterator[WebStand]:
+    """A server that a test may end."""
+    with web_stand(tmp_path) as stand:
+        yield stand
 
 
 class Fleet:
@@ -105,6 +124,7 @@ class Seen:
 @contextmanager
 def opened(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
     show_as(browser, DESKTOP)
+    stand.asked.clear()
     with Fleet(stand).alive() as fleet:
         browser.get(stand.url)
         page = Seen(browser, stand, fleet)
@@ -114,8 +134,8 @@ def opened(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
 
 
 @pytest.fixture
-def page(browser: Chrome, tmp_path: Path) -> Iterator[Seen]:
-    with web_stand(tmp_path, "tracker.source=truth") as stand, opened(browser, stand) as page:
+def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
+    with opened(browser, stand) as page:
         yield page
 
 
@@ -142,15 +162,16 @@ def test_robots_move_on_the_page_as_they_do_in_the_arena(page: Seen) -> None:
     assert page.run(pixels) != picture
 
 
-@pytest.mark.parametrize("phase", list(Phase))
-def test_a_control_can_be_pressed_only_in_the_phases_that_permit_it(page: Seen, phase: Phase) -> None:
-    page.fleet.phase = phase
-    page.becomes(lambda: page.run("return robofleet.state.phase") == phase.name.lower())
-    page.becomes(lambda: page.enabled() == PERMITTED[phase])
-    assert not page.estop_is_dead()
-    for what in PERMITTED[phase]:
-        page.press(what)
-    assert wait(lambda: {what.encode() for what in PERMITTED[phase]} == set(page.stand.asked), SOON_S)
+def test_a_control_can_be_pressed_only_in_the_phases_that_permit_it(page: Seen) -> None:
+    for phase, permitted in PERMITTED.items():
+        page.stand.asked.clear()
+        page.fleet.phase = phase
+        page.becomes(lambda phase=phase: page.run("return robofleet.state.phase") == phase.name.lower())
+        page.becomes(lambda permitted=permitted: page.enabled() == permitted)
+        assert not page.estop_is_dead()
+        for what in permitted:
+            page.press(what)
+        page.becomes(lambda permitted=permitted: {what.encode() for what in permitted} == set(page.stand.asked))
 
 
 def test_in_peace_a_reset_is_offered_only_when_a_robot_is_latched_and_that_robot_comes_first(page: Seen) -> None:
@@ -222,26 +243,28 @@ def test_a_fleet_that_is_not_heard_greys_everything_out_until_it_is_heard_again(
     assert page.enabled() == PERMITTED[Phase.RUNNING]
 
 
-def test_a_server_that_is_gone_in_mid_run_is_a_lost_link(page: Seen) -> None:
-    page.stand.end()
-    page.becomes(lambda: is_lost(page))
-    assert "The page's server cannot be reached." in page.text("lost-banner")
-    assert not page.shown("ended-banner")
-    page.browser.find_element(By.ID, "estop-button").click()
-    page.becomes(lambda: page.shown("notice"))
-    assert "did not get through" in page.text("notice")
+def test_a_server_that_is_gone_in_mid_run_is_a_lost_link(browser: Chrome, mortal: WebStand) -> None:
+    with opened(browser, mortal) as page:
+        mortal.end()
+        page.becomes(lambda: is_lost(page))
+        assert "The page's server cannot be reached." in page.text("lost-banner")
+        assert not page.shown("ended-banner")
+        page.browser.find_element(By.ID, "estop-button").click()
+        page.becomes(lambda: page.shown("notice"))
+        assert "did not get through" in page.text("notice")
 
 
-def test_a_run_that_has_ended_is_told_calmly(page: Seen) -> None:
-    page.fleet.phase, page.fleet.cause = Phase.IDLE, Event.STOP_REQUESTED
-    page.becomes(lambda: page.text("phase-name") == "Idle")
-    page.stand.end()
-    page.becomes(lambda: page.shown("ended-banner"))
-    assert "stop requested" in page.text("ended-banner")
-    CLOCK.sleep_until(CLOCK.now_ns() + 3 * S // 2)  # longer than a silence that is a lost link
-    assert not page.shown("lost-banner")
-    assert page.estop_is_dead()
-    assert not page.enabled()
+def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand) -> None:
+    with opened(browser, mortal) as page:
+        page.fleet.phase, page.fleet.cause = Phase.IDLE, Event.STOP_REQUESTED
+        page.becomes(lambda: page.text("phase-name") == "Idle")
+        mortal.end()
+        page.becomes(lambda: page.shown("ended-banner"))
+        assert "stop requested" in page.text("ended-banner")
+        CLOCK.sleep_until(CLOCK.now_ns() + 3 * S // 2)  # longer than a silence that is a lost link
+        assert not page.shown("lost-banner")
+        assert page.estop_is_dead()
+        assert not page.enabled()
 
 
 @pytest.mark.parametrize("size", [DESKTOP, (820, 1100), PHONE, (844, 390)])
@@ -262,23 +285,76 @@ def test_the_emergency_stop_is_in_sight_at_every_size_and_scrolled(page: Seen, s
     assert page.run("return document.documentElement.scrollWidth") <= size[0], "it scrolls sideways"
 
 
-def test_the_camera_is_asked_only_while_it_is_shown_and_its_tags_are_outlined(browser: Chrome, tmp_path: Path) -> None:
+def test_the_camera_is_asked_only_while_it_is_shown_and_its_tags_are_outlined(page: Seen) -> None:
     pixel = "return Array.from(document.getElementById('camera-view').getContext('2d').getImageData(...arguments).data)"
     grey = cv2.imencode(".jpg", np.full((72, 128), 128, np.uint8))[1].tobytes()
-    with web_stand(tmp_path) as stand, opened(browser, stand) as page:
-        width, height = stand.config.camera.width, stand.config.camera.height
-        stand.say_image(1, CLOCK.now_ns(), TagPose(1, 0, 0, 0.0, 0.0, 0.0), jpeg=grey)
-        drawn = page.run("return robofleet.state.drawn")
-        page.becomes(lambda: page.run("return robofleet.state.drawn") > drawn + 5)
-        assert not page.shown("camera-view")
-        page.browser.find_element(By.ID, "camera-toggle").click()
-        page.becomes(lambda: page.run(pixel, 2, 2, 1, 1)[:3] == pytest.approx([128] * 3, abs=3))
-        around = np.array(page.run(pixel, width // 2 - 60, height // 2 - 60, 120, 120)).reshape(-1, 4)[:, :3]
-        assert (around == 255).all(axis=1).any(), "no outline is drawn"
-        page.browser.find_element(By.ID, "camera-toggle").click()
-        assert not page.shown("camera-view")
-        taken = page.run("return document.getElementById('camera-view').toDataURL()")
-        stand.say_image(2, CLOCK.now_ns() + 33 * MS, jpeg=cv2.imencode(".jpg", np.zeros((72, 128), np.uint8))[1].tobytes())
-        drawn = page.run("return robofleet.state.drawn")
-        page.becomes(lambda: page.run("return robofleet.state.drawn") > drawn + 10)
-        assert page.run("return document.getElementById('camera-view').toDataURL()") == taken
+    stand = page.stand
+    width, height = stand.config.camera.width, stand.config.camera.height
+    stand.say_image(1, CLOCK.now_ns(), TagPose(1, 0, 0, 0.0, 0.0, 0.0), jpeg=grey)
+    drawn = page.run("return robofleet.state.drawn")
+    page.becomes(lambda: page.run("return robofleet.state.drawn") > drawn + 5)
+    assert not page.shown("camera-view")
+    page.browser.find_element(By.ID, "camera-toggle").click()
+    page.becomes(lambda: page.run(pixel, 2, 2, 1, 1)[:3] == pytest.approx([128] * 3, abs=3))
+    around = np.array(page.run(pixel, width // 2 - 60, height // 2 - 60, 120, 120)).reshape(-1, 4)[:, :3]
+    assert (around == 255).all(axis=1).any(), "no outline is drawn"
+    page.browser.find_element(By.ID, "camera-toggle").click()
+    assert not page.shown("camera-view")
+    taken = page.run("return document.getElementById('camera-view').toDataURL()")
+    stand.say_image(2, CLOCK.now_ns() + 33 * MS, jpeg=cv2.imencode(".jpg", np.zeros((72, 128), np.uint8))[1].tobytes())
+    drawn = page.run("return robofleet.state.drawn")
+    page.becomes(lambda: page.run("return robofleet.state.drawn") > drawn + 10)
+    assert page.run("return document.getElementById('camera-view').toDataURL()") == taken
+
+
+@contextmanager
+def listening(run: RealRun) -> Iterator[Callable[[], dict[str, RobotStatus]]]:
+    """Yield what returns the newest word of each robot of a run."""
+    config = load_config(run.folder / "config.yaml", ())
+    bus = ZenohBus(config.arena.name, config.bus.endpoint, "test", CLOCK)
+    newest: dict[str, RobotStatus] = {}
+
+    def heard() -> dict[str, RobotStatus]:
+        for full, payload in said.drain():
+            if (status := ROBOT_STATUS.decode(payload)) is not None:
+                newest[full] = status
+        return newest
+
+    try:
+        said = bus.stream(key(config.arena.name, keys.STATUS, "*"), 1024)
+        yield heard
+    finally:
+        bus.close()
+
+
+def moving(status: RobotStatus) -> bool:
+    return max(abs(status.left_rad_s), abs(status.right_rad_s), abs(status.left_output_rad_s)) > 0.05
+
+
+MOVED = """return robofleet.state.robots.map(robot => [robot.x_m, robot.y_m])"""
+
+
+def test_four_robots_drive_on_the_page_until_its_emergency_stop_stops_their_wheels(
+    browser: Chrome, real_run: Callable[..., RealRun]
+) -> None:
+    run = real_run("--web", "--set", "tracker.source=truth")
+    run.wait_for(lambda: ADDRESS.search(run.said))
+    show_as(browser, DESKTOP)
+    browser.get(ADDRESS.search(run.said)[0])  # type: ignore[index]
+    run.wait_for(lambda: browser.execute_script("return window.robofleet?.state.phase") == "running")
+    before = np.array(browser.execute_script(MOVED))
+    run.wait_for(lambda: np.linalg.norm(browser.execute_script(MOVED) - before, axis=1).min() > 0.05)
+    with listening(run) as newest:
+        assert wait(lambda: len(newest()) == 4 and all(moving(status) for status in newest().values()), SOON_S)
+        browser.find_element(By.ID, "estop-button").click()
+        assert wait(lambda: not any(moving(status) for status in newest().values()), SOON_S)
+        assert {status.latch for status in newest().values()} == {Latch.EMERGENCY_STOP}
+    marks = "return ['estop-pressed', 'estop-shown'].map(name => performance.getEntriesByName(name)[0]?.startTime)"
+    assert wait(lambda: None not in browser.execute_script(marks), SOON_S)
+    pressed_ms, shown_ms = browser.execute_script(marks)
+    assert 0 < shown_ms - pressed_ms < 200
+    note = browser.find_element(By.ID, "estop-note")
+    assert run.ended(20) == 1
+    assert wait(lambda: note.text == "the run has ended", SOON_S)
+    assert "emergency stop" in browser.find_element(By.ID, "ended-text").text
+    assert run.nothing_is_left()
