@@ -355,6 +355,6 @@ def test_four_robots_drive_on_the_page_until_its_emergency_stop_stops_their_whee
     assert 0 < shown_ms - pressed_ms < 200
     note = browser.find_element(By.ID, "estop-note")
     assert run.ended(20) == 1
-    assert wait(lambda: note.text == "the run has ended", SOON_S)
+    assert wait(lambda: note.text == "the run has ended", SOON_S), browser.find_element(By.TAG_NAME, "body").text
     assert "emergency stop" in browser.find_element(By.ID, "ended-text").text
     assert run.nothing_is_left()
