@@ -36,7 +36,9 @@ export class Arena {
     this.#resize();
   }
 
+  /** Draw a tick; while nobody tells any robot's place the last ones stay. */
   draw(robots) {
+    if (this.#tick && robots.every((robot) => robot.x_m === null)) return;
     this.#tick = robots;
     if (this.#taken++ % TRAIL_EVERY === 0) this.#remember(robots);
     this.#drawRobots();

@@ -48,7 +48,8 @@ export class Controls {
   }
 
   #say(words) {
-    this.#said = this.#note.textContent = words;
+    this.#said = words;
+    this.#note.textContent = this.#inert || words;
   }
 
   #alarm(words) {
@@ -59,10 +60,10 @@ export class Controls {
 
   /** Show what was answered. */
   answered({ to, ok, text }) {
-    if (to !== "estop") {
-      this.#answer.textContent = `${to}: ${text}`;
-      this.#answer.className = ok ? "" : "refused";
-    } else if (ok) {
+    this.#answer.textContent = `${to}: ${text}`;
+    this.#answer.className = ok ? "" : "refused";
+    if (to !== "estop") return;
+    if (ok) {
       this.#say(text);
       this.#notice.hidden = true;
     } else {

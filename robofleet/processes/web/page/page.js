@@ -40,7 +40,7 @@ const frames = {
     write("arena-name", hello.arena.name);
     write("config-name", hello.config);
     write("lap-length", hello.duration_s.toFixed(0));
-    document.title = `${hello.arena.name} – robofleet`;
+    look();
   },
   tick(tick) {
     state.tick = tick;
@@ -118,6 +118,8 @@ function look() {
     write("lost-since", `For ${(lost.ms / 1000).toFixed(lost.ms < 10_000 ? 1 : 0)} s.`);
   }
   if (link.ended !== null) write("ended-text", link.ended);
+  const title = `${lost ? "LINK LOST" : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
+  if (document.title !== title) document.title = title;
   const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
   controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
 }
