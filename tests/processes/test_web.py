@@ -1,6 +1,7 @@
 """The operator's page as its browser sees it: what it is told, when, and what it can ask for."""
 
 import base64
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,9 @@ from websockets.exceptions import ConnectionClosed
 
 from robofleet.clock import MS, S
 from robofleet.comms.messages import TagPose
+from robofleet.config.load import resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
@@ -299,9 +303,33 @@ def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> Non
     assert run.nothing_is_left()
 
 
-def test_what_the_command_cannot_serve_is_refused_in_a_line(real_run: Callable[..., RealRun]) -> None:
+def test_what_is_not_installed_is_named_with_the_way_to_it() -> None:
+    need_extra("web", *WEB_PACKAGES)
+    with pytest.raises(RefusedError, match=r"this needs no_such_one: \S+ -m pip install 'robofleet\[web\]'$"):
+        need_extra("web", "starlette", "no_such_one")
+
+
+def test_what_the_command_cannot_serve_is_refused_in_a_line(
+    real_run: Callable[..., RealRun], platoon_of: Callable[..., Config], tmp_path: Path
+) -> None:
     run = real_run("--web", "--lockstep")
     assert run.ended(20) == 2
     assert run.said == "--web: a lockstep run is over before anybody has looked: leave --web or --lockstep out\n"
-    without = run.robofleet("web")
-    assert (without.returncode, without.stderr) == (2, "no arena has a run\n")
+    file = tmp_path / "config.yaml"
+    file.write_text(resolved_yaml(platoon_of("bus.endpoint=tcp/127.0.0.1:7447")))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        for arguments, line in [
+            ([], "no arena has a run"),
+            (
+                [str(file), "--host", "0.0.0.0"],
+                "name one of this machine's addresses: what a browser calls it is checked",
+            ),
+            (
+                [str(file), "--port", str(port)],
+                "Address already in use: name an address of this machine, and a port that",
+            ),
+        ]:
+            refused = run.robofleet("web", *arguments)
+            assert (refused.returncode, refused.stderr.count("\n")) == (2, 1), refused.stderr
+            assert line in refused.stderr
