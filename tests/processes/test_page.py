@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from selenium.webdriver import ActionChains, Chrome, Keys
+from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 
 from robofleet.clock import MS, S
@@ -194,7 +194,8 @@ def latch_when_asked(page: Seen, *robots: str) -> None:
 
 @pytest.mark.parametrize("how", ["pointer", " ", "e", "E"])
 def test_the_emergency_stop_is_one_press_and_says_who_has_latched(page: Seen, how: str) -> None:
-    page.browser.find_element(By.CSS_SELECTOR, "[data-do=hold]").send_keys(Keys.NULL)  # it has the focus
+    page.becomes(lambda: "hold" in page.enabled())
+    page.run("document.querySelector('[data-do=hold]').focus()")
     keyboard, button = ActionChains(page.browser), page.browser.find_element(By.ID, "estop-button")
     if how == "pointer":
         keyboard.click_and_hold(button).perform()  # it acts when it is pressed, not when it is let go
@@ -245,8 +246,10 @@ def test_a_fleet_that_is_not_heard_greys_everything_out_until_it_is_heard_again(
 
 def test_a_server_that_is_gone_in_mid_run_is_a_lost_link(browser: Chrome, mortal: WebStand) -> None:
     with opened(browser, mortal) as page:
+        page.run("setInterval(() => { window.after_ms ??= robofleet.state.lost?.ms }, 5)")
         mortal.end()
         page.becomes(lambda: is_lost(page))
+        assert page.run("return after_ms") < 900, "a socket that closes is not waited for"
         assert "The page's server cannot be reached." in page.text("lost-banner")
         assert not page.shown("ended-banner")
         page.browser.find_element(By.ID, "estop-button").click()
