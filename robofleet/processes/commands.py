@@ -1,6 +1,7 @@
 """The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -175,8 +176,9 @@ def _listening(host: str, port: int) -> "socket.socket":
             )
         return socket.create_server(address[:2], family=family)
     except OSError as error:
+        why = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
         raise RefusedError(
-            f"--host {host} --port {port}: {error.strerror}: name an address of this machine, and a port that is free"
+            f"--host {host} --port {port}: {why}: name an address of this machine, and a port that is free"
         ) from error
 
 

@@ -176,7 +176,7 @@ class Launcher:
         """Latch every gate; a robot that does not say so is named, and its lifeline is cut at once."""
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
-        stopped = emergency_stop(self._bus, self._clock, self._arena, self._robots)
+        stopped = emergency_stop(self._bus, self._clock, self._robots)
         if not stopped.silent:
             self._rest()
         return "stopped", f"emergency stop ({why}); {stopped.describe()}"

@@ -1,6 +1,7 @@
 """The operator's page as its browser sees it: what it is told, when, and what it can ask for."""
 
 import base64
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,9 @@ from websockets.exceptions import ConnectionClosed
 
 from robofleet.clock import MS, S
 from robofleet.comms.messages import TagPose
+from robofleet.config.load import resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
@@ -105,7 +109,7 @@ def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: Web
         page.next("event", lambda event: event["text"] == "running: every check passed")
         stand.say_tick(300)
         page.next("tick", lambda tick: tick["t_s"] == 9.9)
-        for halted in (Event.TAG_LATE, Event.NOTHING) * 60:
+        for halted in (Event.TAG_LATE, Event.NOTHING) * 51:
             stand.say_state(Phase.RUNNING, Event.PROVED, halted=halted)
             expected = "r1 stands: its tag is not seen" if halted else "r1 may move again"
             event = page.next("event", lambda event, expected=expected: event["text"] == expected)  # type: ignore[misc]
@@ -118,6 +122,17 @@ def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: Web
         events = [frame for frame in late.heard(S // 2) if frame["type"] == "event"]
     assert len(events) == 100
     assert {"estop: r2: the robot's own e-stop", latched["text"]} <= {event["text"] for event in events[-3:]}
+
+
+def test_what_happens_is_told_at_once(stand: WebStand) -> None:
+    took_ms = []
+    with stand.page() as page:
+        for phase in (Phase.RUNNING, Phase.HOLD) * 20:
+            said_ns = CLOCK.now_ns()
+            stand.say_state(phase)
+            page.next("event")
+            took_ms.append((CLOCK.now_ns() - said_ns) / MS)
+    assert np.median(took_ms) < 20, "small messages wait for one another"
 
 
 @pytest.mark.parametrize("what", ["arm", "start", "hold", "stop", "reset"])
@@ -193,9 +208,8 @@ def test_the_emergency_stop_also_comes_by_post(stand: WebStand) -> None:
 
 
 def test_a_stop_reaches_the_robots_also_when_its_page_is_gone(stand: WebStand) -> None:
-    page = stand.page()
-    page.say(do="estop")
-    page.socket.close()
+    with stand.page() as page:
+        page.say(do="estop")
     assert wait(lambda: b"estop" in stand.asked, 2)
 
 
@@ -280,9 +294,8 @@ def test_the_last_word_of_a_run_is_said_only_when_it_has_ended(stand: WebStand, 
 
 
 def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> None:
-    run = real_run(*ALONE, "--web", "--duration", "4")
+    run = real_run(*ALONE, "--web", "--duration", "1")
     run.wait_for(lambda: "the operator's page: http://127.0.0.1:" in run.said)
-    run.wait_until_running()
     run.kill("web")
     run.wait_for(lambda: "\nthe page is gone, the run goes on: `robofleet web` opens another one" in run.said)
     assert run.ended(30) == 0
@@ -290,9 +303,33 @@ def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> Non
     assert run.nothing_is_left()
 
 
-def test_what_the_command_cannot_serve_is_refused_in_a_line(real_run: Callable[..., RealRun]) -> None:
+def test_what_is_not_installed_is_named_with_the_way_to_it() -> None:
+    need_extra("web", *WEB_PACKAGES)
+    with pytest.raises(RefusedError, match=r"this needs no_such_one: \S+ -m pip install 'robofleet\[web\]'$"):
+        need_extra("web", "starlette", "no_such_one")
+
+
+def test_what_the_command_cannot_serve_is_refused_in_a_line(
+    real_run: Callable[..., RealRun], platoon_of: Callable[..., Config], tmp_path: Path
+) -> None:
     run = real_run("--web", "--lockstep")
     assert run.ended(20) == 2
     assert run.said == "--web: a lockstep run is over before anybody has looked: leave --web or --lockstep out\n"
-    without = run.robofleet("web")
-    assert (without.returncode, without.stderr) == (2, "no arena has a run\n")
+    file = tmp_path / "config.yaml"
+    file.write_text(resolved_yaml(platoon_of("bus.endpoint=tcp/127.0.0.1:7447")))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        for arguments, line in [
+            ([], "no arena has a run"),
+            (
+                [str(file), "--host", "0.0.0.0"],
+                "name one of this machine's addresses: what a browser calls it is checked",
+            ),
+            (
+                [str(file), "--port", str(port)],
+                "Address already in use: name an address of this machine, and a port that",
+            ),
+        ]:
+            refused = run.robofleet("web", *arguments)
+            assert (refused.returncode, refused.stderr.count("\n")) == (2, 1), refused.stderr
+            assert line in refused.stderr

@@ -2,14 +2,16 @@
 
 import re
 import socket
-import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from tests.processes.webstand import WebStand, web_stand
 
@@ -64,6 +66,10 @@ def test_another_name_for_this_host_is_refused(stand: WebStand, host: str, path:
     port = stand.authority.split(":")[1]
     response = ask(stand, "GET", path.format(token=stand.token), host=host.format(port=port))
     assert is_bare(response)
+
+
+def test_the_page_has_no_second_address_without_a_token(stand: WebStand) -> None:
+    assert is_bare(ask(stand, "GET", "/index.html"))
 
 
 def test_localhost_is_a_name_of_this_host(stand: WebStand) -> None:
@@ -131,13 +137,13 @@ def test_a_forged_websocket_is_refused(stand: WebStand, changes: dict[str, Any])
 
 def forged(stand: WebStand, uri_host: str | None = None, **changes: Any) -> None:
     if uri_host is None:
-        stand.page(**changes)
-        return
-    from websockets.sync.client import connect
-
+        with stand.page(**changes):
+            return
     name, port = stand.authority.split(":")
     with socket.create_connection((name, int(port))) as there:
-        connect(f"ws://{uri_host}:{port}/live?token={stand.token}", sock=there, origin=f"http://{uri_host}:{port}")
+        uri, origin = f"ws://{uri_host}:{port}/live?token={stand.token}", f"http://{uri_host}:{port}"
+        with connect(uri, sock=there, origin=Origin(origin)):
+            pass
 
 
 @pytest.mark.parametrize(
@@ -146,7 +152,9 @@ def forged(stand: WebStand, uri_host: str | None = None, **changes: Any) -> None
 def test_no_other_file_is_served(stand: WebStand, path: str) -> None:
     name, port = stand.authority.split(":")
     with socket.create_connection((name, int(port))) as there:  # httpx would tidy the path up
-        there.sendall(f"GET {path} HTTP/1.1\r\nHost: {stand.authority}\r\nConnection: close\r\n\r\n".encode())
+        there.sendall(
+            f"GET {path}?token={stand.token} HTTP/1.1\r\nHost: {stand.authority}\r\nConnection: close\r\n\r\n".encode()
+        )
         answer = b"".join(iter(lambda: there.recv(65536), b""))
     assert answer.startswith(b"HTTP/1.1 404 ")
 
@@ -207,10 +215,8 @@ def test_every_start_draws_another_token_of_128_bits(tmp_path: Path, stand: WebS
 
 
 def test_no_more_pages_than_a_run_needs(stand: WebStand) -> None:
-    pages = [stand.page() for _ in range(16)]
-    try:
-        with pytest.raises(InvalidStatus):
-            stand.page()
-    finally:
-        for page in pages:
-            threading.Thread(target=page.socket.close).start()
+    with ExitStack() as opened:
+        for _ in range(16):
+            opened.enter_context(stand.page())
+        with pytest.raises(InvalidStatus), stand.page():
+            pass

@@ -58,7 +58,7 @@ class WebStand:
         """Open the page's WebSocket as a browser does, with what a test changes."""
         how: dict[str, Any] = {"origin": f"http://{self.authority}", "compression": None, "open_timeout": 5} | changes
         token = how.pop("token", self.token)
-        return OpenPage(connect(f"ws://{self.authority}/live?token={token}", **how))
+        return OpenPage(lambda: connect(f"ws://{self.authority}/live?token={token}", **how))
 
     def say_tick(self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0) -> None:
         self._seq += 1
@@ -102,14 +102,18 @@ class WebStand:
 class OpenPage:
     """One page. It acknowledges nothing by itself."""
 
-    def __init__(self, socket: ClientConnection) -> None:
-        self.socket = socket
+    socket: ClientConnection
+
+    def __init__(self, connected: Callable[[], Any]) -> None:
+        self._connected = connected
 
     def __enter__(self) -> Self:
+        self._opened = self._connected()
+        self.socket = self._opened.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.socket.close()
+        self._opened.__exit__(None, None, None)
 
     def say(self, **message: Any) -> None:
         self.socket.send(json.dumps(message))

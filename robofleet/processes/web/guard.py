@@ -15,6 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from robofleet.clock import Clock, S
 
 _LARGEST_BODY = 1024  # [bytes]
+_WITHOUT_TOKEN = (".js", ".css")  # they hold no secret, and a browser asks for them without
 _HTTP = 80  # the port that browsers leave out
 _TOO_LARGE, _FORBIDDEN = 413, 403
 
@@ -59,7 +60,7 @@ class Guard:
         acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if acts and [origin.lower() for origin in headers.getlist("origin")] != [f"http://{hosts[0].lower()}"]:
             return f"Origin {headers.getlist('origin')}"
-        if acts or scope["path"] == "/":  # scripts and styles hold no secret, and a browser asks for them without
+        if acts or not scope["path"].endswith(_WITHOUT_TOKEN):
             posted = scope["type"] == "http" and scope["method"] == "POST"
             tokens = headers.getlist("x-token") if posted else QueryParams(scope["query_string"]).getlist("token")
             if len(tokens) != 1 or not secrets.compare_digest(tokens[0].encode(), self._token.encode()):

@@ -41,7 +41,8 @@ def what_next(state: RunState | None, statuses: Sequence[RobotStatus | None], co
             return f"NOT acknowledged by {', '.join(silent)}: stop them by hand."
     latched = [robot for robot, status in zip(robots, statuses, strict=True) if status is not None and status.latch]
     if config.run.start == "auto" and state.phase in ENDED:
-        return "This run starts by itself, and ends by itself: there is nothing to do."
+        by_itself = "This run starts and ends by itself."
+        return by_itself if state.phase == Phase.IDLE else "Every robot stands and this run ends: look at the robots."
     if state.phase == Phase.IDLE and latched:
         return f"The gate of {', '.join(latched)} is latched: look at the robots, then reset."
     if state.phase == Phase.ARMED and state.stage == Stage.DONE:
