@@ -93,6 +93,11 @@ def stopwatch_ns() -> int:
     return time.perf_counter_ns()
 
 
+def epoch_ns() -> int:
+    """Return what makes an instant of ``WallClock`` a date: add it, and it counts from 1970 [ns]."""
+    return time.time_ns() - time.clock_gettime_ns(_CLOCK)
+
+
 def utc_now() -> datetime:
     """Return the date and time, for names of folders."""
     return datetime.now(UTC)

@@ -6,7 +6,7 @@ Publishing never blocks.
 
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from robofleet.clock import Clock
 from robofleet.comms.keys import Topic, key
@@ -29,11 +29,21 @@ class Subscription(Protocol):
         """Return the newest message, or None if nothing new came."""
 
 
+class Arrival(NamedTuple):
+    """A message of a stream."""
+
+    at_ns: int  # when it came
+    key: str
+    payload: bytes
+
+
 class Stream(Protocol):
     """All messages of a key expression, oldest first."""
 
-    def drain(self) -> list[tuple[str, bytes]]:
-        """Return (key, payload) of everything that came since the last call."""
+    dropped: int  # so far, because the stream was full
+
+    def drain(self) -> list[Arrival]:
+        """Return everything that came since the last call."""
 
 
 class Request(Protocol):
@@ -126,7 +136,9 @@ class MemoryBus:
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
         """Subscribe to a topic."""
-        return self._queue(key(self._arena, topic, name), 64, wake)
+        queue = _MemoryQueue(self._clock, 64, wake)
+        self._subscribers.setdefault(key(self._arena, topic, name), []).append(queue.put)
+        return queue
 
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` of every message when it is published: its arrival is yet to come."""
@@ -134,7 +146,9 @@ class MemoryBus:
 
     def stream(self, expression: str, capacity: int) -> Stream:
         """Subscribe to one key (wildcards are the tap's)."""
-        return self._queue(expression, capacity, None)
+        stream = _MemoryStream(expression, self._clock, capacity)
+        self._subscribers.setdefault(expression, []).append(stream.put)
+        return stream
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request; who serves later takes over."""
@@ -155,19 +169,14 @@ class MemoryBus:
     def close(self) -> None:
         """Nothing to leave."""
 
-    def _queue(self, full: str, capacity: int, wake: Wake | None) -> "_MemoryQueue":
-        queue = _MemoryQueue(full, self._clock, capacity, wake)
-        self._subscribers.setdefault(full, []).append(queue.put)
-        return queue
-
 
 class _MemoryQueue:
     """Messages under way to one subscriber."""
 
-    __slots__ = ("_clock", "_key", "_messages", "_wake", "arrival_ns")
+    __slots__ = ("_clock", "_messages", "_wake", "arrival_ns")
 
-    def __init__(self, full: str, clock: Clock, capacity: int, wake: Wake | None) -> None:
-        self._key, self._clock, self._wake = full, clock, wake
+    def __init__(self, clock: Clock, capacity: int, wake: Wake | None) -> None:
+        self._clock, self._wake = clock, wake
         self._messages: deque[tuple[int, bytes]] = deque(maxlen=capacity)
         self.arrival_ns = 0
 
@@ -185,11 +194,25 @@ class _MemoryQueue:
             self.arrival_ns, newest = messages.popleft()
         return newest
 
-    def drain(self) -> list[tuple[str, bytes]]:
+
+class _MemoryStream:
+    """All messages under way to one subscriber."""
+
+    def __init__(self, full: str, clock: Clock, capacity: int) -> None:
+        self._key, self._clock, self._capacity = full, clock, capacity
+        self._messages: deque[tuple[int, bytes]] = deque(maxlen=capacity)
+        self.dropped = 0
+
+    def put(self, arrival_ns: int, payload: bytes) -> None:
+        self.dropped += len(self._messages) == self._capacity
+        self._messages.append((arrival_ns, payload))
+
+    def drain(self) -> list[Arrival]:
         now_ns = self._clock.now_ns()
         arrived = []
         while self._messages and self._messages[0][0] <= now_ns:
-            arrived.append((self._key, self._messages.popleft()[1]))
+            at_ns, payload = self._messages.popleft()
+            arrived.append(Arrival(at_ns, self._key, payload))
         return arrived
 
 

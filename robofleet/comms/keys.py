@@ -20,6 +20,7 @@ POSES = Topic("poses/{}", 0.033, "REAL_TIME")
 NEWS = Topic("poses/{}/news", 0.0, "DATA_HIGH", reliable=True)
 PICTURE = Topic("poses/{}/picture", 1.0, "DATA_LOW")
 TICK = Topic("tick", 0.033, "DATA")
+RECORDER = Topic("recorder", 0.250, "DATA_LOW")
 STATE = Topic("state", 0.040, "REAL_TIME", reliable=True)
 TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW")
 REQUEST = Topic("request/{}", 0.0, "REAL_TIME", reliable=True)
@@ -27,7 +28,7 @@ ALIVE = Topic("alive/{}", 0.0, "DATA", reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
 
-TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, STATE, TRUTH, REQUEST, ALIVE)
+TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, TRUTH, REQUEST, ALIVE)
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:

@@ -18,6 +18,7 @@ VERSION = 3
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
 
 M = TypeVar("M", bound=NamedTuple)
+Description = tuple[str, dict[str, Any]]  # of a layout, in words that numpy reads
 
 
 def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
@@ -41,6 +42,10 @@ class Layout(Generic[M]):
         import numpy as np  # noqa: PLC0415
 
         return np.dtype([("version", "u1"), *_columns(self._make, self._fields)])
+
+    def describe(self) -> Description:
+        """Return the message's name, and the numpy types of its parts."""
+        return self._make.__name__, {"fields": [("version", "u1"), *_columns(self._make, self._fields)]}
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -85,6 +90,10 @@ class ListLayout(Generic[M]):
 
         return np.dtype([*self._columns, ("items", self.item_dtype, (count,))])
 
+    def describe(self) -> Description:
+        """Return the message's name, and the numpy types of its parts."""
+        return self._make.__name__, {"fields": self._columns, "items": self._item_columns}
+
     def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
         """Return the head's fields alone, or None where length or version is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
@@ -119,6 +128,11 @@ class BlobLayout(Generic[M]):
 
     def __init__(self, make: type[M], head: str) -> None:
         self._make, self._head = make, Struct(f"<B{head}")
+        self._columns = [("version", "u1"), *_columns(make, head)]
+
+    def describe(self) -> Description:
+        """Return the message's name, and the numpy types of its parts."""
+        return self._make.__name__, {"fields": self._columns, "rest": self._make._fields[-1]}
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""

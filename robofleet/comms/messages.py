@@ -10,7 +10,7 @@ class WheelCommand(NamedTuple):
 
     epoch: int  # of the lease
     seq: int  # above that of every command before, in this epoch
-    session: int  # of the controller that holds the lease
+    session: int  # of the controller that holds the lease; its upper half is the epoch of that controller's ticks
     boot_id: int  # of the driver, echoed
     nonce: int  # of the driver, newest seen, echoed
     exposure_ns: int  # mid-exposure of the newest image behind this command [tracker's host's clock]; 0: none
@@ -196,6 +196,16 @@ class Picture(NamedTuple):
     jpeg: bytes
 
 
+class RecorderStatus(NamedTuple):
+    """Recorder to all."""
+
+    epoch: int  # drawn when the recorder started
+    seq: int
+    messages: int  # kept so far
+    dropped: int  # and not kept: they came too fast, or the disk took nothing
+    failed: int  # 1: the disk takes nothing now
+
+
 class LeaseRequest(NamedTuple):
     """Controller to driver, a query: let me drive this robot."""
 
@@ -216,6 +226,7 @@ ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIBIqq", 9)
 ENABLE = Layout(Enable, "IIQQBBI", 1)
 TRUTH = Layout(Truth, "IIq", 5)
 TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)
+RECORDER_STATUS = Layout(RecorderStatus, "IIQQB", 0)
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
 LEASE_ANSWER = Layout(LeaseAnswer, "BIQ", 0)
 FLEET_POSES = ListLayout(FleetPoses, "IIIqqIqqI", TagPose, "Hiiddd")

@@ -1,6 +1,7 @@
 """The bus over Zenoh: every process a client of one router, fixed endpoints, no scouting, no listening."""
 
 import json
+import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import zenoh
 
 from robofleet.clock import Clock, S
-from robofleet.comms.bus import Answer, Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.keys import ALIVE, Topic, key
 
 _ANSWER_WITHIN_NS = S
@@ -84,7 +85,7 @@ class ZenohBus:
 
     def stream(self, expression: str, capacity: int) -> Stream:
         """Subscribe to everything that matches a key expression."""
-        return _Ring(self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(capacity)))
+        return _Stream(self._session, expression, capacity, self._clock)
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request on a topic."""
@@ -136,12 +137,6 @@ class _Ring:
             newest = sample
         return None if newest is None else bytes(newest.payload)
 
-    def drain(self) -> list[tuple[str, bytes]]:
-        arrived = []
-        while (sample := self._try_recv()) is not None:
-            arrived.append((str(sample.key_expr), bytes(sample.payload)))
-        return arrived
-
 
 class _Slot:
     """Newest message, written by Zenoh's own thread, which then wakes the process."""
@@ -162,6 +157,28 @@ class _Slot:
             return None
         self.arrival_ns, payload = self._newest.pop()
         return payload
+
+
+class _Stream:
+    """Everything that came, put there by Zenoh's own thread: a RingChannel would drop without a word."""
+
+    def __init__(self, session: zenoh.Session, expression: str, capacity: int, clock: Clock) -> None:
+        self._clock, self._capacity = clock, capacity
+        self._lock = threading.Lock()  # held for some hundred nanoseconds
+        self._samples: deque[tuple[int, zenoh.Sample]] = deque(maxlen=capacity)
+        self.dropped = 0
+        callback = zenoh.handlers.Callback(self._put, indirect=False)
+        self._subscriber = session.declare_subscriber(expression, callback)
+
+    def _put(self, sample: zenoh.Sample) -> None:
+        with self._lock:
+            self.dropped += len(self._samples) == self._capacity
+            self._samples.append((self._clock.now_ns(), sample))
+
+    def drain(self) -> list[Arrival]:
+        with self._lock:
+            samples, self._samples = self._samples, deque(maxlen=self._capacity)
+        return [Arrival(at_ns, str(sample.key_expr), bytes(sample.payload)) for at_ns, sample in samples]
 
 
 class _ZenohAnswer:

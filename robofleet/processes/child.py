@@ -9,12 +9,13 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from robofleet.clock import Clock, WallClock
+from robofleet.clock import Clock, WallClock, epoch_ns
 from robofleet.comms.bus import Bus
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
 from robofleet.processes.node import Lifeline, Node, Waker, ahead_of_others, realtime_priority, run
+from robofleet.processes.refusal import RefusedError
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
 
@@ -96,6 +97,24 @@ def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:
         )  # fmt: skip
 
     _run("supervisor", config, lifeline, make, _SUPERVISOR_PRIORITY)
+
+
+def recorder(config: Config, lifeline: Lifeline, folder: Path) -> None:
+    """The recorder, which goes before nobody; RefusedError where it may not or cannot write in the folder."""
+    from robofleet.processes.recorder import Recorder  # noqa: PLC0415
+    from robofleet.recording.log import FILE, RunLog  # noqa: PLC0415
+
+    clock = WallClock()
+    try:
+        log = RunLog(folder / FILE, config, epoch_ns=epoch_ns())
+    except OSError as error:
+        raise RefusedError(f"{folder / FILE}: {error.strerror}: a run is recorded in a folder of its own") from error
+    bus = ZenohBus(config.arena.name, config.bus.endpoint, "recorder", clock)
+    try:
+        rng = entropy(config.run.seed, "recorder")
+        run(Recorder(config, bus, rng, log, lambda: lifeline.last_word), clock, lifeline, Waker())
+    finally:
+        bus.close()
 
 
 def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,7 +109,7 @@ class Children:
             meanwhile()
             if clock.now_ns() > deadline_ns:
                 names = ", ".join(child.name for child in waiting)
-                raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s")
+                raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s: see {waiting[0].log}")
             readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
             for child in waiting:
                 if child.lifeline in readable and (said := child.lifeline.recv(_LONGEST_WORD)):
@@ -121,19 +122,20 @@ class Children:
             if code is not None and child.needed and not child.killed:
                 if code < 0:
                     raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
-                raise RunError(f"the {child.name} ended with exit code {code}{child.last_lines()}")
+                raise RunError(f"the {child.name} ended with exit code {code}: see {child.log}{child.last_lines()}")
 
-    def reap(self, clock: Clock) -> None:
-        """End every child: the router last, so that the others can take their leave; kill what does not answer."""
-        others, routers = self.children[1:], self.children[:1]
-        for group in (others, routers):
-            for child in group:
-                child.lifeline.close()
-            deadline_ns = clock.now_ns() + round(_EXIT_WITHIN_S * S)
-            for child in group:
-                try:
-                    child.process.wait(max(0.0, (deadline_ns - clock.now_ns()) / S))
-                except subprocess.TimeoutExpired:
-                    child.process.kill()
-                    child.process.wait()
-        self.children.clear()
+    def reap(self, clock: Clock, *, but: int = 0, last_word: bytes = b"") -> None:
+        """End every child but the first ones, each with a last word; kill what does not answer. Idempotent."""
+        group = self.children[but:]
+        for child in group:
+            with suppress(OSError):  # it is gone already
+                child.lifeline.sendall(last_word)
+            child.lifeline.close()
+        deadline_ns = clock.now_ns() + round(_EXIT_WITHIN_S * S)
+        for child in group:
+            try:
+                child.process.wait(max(0.0, (deadline_ns - clock.now_ns()) / S))
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+        del self.children[but:]

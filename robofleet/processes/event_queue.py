@@ -108,7 +108,9 @@ class ProcessFaults:
         self._steps = {name: schedule.of("clock_step", process=name) for name in schedule.processes}
         self._second = schedule.of("second_controller")
         self._acting: set[int] = set()  # by number
-        self._truths = {f"driver-{robot}": (robot, bus.publisher(TRUTH, robot)) for robot in schedule.robots}
+        self._truths = {
+            name: [(robot, bus.publisher(TRUTH, robot)) for robot in robots] for name, robots in schedule.driven.items()
+        }
         self._seq = 0
 
     def step(self, now_ns: int) -> int:
@@ -122,7 +124,7 @@ class ProcessFaults:
             injection.effects += injection.number in turned & self._acting
         orphans = [name for name in self._truths if self._slots[name].node is None or self._slots[name].stopped]
         for name in orphans:
-            self._publish_truth(name, now_ns)
+            self._publish_truths(name, now_ns)
         times = [t for injection in self._injections() for t in (injection.start_ns, injection.end_ns) if t > now_ns]
         return int(min([*times, now_ns + (_TRUTH_NS if orphans else _IDLE_NS)]))
 
@@ -147,7 +149,7 @@ class ProcessFaults:
         if resumed or any(injection.number in turned for injection in self._steps.get(name, ())):
             slot.schedule(now_ns)
 
-    def _publish_truth(self, name: str, now_ns: int) -> None:
-        robot, publish = self._truths[name]
-        self._seq += 1
-        publish(TRUTH_LAYOUT.encode(Truth(0, self._seq, now_ns, *self._schedule.truth(robot))))
+    def _publish_truths(self, name: str, now_ns: int) -> None:
+        for robot, publish in self._truths[name]:
+            self._seq += 1
+            publish(TRUTH_LAYOUT.encode(Truth(0, self._seq, now_ns, *self._schedule.truth(robot))))

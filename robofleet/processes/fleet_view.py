@@ -3,12 +3,14 @@
 from collections.abc import Callable
 
 from robofleet.comms.bus import Bus, Inbox
-from robofleet.comms.keys import CAMERA, NEWS, POSES, TICK, key
+from robofleet.comms.keys import CAMERA, NEWS, POSES, RECORDER, TICK, key
 from robofleet.comms.messages import (
     FLEET_POSES,
+    RECORDER_STATUS,
     TICK_RECORD,
     TRACKER_NEWS,
     FleetPoses,
+    RecorderStatus,
     RobotStatus,
     TickRecord,
 )
@@ -46,6 +48,8 @@ class FleetListener:
         self.statuses = Statuses(bus, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
+        self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS)
+        self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
         self._news = bus.stream(key(arena, NEWS, CAMERA), _STREAM)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._robots = [RobotView()] * len(robots)
@@ -65,10 +69,15 @@ class FleetListener:
             now_ns=now_ns,
             robots=tuple(self._robots),
             news=self._heard_news(),
-            free_bytes=self._free_bytes(),
+            free_bytes=self._room(),
             operator_ns=operator_ns,
         )
         return self._fleet
+
+    def _room(self) -> int:
+        """Return the bytes left for the recording; none, where the recorder finds that the disk takes nothing."""
+        self._recorder = self._recorders.take() or self._recorder
+        return 0 if self._recorder is not None and self._recorder.failed else self._free_bytes()
 
     def hear_robots(self, now_ns: int) -> None:
         """Take the statuses that came."""
@@ -144,7 +153,7 @@ class FleetListener:
     def _heard_news(self) -> tuple[Happening, ...]:
         """Return what the tracker told, of the camera and of our tags, in the run's own words."""
         heard = []
-        for _, payload in self._news.drain():
+        for _, _, payload in self._news.drain():
             news = TRACKER_NEWS.decode(payload)
             if news is None:
                 continue

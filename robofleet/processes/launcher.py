@@ -5,7 +5,7 @@ from typing import Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import REQUEST, STATE, STATUS, TICK, everything, key
+from robofleet.comms.keys import CAMERA, PICTURE, REQUEST, STATE, STATUS, TICK, everything, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
@@ -19,13 +19,16 @@ from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
+from robofleet.safety.advice import advised
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
 _SILENT_NS = 2 * S
 _POLL_NS = 50 * MS
 _ATTENDED_NS = 200 * MS
-_STREAM = 65536  # messages; a minute of a fleet of four
+_STREAM = 65536  # messages; half a minute of a fleet of four
+_SHOWN = 512  # messages of a key, for the live view
+_KEEPERS = 2  # the first processes: the router, and the recorder, which keeps how the others end
 _AT_REST_RAD_S = 0.01
 _PHASES = {Phase.ARMED: "arming", Phase.RUNNING: "running", Phase.HOLD: "held"}
 _EMERGENCY = "emergency stop"
@@ -44,7 +47,7 @@ class EmergencyError(Exception):
 
 
 class Launcher:
-    """One run in real time. ``run`` returns (outcome, cause); the messages are in ``recording``.
+    """One run in real time. ``run`` returns (outcome, cause); ``recording`` has the newest messages, a file all.
 
     ``reset`` clears the latches that an earlier run left; ``take_over`` takes the robots from a controller that still
     has them, if they stand; ``web`` opens the operator's page, which the run does not need.
@@ -67,6 +70,7 @@ class Launcher:
         self.recording = Recording(config)
         self._arena, self._robots = config.arena.name, config.groups[0].robots
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
+        self._picture_key = key(self._arena, PICTURE, CAMERA)
         self._status_keys = [key(self._arena, STATUS, robot) for robot in self._robots]
         self._phase = "starting"
         self._ending = False
@@ -85,21 +89,30 @@ class Launcher:
         fleet = Children(logs, config_file)
         with interrupts() as self._counted:
             try:
-                self._start(fleet)
-                return self._drive(fleet)
-            except RunError as error:
-                return "fault", str(error)
-            except (InterruptedRunError, EmergencyError) as why:
-                return "stopped", str(why)
+                outcome = self._outcome_of(fleet)
+                self.recording.outcome, self.recording.cause = outcome
+                return outcome
             finally:
+                fleet.reap(self._clock, but=_KEEPERS)
+                fleet.reap(self._clock, but=1, last_word=self.recording.ending())
                 fleet.reap(self._clock)
+
+    def _outcome_of(self, fleet: Children) -> Outcome:
+        try:
+            self._start(fleet)
+            return self._drive(fleet)
+        except RunError as error:
+            return "fault", str(error)
+        except (InterruptedRunError, EmergencyError) as why:
+            return "stopped", str(why)
 
     def _start(self, fleet: Children) -> None:
         self._watch(self.recording, "compiling")
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
-        fleet.start("router", "router")
+        for name in ("router", "recorder"):
+            fleet.start(name, name)
         fleet.wait_ready(self._clock, self._heed)
         if self._web:
             self._page = fleet.start("web", "web", needed=False)
@@ -124,7 +137,7 @@ class Launcher:
         except EmergencyError as why:
             return self._emergency(str(why))
         finally:
-            fleet.reap(self._clock)  # before the bus is left: that may take seconds when the router is stopped
+            fleet.reap(self._clock, but=_KEEPERS)  # leaving the bus may take seconds when the router is stopped
             bus.close()
 
     def _follow(self) -> Outcome:
@@ -155,7 +168,7 @@ class Launcher:
             self._phase, self._terminal.note = phase, ""
 
     def _outcome(self, state: RunState) -> Outcome:
-        cause = run_cause(state, self._robots)
+        cause = advised(run_cause(state, self._robots), state.cause)
         if state.phase == Phase.ESTOP:
             raise EmergencyError(cause)
         if state.cause == Event.ARMED_TOO_LONG:
@@ -177,9 +190,11 @@ class Launcher:
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
         stopped = emergency_stop(self._bus, self._clock, self._robots)
+        next_step = ""
         if not stopped.silent:
             self._rest()
-        return "stopped", f"emergency stop ({why}); {stopped.describe()}"
+            next_step = ": look at the robots, then start with --reset"
+        return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
 
     def _rest(self) -> None:
         deadline_ns = self._clock.now_ns() + _REST_WITHIN_NS
@@ -204,17 +219,19 @@ class Launcher:
             self._obey(keys)
             self._heed()
             self._attend()
-        for full, payload in self._stream.drain():
-            self.recording.add(full, payload)
+        for at_ns, full, payload in self._stream.drain():
+            if full != self._picture_key:
+                self.recording.add(full, payload)
             if full == self._state_key:
-                self._heard_ns = self._clock.now_ns()
+                self._heard_ns = at_ns
+        self.recording.keep_newest(_SHOWN)
         self._faults.step()
         self._fleet.check()
         if self._page is not None:
             gone = "the page is gone, the run goes on: `robofleet web` opens another one"
             self._terminal.page = gone if self._page.died else f"the operator's page: {self._page.said}"
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
-            raise RunError("the supervisor went silent")
+            raise RunError(f"the supervisor went silent: see {self._folder}/log/supervisor.log")
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)
         return state

@@ -26,6 +26,7 @@ from robofleet.processes.node import Node
 from robofleet.processes.readiness import why
 from robofleet.processes.supervisor import Supervisor
 from robofleet.processes.tracker import Tracker
+from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
 from robofleet.simulation.faults import Schedule, SteppedClock
@@ -43,8 +44,8 @@ class Lockstep:
     Or drive it: ``request`` and ``advance`` as often as you like, look at ``status`` and ``nodes``, ``close`` it.
     """
 
-    def __init__(self, config: Config, witness: Witness | None = None) -> None:
-        """Build every process; ``witness`` is told what each gate decides."""
+    def __init__(self, config: Config, witness: Witness | None = None, log: RunLog | None = None) -> None:
+        """Build every process; ``witness`` is told what each gate decides, ``log`` keeps what is said."""
         compile_kernels(config)
         self._config = config
         self.clock = SimulatedClock()
@@ -57,7 +58,7 @@ class Lockstep:
         self.bus.tap(self._said.append)
         self.faults = Schedule(config, self.clock) if config.faults else None
         self._queue = EventQueue(self.clock)
-        self._witness = witness
+        self._witness, self._log = witness, log
         self._add_processes()
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
@@ -157,6 +158,7 @@ class Lockstep:
             self.close()
             gc.enable()
             gc.unfreeze()
+        self.recording.outcome, self.recording.cause = outcome
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
         self.recording.tick_durations_ns = self._queue.slots["controller"].durations_ns
         self.recording.tracker_durations_ns = self._queue.slots["tracker"].durations_ns
@@ -186,6 +188,11 @@ class Lockstep:
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
         update, add = self._hash.update, self.recording.add
+        if self._log is not None:
+            now_ns = self.clock.now_ns()
+            for full, payload in self._said:
+                self._log.add(full, payload, now_ns)
+            self._log.flush(now_ns)
         for full, payload in self._said:
             update(full.encode() + payload)
             add(full, payload)

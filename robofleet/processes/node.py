@@ -50,6 +50,7 @@ class Lifeline:
 
     def __init__(self, descriptor: int | None) -> None:
         self.cut = False
+        self.last_word = b""  # what the parent said before it closed its end
         self._socket = None if descriptor is None else socket.socket(fileno=descriptor)
         if self._socket is None:  # until it is ready: Python's handlers do not run while Zenoh waits for its router
             signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -74,8 +75,8 @@ class Lifeline:
     def _watch(self) -> None:
         assert self._socket is not None
         try:
-            while self._socket.recv(64):
-                pass
+            while said := self._socket.recv(4096):
+                self.last_word += said
         except OSError:
             pass
         self.cut = True

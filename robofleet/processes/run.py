@@ -1,5 +1,6 @@
 """A run as the operator sees it: the live view, the terminal's keys, and the summary in the end."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,19 @@ from robofleet.processes.launcher import Launcher
 from robofleet.processes.live import LiveView
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.terminal import Terminal
+from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
+from robofleet.recording.reading import RecordingError, read
+from robofleet.recording.run import Recording
 
 
-def in_lockstep(config: Config, name: str, *, quiet: bool) -> dict[str, Any]:
+def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict[str, Any]:
     """Run on a simulated clock and return the summary."""
-    with LiveView(config, WallClock(), Terminal(), quiet=quiet) as view:
-        run = Lockstep(config)
+    with LiveView(config, WallClock(), Terminal(), quiet=quiet) as view, RunLog(folder / FILE, config) as log:
+        run = Lockstep(config, log=log)
         outcome, cause = run.run(view)
+        log.end(run.recording.ending())
+        run.recording.dropped = log.dropped
     return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause)
 
 
@@ -27,4 +33,16 @@ def in_real_time(
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
         run = Launcher(config, folder, view, terminal, reset=reset, take_over=take_over, web=web)
         outcome, cause = run.run()
-    return summary(run.recording, name=name, mode="realtime", outcome=outcome, cause=cause)
+    recording = _recorded(config, folder)
+    recording.elapsed_s = run.recording.elapsed_s
+    return summary(recording, name=name, mode="realtime", outcome=outcome, cause=cause)
+
+
+def _recorded(config: Config, folder: Path) -> Recording:
+    """Return what is in the run's file, whatever became of the recorder; nothing, if it never came to write."""
+    try:
+        return read(folder)
+    except RecordingError as error:
+        if (folder / FILE).exists():
+            print(error, file=sys.stderr)
+        return Recording(config)

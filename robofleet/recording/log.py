@@ -1,19 +1,32 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
+import fcntl
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from mcap.writer import CompressionType, Writer
+import numpy as np
+from mcap.records import Attachment, Metadata
 
 from robofleet.clock import MS
+from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, key
 from robofleet.comms.layouts import VERSION
+from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, keys, schema
+from robofleet.recording.container import Container
+from robofleet.recording.provenance import Provenance
+from robofleet.recording.scene import Scene
 
 FILE = "run.mcap"
-ENCODING = f"robofleet-{VERSION}"  # of this project's own messages
-CONFIG = "config.yaml"  # the attachment
+PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: robofleet's version, the messages'
+CONFIG, ENDING = "config.yaml", "ending.json"  # the attachments
+PROVENANCE, DROPPED = "provenance", "dropped"  # the metadata
+COUNT = "messages"  # how many were dropped since the record before
 _CHUNK = 64 * 1024  # [bytes]
 _FLUSH_NS = 250 * MS
 
@@ -21,38 +34,81 @@ _FLUSH_NS = 250 * MS
 class RunLog:
     """Writes a run's messages, in the order in which they came; close it in a ``finally``.
 
-    Times are instants of the writing process's clock plus ``epoch_ns``: what makes them dates [ns since 1970]. A
-    process that is killed loses what came after the last flush: a quarter of a second, at most.
+    Times are instants of the writing process's clock plus ``epoch_ns``: what makes them dates [ns since 1970]. Without
+    it they are of a simulated clock, and a run in lockstep leaves the same bytes every time. A process that is killed
+    loses what came after the last flush: a quarter of a second at most, and nothing that came before the run's phase,
+    a latch or the tracker's news changed. No trouble with the disk is raised: ``failed`` says what it is, and what
+    could not be written is counted.
     """
 
     def __init__(self, file: Path, config: Config, *, epoch_ns: int = 0) -> None:
+        """Begin a file; FileExistsError if it is there already, OSError if it cannot be."""
         self._epoch_ns = epoch_ns
         self._file = file.open("xb", buffering=0)
-        self._writer = Writer(self._file, chunk_size=_CHUNK, compression=CompressionType.ZSTD)
-        self._writer.start("robofleet", "robofleet")
-        self._writer.add_attachment(0, 0, CONFIG, "application/yaml", resolved_yaml(config).encode())
+        with suppress(OSError):  # a network's disk may know no locks
+            fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody repairs what is still being written
+        self._container = Container(self._file, PROFILE, LIBRARY.format(version("robofleet"), VERSION))
         self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        for full in keys(config):
+            self._register(full)
+        self._news = _news(config)
+        self._newest: dict[str, bytes] = {}  # of what is in self._news
+        self._kept: list[Attachment | Metadata] = []  # until they are in the file
+        self._waiting = 0  # messages that are not in the file yet
+        self._undeclared = 0  # messages that were dropped, and the file does not say so yet
+        self._scene = Scene(config, epoch_ns=epoch_ns)
+        for topic, name, descriptor in self._scene.channels:
+            self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
         self._flushed_ns = 0
-        self.messages = 0
+        self.messages = 0  # that came
+        self.dropped = 0  # that are not in the file
+        self.failed: str | None = None  # why the newest write did not succeed
+        self._attach(CONFIG, "application/yaml", resolved_yaml(config).encode())
+        provenance = Provenance.here(config, "realtime" if epoch_ns else "lockstep", epoch_ns)
+        self._kept.append(Metadata(PROVENANCE, provenance.metadata()))
+        self._write()
 
     def add(self, full: str, payload: bytes, at_ns: int) -> None:
         """Keep a message that came at an instant of this process's clock."""
         channel = self._channels.get(full) or self._register(full)
         self.messages += 1
+        self._waiting += 1
         log_ns = at_ns + self._epoch_ns
-        self._writer.add_message(channel, log_ns, payload, log_ns, self.messages & 0xFFFFFFFF)
+        self._container.add_message(channel, self.messages & 0xFFFFFFFF, log_ns, payload)
+        for topic, drawn in self._scene.update(full, payload, at_ns):
+            self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
+        if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
+            self._write()
+
+    def drop(self, count: int) -> None:
+        """Count messages that were lost before they came here."""
+        self.dropped += count
+        self._undeclared += count
 
     def flush(self, now_ns: int) -> None:
         """Write what is not in the file yet, if it is time to."""
         if now_ns - self._flushed_ns >= _FLUSH_NS:
             self._flushed_ns = now_ns
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._write()
+
+    def end(self, ending: bytes) -> None:
+        """Keep how the run ended, where somebody knows it, and close."""
+        if ending:
+            self._attach(ENDING, "application/json", ending)
+        self.close()
 
     def close(self) -> None:
         """End the file with its index. Idempotent."""
-        if not self._file.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._writer.flush()  # type: ignore[no-untyped-call]
+        if self._file.closed:
+            return
+        self._write()
+        try:
+            if self.failed is None:
+                self._container.finish()
+        except OSError as error:
+            self.failed = error.strerror
+        finally:
             self._file.close()
 
     def __enter__(self) -> Self:
@@ -66,5 +122,54 @@ class RunLog:
         self.close()
 
     def _register(self, full: str) -> int:
-        channel = self._channels[full] = self._writer.register_channel(full, ENCODING, 0)
+        name, description = schema(full)
+        channel = self._channels[full] = self._channel(full, ENCODING, name, SCHEMA_ENCODING, description)
         return channel
+
+    def _channel(self, topic: str, encoding: str, name: str, schema_encoding: str, description: bytes) -> int:
+        if name not in self._schemas:
+            self._schemas[name] = self._container.register_schema(name, schema_encoding, description)
+        return self._container.register_channel(topic, encoding, self._schemas[name])
+
+    def _attach(self, name: str, media_type: str, data: bytes) -> None:
+        self._kept.append(Attachment(0, 0, name, media_type, data))
+
+    def _is_news(self, full: str, payload: bytes) -> bool:
+        told = payload[self._news[full]]
+        if told == self._newest.get(full):
+            return False
+        self._newest[full] = told
+        return True
+
+    def _write(self) -> None:
+        """Write what waits; what does not go in is dropped, but for what the file cannot be read without."""
+        dropped = [Metadata(DROPPED, {COUNT: str(self._undeclared)})] if self._undeclared else []
+        try:
+            self._container.write([*self._kept, *dropped])
+        except OSError as error:
+            self.failed = error.strerror
+            self._container.discard()
+            self.drop(self._waiting)
+        else:
+            self.failed = None
+            self._kept.clear()
+            self._undeclared = 0
+        self._waiting = 0
+
+
+def _news(config: Config) -> dict[str, slice]:
+    """Return the part of a message that must be in the file at once when it changes, for each key that has one."""
+    arena = config.arena.name
+    latch = _span(ROBOT_STATUS.dtype, "latch", "latch_id")
+    return {
+        key(arena, STATE): _span(RUN_STATE.head_dtype, "phase", "cause"),
+        key(arena, NEWS, CAMERA): slice(None),
+        **{key(arena, STATUS, robot.id): latch for robot in config.robots},
+    }
+
+
+def _span(dtype: "np.dtype[Any]", first: str, last: str) -> slice:
+    """Return where neighbouring fields lie in a message."""
+    fields: Mapping[str, Any] = dtype.fields or {}
+    end, size = fields[last][1], fields[last][0].itemsize
+    return slice(fields[first][1], end + size)

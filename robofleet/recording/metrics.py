@@ -46,6 +46,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "latency_ms": _latency(run),
         "saturated_fraction": _rounded(run.items["saturated"].mean()) if len(run.t) else None,
         "filtered_fraction": _rounded((run.items["filtered"] > 0).mean()) if len(run.t) else None,
+        "recording": {"messages": recording.count, "dropped": recording.dropped},
         "stops": stops(run),
         "rejected": {
             robot.id: _rejected(run, status) for robot, status in zip(config.platoon, run.statuses, strict=True)

@@ -1,15 +1,26 @@
-"""A run read back from its file."""
+"""A run read back from its file, as far as it goes."""
 
-import tempfile
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Message
-from mcap.stream_reader import StreamReader
+import yaml
+from mcap.records import Attachment, Channel, Header, Metadata
+from pydantic import ValidationError
 
-from robofleet.config.load import load_config
-from robofleet.recording.log import CONFIG, ENCODING, FILE
+from robofleet.comms.layouts import VERSION
+from robofleet.config.tree import Config
+from robofleet.recording.channels import ENCODING
+from robofleet.recording.chunks import Content, Message
+from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, LIBRARY, PROFILE, PROVENANCE
+from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Recording
+from robofleet.recording.scanning import Scan
+
+_MADE_BY = re.compile(LIBRARY.format(r"(\S+)", r"(\d+)"))
 
 
 class RecordingError(Exception):
@@ -18,27 +29,94 @@ class RecordingError(Exception):
 
 def read(run: Path) -> Recording:
     """Return the messages of a run: its folder, or its file. RecordingError where there is none that can be read."""
-    file = run / FILE if run.is_dir() else run
-    recording: Recording | None = None
-    channels: dict[int, str] = {}
-    try:
-        with file.open("rb") as stream:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Attachment) and record.name == CONFIG:
-                    recording = Recording(_config(record.data))
-                elif isinstance(record, Channel) and record.message_encoding == ENCODING:
-                    channels[record.id] = record.topic
-                elif isinstance(record, Message) and record.channel_id in channels and recording is not None:
-                    recording.add(channels[record.channel_id], record.data)
-    except (OSError, McapError) as error:
-        raise RecordingError(f"{file}: {error}") from error
+    file = file_of(run)
+    with opened(file) as stream:
+        scan = scanned(stream)
+        recording = _recording(scan, file)
     if recording is None:
-        raise RecordingError(f"{file}: no recording of a run")
+        raise RecordingError(f"{file}: no recording: {scan.trouble or 'it holds no configuration'}")
+    if not recording.messages:
+        raise RecordingError(f"{file}: an empty recording: nothing was said before it ended")
+    recording.trouble = scan.trouble
     return recording
 
 
-def _config(text: bytes):  # type: ignore[no-untyped-def]
-    with tempfile.NamedTemporaryFile(suffix=".yaml") as file:
-        file.write(text)
-        file.flush()
-        return load_config(Path(file.name))
+def file_of(run: Path) -> Path:
+    """Return the file of a run's folder, or the file itself."""
+    return run / FILE if run.is_dir() else run
+
+
+@contextmanager
+def opened(file: Path) -> Iterator[BinaryIO]:
+    """Open a recording; RecordingError where it cannot be read."""
+    try:
+        stream = file.open("rb")
+    except FileNotFoundError as error:
+        raise RecordingError(f"{file}: there is no such recording: name a folder of robofleet run's") from error
+    except OSError as error:
+        raise RecordingError(f"{file}: cannot be read: {error.strerror}") from error
+    with stream:
+        yield stream
+
+
+def scanned(stream: BinaryIO) -> Scan:
+    """Return a walk through a file that is at its start."""
+    return Scan(stream, os.fstat(stream.fileno()).st_size)
+
+
+def check_maker(header: Header, file: Path) -> None:
+    """Refuse what this version did not write."""
+    made_by = _MADE_BY.fullmatch(header.library) if header.profile == PROFILE else None
+    if made_by is None:
+        raise RecordingError(f"{file}: no recording of robofleet's: it was made by {header.library or 'somebody else'}")
+    robofleet, wire = made_by.groups()
+    if int(wire) != VERSION:
+        raise RecordingError(
+            f"{file}: was made by wire version {wire} of robofleet {robofleet}; this one reads {VERSION}: "
+            "install that version"
+        )
+
+
+def _recording(scan: Scan, file: Path) -> Recording | None:
+    recording: Recording | None = None
+    channels: dict[int, str] = {}
+    for item in scan.items():
+        if isinstance(item, Header):
+            check_maker(item, file)
+        elif isinstance(item, Attachment) and item.name == CONFIG:
+            recording = Recording(_config(item.data, file))
+        elif recording is None:
+            continue
+        elif isinstance(item, Attachment) and item.name == ENDING:
+            recording.end(item.data)
+        elif isinstance(item, Metadata):
+            with suppress(KeyError, ValueError):  # no CRC says whether it is as it was written
+                _note(recording, item)
+        elif isinstance(item, Iterator):
+            _fill(recording, item, channels)
+    return recording
+
+
+def _note(recording: Recording, told: Metadata) -> None:
+    if told.name == PROVENANCE:
+        recording.provenance = Provenance.of(told.metadata)
+    elif told.name == DROPPED:
+        recording.dropped += int(told.metadata[COUNT])
+
+
+def _fill(recording: Recording, contents: Iterator[Content], channels: dict[int, str]) -> None:
+    """Add the messages of a chunk that are this project's own."""
+    for content in contents:
+        if isinstance(content, Message):
+            if content.channel in channels:
+                recording.add(channels[content.channel], content.data)
+        elif isinstance(content, Channel) and content.message_encoding == ENCODING:
+            channels[content.id] = content.topic
+
+
+def _config(text: bytes, file: Path) -> Config:
+    try:
+        return Config.model_validate(yaml.safe_load(text))
+    except (yaml.YAMLError, ValidationError) as error:
+        fault = str(error).splitlines()[0]
+        raise RecordingError(f"{file}: its configuration is none of this version's: {fault}") from error

@@ -1,5 +1,6 @@
 """What a run left: every message, and the columns that its figures are made from."""
 
+import json
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -16,8 +17,12 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.recording.provenance import Provenance
 
 Array = NDArray[np.float64]
+
+# What the one who ran it knows and no message says.
+_ENDING = ("outcome", "cause", "elapsed_s", "trace_hash", "tick_durations_ns", "tracker_durations_ns")
 
 
 @dataclass
@@ -25,19 +30,45 @@ class Recording:
     """Every message of a run, by key, as it came; and what the one who ran it measured."""
 
     config: Config
+    provenance: Provenance | None = None  # None: the file does not say
+    dropped: int = 0  # messages that are not in the file
+    trouble: str | None = None  # what is wrong with the file, behind the last of these messages; None: it is whole
     messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
+    outcome: str | None = None  # completed, stopped or fault; None: whoever ran it did not come to say it
+    cause: str | None = None
     elapsed_s: float = 0.0
     trace_hash: str | None = None
     tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
     tracker_durations_ns: list[int] | None = None
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
-    _count: int = 0
+    count: int = 0  # of all messages
+
+    @property
+    def whole(self) -> bool:
+        """Whether the file is as it was written, up to its end."""
+        return self.trouble is None
 
     def add(self, full: str, payload: bytes) -> None:
         """Keep a message."""
-        self._count += 1
+        self.count += 1
         self.messages[full].append(payload)
-        self._places[full].append(self._count)
+        self._places[full].append(self.count)
+
+    def keep_newest(self, most: int) -> None:
+        """Let go of old messages where there are more than ``most`` of a key: a run that goes on is in its file."""
+        for full, messages in self.messages.items():
+            if len(messages) > 2 * most:
+                del messages[:-most], self._places[full][:-most]
+
+    def ending(self) -> bytes:
+        """Return how the run ended, for its file."""
+        return json.dumps({name: getattr(self, name) for name in _ENDING}).encode()
+
+    def end(self, text: bytes) -> None:
+        """Take how the run ended from its file."""
+        ending = json.loads(text)
+        for name in _ENDING:
+            setattr(self, name, ending[name])
 
     def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
         """Return the messages of a key as a structured array; those of another size are left out."""

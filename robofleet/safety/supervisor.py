@@ -156,7 +156,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.TRACKER_RESTARTED:    (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.OTHER_BUILD:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.LEASE_LOST:           (_SAME, _F,    _F,    _F,    _SAME, _SAME),
-    Event.DISK_FULL:            (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.DISK_FULL:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.CAMERA_STALLED:       (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.CAMERA_FROZEN:        (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.CAMERA_LOST:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),

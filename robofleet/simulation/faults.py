@@ -70,7 +70,8 @@ class Schedule:
         self.now_ns = clock.now_ns  # of the world: it does not jump
         self.injections = tuple(Injection(fault, number) for number, fault in enumerate(config.faults))
         self.processes = config.processes
-        self.robots = tuple(robot.id for robot in config.robots)
+        self.driven = config.driven
+        self.driver_of = config.driver_of
         self.begun = False
         self._seed = config.run.seed
         self._bodies: dict[str, Driver] = {}

@@ -10,7 +10,7 @@ from struct import pack, unpack_from
 import numpy as np
 
 from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Answer, Bus, Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.bus import Answer, Arrival, Bus, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic, named
 from robofleet.simulation.faults import Injection, Schedule, struck
 
@@ -107,7 +107,7 @@ class FaultyBus:
 
     def _cuts(self, topic: Topic, name: str) -> tuple[Injection, ...]:
         """Return the cuts that lie between this process and the sender of a topic."""
-        sender = f"driver-{name}" if topic is STATUS else _SENDERS.get(topic, self._process)
+        sender = self._schedule.driver_of(name) if topic is STATUS else _SENDERS.get(topic, self._process)
         cuts = tuple(
             cut
             for cut in self._schedule.of("network_cut")
@@ -128,19 +128,24 @@ class _FaultySubscription:
         self._held: list[tuple[int, int, bytes]] = []  # when it is there, in which order, what
         self._order = count()
         self.arrival_ns = 0
+        self.dropped = 0
 
     def put(self, arrival_ns: int, payload: bytes) -> None:
         """Take what the network brings, from any thread."""
+        self.dropped += len(self._coming) == _HELD
         self._coming.append((arrival_ns, payload))
         self._wake(arrival_ns)
 
     def take(self) -> bytes | None:
         """Return the newest message that is there."""
         there = self._there()
-        return there[-1] if there else None
+        if not there:
+            return None
+        self.arrival_ns, newest = there[-1]
+        return newest
 
-    def _there(self) -> list[bytes]:
-        """Return the messages that are there, the newest last."""
+    def _there(self) -> list[tuple[int, bytes]]:
+        """Return when each message that is there arrived, and it; the newest last."""
         now_ns = self._schedule.now_ns()
         while self._coming and self._coming[0][0] <= now_ns:
             arrival_ns, payload = self._coming.popleft()
@@ -154,8 +159,7 @@ class _FaultySubscription:
         there = []
         while self._held and self._held[0][0] <= now_ns:
             there_ns, _, payload = heapq.heappop(self._held)
-            self.arrival_ns = there_ns + self._ahead_ns()
-            there.append(payload)
+            there.append((there_ns + self._ahead_ns(), payload))
         return there
 
 
@@ -174,9 +178,9 @@ class _FaultyStream(_FaultySubscription):
         super().__init__(schedule, topic, fate, wake, ahead_ns)
         self._key = expression
 
-    def drain(self) -> list[tuple[str, bytes]]:
+    def drain(self) -> list[Arrival]:
         """Return what is there."""
-        return [(self._key, payload) for payload in self._there()]
+        return [Arrival(at_ns, self._key, payload) for at_ns, payload in self._there()]
 
 
 class _Fate:

@@ -38,7 +38,7 @@ class World:
     def update(self) -> None:
         """Take what the drivers said since the last call."""
         for stream, history in zip(self._streams, self._histories, strict=True):
-            for _, payload in stream.drain():
+            for _, _, payload in stream.drain():
                 truth = TRUTH_LAYOUT.decode(payload)
                 if truth is not None:
                     history.add(*truth[2:])

@@ -56,7 +56,11 @@ def test_a_stream_gives_everything_in_order_and_drops_the_oldest(memory_bus: Mak
         publish(bytes([k]))
     assert stream.drain() == []
     clock.advance_to(5)
-    assert stream.drain() == [("rf/lab/robot/r1/status", bytes([k])) for k in (2, 3, 4)]
+    heard = stream.drain()
+    assert [(full, payload) for _, full, payload in heard] == [
+        ("rf/lab/robot/r1/status", bytes([k])) for k in (2, 3, 4)
+    ]
+    assert stream.dropped == 2
     assert stream.drain() == []
 
 

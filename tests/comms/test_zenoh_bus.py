@@ -93,7 +93,7 @@ def test_a_stream_hears_the_whole_arena_and_no_other(net: Net) -> None:
                 publish(full.encode())
 
         def both() -> bool:
-            heard.update(stream.drain())
+            heard.update((full, payload) for _, full, payload in stream.drain())
             return len(heard) >= 2
 
         until(both, say)
@@ -102,15 +102,23 @@ def test_a_stream_hears_the_whole_arena_and_no_other(net: Net) -> None:
         foreign.close()
 
 
-def test_a_full_stream_drops_the_oldest(net: Net) -> None:
+def test_a_full_stream_drops_the_oldest_and_counts_them(net: Net) -> None:
     stream, publish = net.b.stream("rf/lab/robot/r9/cmd", 4), net.a.publisher(COMMAND, "r9")
+    heard: list[bytes] = []
+    net.b.listen(COMMAND, "r9", lambda _, payload: heard.append(payload))
     witness = net.b.newest(COMMAND, "r9")
     until(witness.take, lambda: publish(b"route"))
+    began_ns = CLOCK.now_ns()
     for k in range(30):
         publish(b"%d" % k)
         CLOCK.sleep_until(CLOCK.now_ns() + MS)
     until(lambda: witness.take() == b"29" or None)
-    assert [payload for _, payload in stream.drain()] == [b"26", b"27", b"28", b"29"]
+    arrivals = stream.drain()
+    assert [payload for _, _, payload in arrivals] == [b"26", b"27", b"28", b"29"]
+    until(lambda: len(heard) == stream.dropped + 4)
+    instants = [at_ns for at_ns, _, _ in arrivals]
+    assert began_ns < instants[0] < instants[-1] <= CLOCK.now_ns()
+    assert instants == sorted(instants)
 
 
 def asked(bus: ZenohBus, name: str, payload: bytes, serve: Callable[[], None]) -> tuple[bytes, int]:

@@ -33,6 +33,8 @@ LAYOUTS: dict[Topic, Any] = {
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
     keys.NEWS: messages.TRACKER_NEWS,
+    keys.RECORDER: messages.RECORDER_STATUS,
+    keys.PICTURE: messages.PICTURE,
 }
 
 

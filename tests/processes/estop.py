@@ -52,7 +52,7 @@ class Tries:
         stopped = emergency_stop(self.bus, _CLOCK, self._robots)
         assert not stopped.silent, stopped.describe()
         after_ms: dict[str, float] = {}
-        for full, payload in statuses.drain():
+        for _, full, payload in statuses.drain():
             status = ROBOT_STATUS.decode(payload)
             if status is not None and status.latch:
                 after_ms.setdefault(full, (status.stamp_ns - asked_ns) / MS)

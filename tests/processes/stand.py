@@ -149,7 +149,7 @@ class Stand:
         if "controller" not in self.silent:
             self.tick += 1
             tick = RobotTick(*[0.0] * 18)._replace(**self.stopped)
-            head = (self.epoch, self.build, self.tick, -1, self.bench.now_ns, 0, 0, 0, 0, 0, 0)
+            head = (self.epoch, self.build, self.tick, -1, self.bench.now_ns, *[0] * 10)
             self.bench.say(TICK, TickRecord(*head, (tick,) * len(ROBOTS)))
 
     def _see(self) -> None:

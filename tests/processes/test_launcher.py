@@ -8,7 +8,11 @@ from collections.abc import Callable
 import psutil
 import pytest
 
+from robofleet.comms.keys import STATUS, key
+from robofleet.comms.messages import ROBOT_STATUS
 from robofleet.config.load import load_config
+from robofleet.recording.reading import read
+from robofleet.safety.gate import GateStatus
 from tests.processes.realrun import ALONE, PLATOON, RealRun
 
 ROBOTS = ["r1", "r2", "r3", "r4"]
@@ -21,7 +25,7 @@ def libraries(process: psutil.Process) -> str:
 def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) -> None:
     run = real_run("--duration", "6")
     run.wait_until_running()
-    assert len(run.children()) == 8
+    assert len(run.children()) == 9
     for robot in ROBOTS:
         (driver,) = run.children("driver", robot)
         loaded = libraries(driver)
@@ -44,6 +48,15 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     assert s["pose_error"]["rms_mm"] < 1.0
     assert s["rejected"] == dict.fromkeys(ROBOTS, 0)
 
+    recording = read(run.folder)
+    assert (recording.outcome, recording.cause, recording.dropped) == ("completed", None, 0)
+    assert s["recording"] == {"messages": recording.count, "dropped": 0}
+    for robot in ROBOTS:
+        statuses = recording.rows(key("platoon", STATUS, robot), ROBOT_STATUS)
+        assert statuses["gate"].max() == GateStatus.NO_LEASE, "before the controller came"
+        assert statuses["left_output_rad_s"].any()
+        assert (statuses["gate"][-1] != GateStatus.OPEN) and not statuses["left_rad_s"][-1], "the stop is in the file"
+
     replayed, asked = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=6"])
     assert not replayed.bus.endpoint.endswith(":0")
     assert replayed.model_copy(update={"bus": asked.bus}) == asked
@@ -57,6 +70,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
         ["controller"],
         ["driver", "r1"],
         ["router"],
+        ["recorder"],
         pytest.param(["tracker"], marks=pytest.mark.slow),
         pytest.param(["supervisor"], marks=pytest.mark.slow),
     ],
@@ -71,12 +85,13 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
     cause = f"the {'-'.join(victim)} was killed by SIGKILL"
     assert (run.summary["outcome"], run.summary["cause"]) == ("fault", cause)
     assert cause in run.said
+    assert run.summary["ticks"] > 0, "it is made from what was recorded until then"
 
 
 def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
-    assert len(run.children()) == 5
+    assert len(run.children()) == 6
     run.launcher.kill()
     assert run.nothing_is_left()
     assert run.ended(1) == -signal.SIGKILL

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
-from robofleet.comms.messages import FleetPoses, RobotTick, TagPose, TickRecord, TrackerNews
+from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, RECORDER, REQUEST, STATE, STATUS, TICK
+from robofleet.comms.messages import FleetPoses, RecorderStatus, RobotTick, TagPose, TickRecord, TrackerNews
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.gate import Latch
@@ -385,7 +385,7 @@ def test_a_start_begins_the_checks_anew(stand_of: Callable[..., Stand]) -> None:
         seen.clear()
 
 
-def test_a_full_disk_and_blocked_robots_and_missed_ticks_stop_the_run(stand: Stand) -> None:
+def test_blocked_robots_and_missed_ticks_hold_the_run(stand: Stand) -> None:
     stand.running()
     stand.stopped = {"blocked": 1.0}
     stand.run(100 * MS)
@@ -393,19 +393,38 @@ def test_a_full_disk_and_blocked_robots_and_missed_ticks_stop_the_run(stand: Sta
     stand.stopped = {}
     stand.run(100 * MS)
     stand.ask("resume")
-    head = (3, stand.build, 10**6, -1, stand.bench.now_ns, 0, 0, 0, 3, 0, 0)
+    head = (3, stand.build, 10**6, -1, stand.bench.now_ns, *[0] * 6, 0, 3, 0, 0)
     stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 18),) * 4))
     stand.node.step(stand.bench.now_ns)
     assert stand.cause == (Phase.HOLD, Event.TICKS_OVERRUN, NOBODY)
     assert stand.state.detail == 3.0
+
+
+def test_a_full_disk_holds_the_run_until_there_is_room(stand: Stand) -> None:
+    stand.running()
     stand.free_bytes = 0
     stand.run(40 * MS)
-    assert stand.cause == (Phase.FAULT, Event.DISK_FULL, NOBODY)
+    assert stand.cause == (Phase.HOLD, Event.DISK_FULL, NOBODY)
+    assert stand.ask("resume") == "refused: the disk is full: mend it, then resume, or stop"
+    stand.free_bytes = 1 << 40
+    stand.run(40 * MS)
+    assert stand.ask("resume") == "ok"
+
+
+def test_a_recorder_that_cannot_write_is_a_full_disk_whatever_the_disk_says(stand: Stand) -> None:
+    stand.running()
+    for failed in (0, 1):
+        stand.bench.say(RECORDER, RecorderStatus(1, 1 + failed, 100, 0, failed))
+        stand.run(1000 * MS)
+        assert stand.cause[:2] == ((Phase.HOLD, Event.DISK_FULL) if failed else (Phase.RUNNING, Event.PROVED))
+    stand.bench.say(RECORDER, RecorderStatus(1, 3, 100, 50, 0))
+    stand.run(40 * MS)
+    assert stand.ask("resume") == "ok"
 
 
 def test_a_tick_of_another_fleet_is_another_build_and_no_end(stand: Stand) -> None:
     stand.running()
-    stand.bench.say(TICK, TickRecord(3, 1, 10**6, -1, 0, 0, 0, 200, 0, 0, 0, (RobotTick(*[0.0] * 18),) * 9))
+    stand.bench.say(TICK, TickRecord(3, 1, 10**6, -1, 0, *[0] * 6, 200, 0, 0, 0, (RobotTick(*[0.0] * 18),) * 9))
     stand.node.step(stand.bench.now_ns)
     assert stand.cause == (Phase.FAULT, Event.OTHER_BUILD, NOBODY)
 
@@ -444,7 +463,7 @@ def test_a_restarted_controller_ends_the_run(stand: Stand) -> None:
 
 def test_a_tick_that_was_overtaken_says_nothing(stand: Stand) -> None:
     stand.running()
-    head = (3, stand.build, stand.tick - 1, -1, 0, 0, 0, 0, 0, 0, 0)
+    head = (3, stand.build, stand.tick - 1, -1, 0, *[0] * 10)
     stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 18)._replace(blocked=1.0),) * 4))
     stand.node.step(stand.bench.now_ns)
     assert stand.state.phase == Phase.RUNNING

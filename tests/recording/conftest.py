@@ -29,10 +29,12 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.recording import recorded
 
 PLATOON = File(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
@@ -194,3 +196,18 @@ def add_image() -> Callable[..., None]:
         recording.add(key(recording.config.arena.name, POSES, CAMERA), FLEET_POSES.encode(message))
 
     return add
+
+
+@pytest.fixture(scope="session")
+def said() -> recorded.Said:
+    """Return what is said in a short run."""
+    return recorded.said_in(recorded.config())
+
+
+@pytest.fixture(scope="session")
+def run_file(said: recorded.Said, tmp_path_factory: pytest.TempPathFactory) -> File:
+    """Return the file of this run; it is read by many tests."""
+    file = tmp_path_factory.mktemp("run") / FILE
+    with RunLog(file, recorded.config()) as log:
+        recorded.write(log, said)
+    return file

@@ -19,13 +19,13 @@ from robofleet.safety.supervisor import (
 EMERGENCIES = {Event.ESTOP_REQUESTED, Event.WIRED_STOP}  # whatever the run does
 ENDS = {  # nobody can go on from here without looking
     Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.DRIVER_RESTARTED, Event.CONTROLLER_SILENT,
-    Event.CONTROLLER_RESTARTED, Event.OTHER_BUILD, Event.LEASE_LOST, Event.DISK_FULL, Event.CAMERA_LOST,
-    Event.CAMERA_MOVED, Event.GATE_LATCHED, Event.ROBOT_FAULT, Event.BATTERY_LOW, Event.TAG_LOST, Event.OUTSIDE_ARENA,
+    Event.CONTROLLER_RESTARTED, Event.OTHER_BUILD, Event.LEASE_LOST, Event.CAMERA_LOST, Event.CAMERA_MOVED,
+    Event.GATE_LATCHED, Event.ROBOT_FAULT, Event.BATTERY_LOW, Event.TAG_LOST, Event.OUTSIDE_ARENA,
     Event.POSE_JUMPED,
 }  # fmt: skip
 HOLDS = {  # it may pass, and the run can be resumed
     Event.TRACKER_SILENT, Event.TRACKER_RESTARTED, Event.CAMERA_STALLED, Event.CAMERA_FROZEN, Event.TAG_TWICE,
-    Event.TOO_CLOSE,
+    Event.TOO_CLOSE, Event.DISK_FULL,
 }  # fmt: skip
 OF_MOTION = {Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED}  # mean something while the fleet drives
 OF_CHECKS = {event for event in Event if 50 <= event < 60} | {Event.ARMED_TOO_LONG}  # the fifties are the checks'

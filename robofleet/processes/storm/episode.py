@@ -199,5 +199,5 @@ class _Player:
     def _outages(self, robot: str) -> list[Outage]:
         """Return when a robot's driver did not run, or had another time than the rest."""
         assert self._lockstep.faults is not None
-        faults = self._lockstep.faults.of("killed", "stopped", "clock_step", process=f"driver-{robot}")
+        faults = self._lockstep.faults.of("killed", "stopped", "clock_step", process=self._config.driver_of(robot))
         return [Outage(fault.start_ns, fault.end_ns) for fault in faults]

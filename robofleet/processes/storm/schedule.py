@@ -44,7 +44,7 @@ class _Dice:
     def __init__(self, config: Config, rng: np.random.Generator) -> None:
         self.rng = rng
         self.robots = [robot.id for robot in config.robots]
-        self.drivers = [f"driver-{robot}" for robot in self.robots]
+        self.drivers = list(config.driven)
 
     def one(self, values: Sequence[T]) -> T:
         return values[int(self.rng.integers(len(values)))]

@@ -12,10 +12,9 @@ import numpy as np
 
 from robofleet.clock import MS, S
 from robofleet.comms.messages import FleetPoses, RobotStatus, RobotTick, RunState
-from robofleet.config import slices
+from robofleet.config import barrier, slices
 from robofleet.config.tree import Config
 from robofleet.control import path as paths
-from robofleet.processes import fleet
 from robofleet.processes.web.hearing import Hearing
 from robofleet.processes.web.words import ENDED, phase_name, stage, what_next
 from robofleet.recording.causes import halt_cause, named, run_cause
@@ -120,12 +119,12 @@ def picture(hearing: Hearing, outlines: TagOutlines) -> Frame:
 
 def _robot(config: Config, row: int) -> Frame:
     robot = config.platoon[row]
-    body = fleet.body(config, robot)
+    body = barrier.body(config, robot)
     return {
         "id": robot.id,
         "tag": robot.tag,
         "body_radius_m": body.radius,
-        "safety_radius_m": _rounded(apart(fleet.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
+        "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
     }
 
 

@@ -1,0 +1,102 @@
+"""Gives a killed run's file its index, so that every tool opens it."""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+
+from robofleet.recording.chunks import Content, Message
+from robofleet.recording.container import Container
+from robofleet.recording.reading import RecordingError, check_maker, file_of, opened, scanned
+from robofleet.recording.scanning import Scan
+
+_NEW, _OLD = ".repairing", ".damaged"  # behind the file's name
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What came of a repair."""
+
+    file: Path
+    trouble: str | None  # what was wrong; None: nothing, and the file is as it was
+    messages: int  # that are in the file now
+    span_ns: int  # from the first to the last of them
+    lost: int  # [bytes] of the old file, behind the last good one
+    kept: Path | None  # where the old file is, if more was wrong than a torn end
+
+
+def repair(run: Path) -> Repair:
+    """Mend the file of a run: everything up to where it is torn off or damaged, and an index.
+
+    The old file is replaced by a whole new one, or left as it is.
+
+    Raises:
+        RecordingError: it is no recording, holds no message, or is still being written.
+        OSError: the new file cannot be written; the old one is as it was.
+    """
+    file = file_of(run)
+    with opened(file) as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise RecordingError(f"{file}: is still being recorded: end the run first") from error
+        scan = scanned(stream)
+        times = [content.log_ns for content in _contents(scan, file) if isinstance(content, Message)]
+        if not times:
+            raise RecordingError(f"{file}: there is no message in it that could be saved")
+        kept = None if scan.trouble is None or scan.torn else file.with_name(file.name + _OLD)
+        if scan.trouble is not None:
+            stream.seek(0)
+            _replace(file, stream, kept)
+        return Repair(file, scan.trouble, len(times), max(times) - min(times), scan.lost, kept)
+
+
+def _contents(scan: Scan, file: Path) -> Iterator[Content]:
+    for item in scan.items():
+        if isinstance(item, Header):
+            check_maker(item, file)
+        elif isinstance(item, Iterator):
+            yield from item
+
+
+def _replace(file: Path, old: BinaryIO, kept: Path | None) -> None:
+    new = file.with_name(file.name + _NEW)
+    try:
+        with new.open("wb", buffering=0) as stream:
+            _copy(scanned(old), stream)
+            os.fsync(stream)
+        if kept is not None:
+            kept.hardlink_to(file)
+        new.replace(file)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def _copy(scan: Scan, new: FileIO) -> None:
+    """Write what is good, in the same order and the same chunks."""
+    for item in scan.items():
+        if isinstance(item, Header):
+            container = Container(new, item.profile, item.library)
+        elif isinstance(item, Attachment | Metadata):
+            container.write([item])
+        else:
+            for content in item:
+                _add(container, content)
+            container.write()
+    container.finish()
+
+
+def _add(container: Container, content: Content) -> None:
+    """Add one thing; schemas and channels are numbered in the order in which they come, in the old file as well."""
+    match content:
+        case Schema(name=name, encoding=encoding, data=data):
+            container.register_schema(name, encoding, data)
+        case Channel(topic=topic, message_encoding=encoding, schema_id=schema):
+            container.register_channel(topic, encoding, schema)
+        case Message():
+            container.add_message(*content)
