@@ -24,6 +24,11 @@ export class Camera {
     this.#button.setAttribute("aria-expanded", `${shown}`);
     this.#canvas.width = this.#size.width;
     this.#canvas.height = this.#size.height;
+    const g = this.#canvas.getContext("2d");
+    g.font = `${this.#size.height / 16}px system-ui, sans-serif`;
+    g.fillStyle = "#808080";
+    g.textAlign = "center";
+    g.fillText("waiting for a picture", this.#size.width / 2, this.#size.height / 2);
     this.#link.send({ picture: shown });
   }
 

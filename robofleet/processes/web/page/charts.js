@@ -1,6 +1,6 @@
 // Sparklines of the last ten seconds: each with its newest value and its largest one.
 
-const HEIGHT_PX = 34;
+const HEIGHT_PX = 28;
 const CHARTS = [
   { name: "Tick computes", of: (health) => milli(health.compute_us), unit: "ms", digits: 2, least: 1 },
   { name: "Tick is late", of: (health) => milli(health.late_us), unit: "ms", digits: 2, least: 1 },

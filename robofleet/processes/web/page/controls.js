@@ -41,6 +41,7 @@ export class Controls {
   }
 
   #emergency() {
+    if (this.#link.ended !== null) return; // nothing is left that could be asked
     this.#pressedAt = performance.now();
     performance.mark("estop-pressed");
     this.#say("sent, waiting for the robots");

@@ -13,7 +13,7 @@ export class Labels {
     g.textBaseline = "middle";
     g.lineWidth = 3;
     const taken = robots.map((robot) => {
-      const r = view.radius(robot);
+      const r = drawnRadius(view, robot);
       return [view.x(robot.x_m), view.y(robot.y_m), r, r];
     });
     for (const robot of [...robots].sort((a, b) => b.trouble - a.trouble || a.row - b.row)) {
@@ -42,14 +42,19 @@ export class Labels {
 // Where a label may stand: above, below, right, left of what is drawn of the robot.
 function places(view, robot, half) {
   const [x, y] = [view.x(robot.x_m), view.y(robot.y_m)];
-  const ring = robot.trouble === FINE ? 0 : robot.safety_radius_m * view.scale;
-  const off = Math.max(view.radius(robot), ring) + 3;
+  const off = drawnRadius(view, robot) + 3;
   return [
     [x, y - off - 6],
     [x, y + off + 7],
     [x + off + half, y],
     [x - off - half, y],
   ];
+}
+
+// The ring of a robot in trouble is as bold as its body.
+function drawnRadius(view, robot) {
+  const ring = robot.trouble === FINE ? 0 : robot.safety_radius_m * view.scale;
+  return Math.max(view.radius(robot), ring);
 }
 
 function apart(dx, width, dy, height) {
