@@ -60,6 +60,7 @@ class Lab:
         self.deaf: set[int] = set()  # to the e-stop
         self.stubborn: set[int] = set()  # latched for ever
         self.obeys = True  # the controller
+        self.start = True  # is asked for
         self.period_ns = 40 * MS  # of the supervisor
         self.noise = (0.0003, 0.0003, 0.004)
         self.alter: Alter = lambda view: view
@@ -90,7 +91,7 @@ class Lab:
                 self._tick()
             if self.now_ns % self.period_ns == 0:
                 seen = self.alter(self.view._replace(now_ns=self.now_ns))
-                self.state, happening = self.program.step(self.state, self.settings, seen)
+                self.state, happening = self.program.step(self.state, self.settings, seen, self.start)
                 now = self.state.stage, self.state.probed, self.state.stroke
                 if not self.stages or self.stages[-1] != now:
                     self.stages.append(now)
