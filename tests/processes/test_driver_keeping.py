@@ -49,7 +49,7 @@ def test_the_epoch_is_on_disk_before_the_answer_is_out(stand: Any, disk: Disk, m
     answers = []
     save = disk.save
     monkeypatch.setattr(disk, "save", lambda *what: (answers.append(answer.take()), save(*what)))
-    answer = stand.bench.bus.ask(LEASE, "r1", b"\2" + (99).to_bytes(8, "little") + b"\1")
+    answer = stand.bench.bus.ask(LEASE, "r1", LEASE_REQUEST.encode(LeaseRequest(99, LeaseAction.ACQUIRE)))
     stand.node.step(stand.bench.now_ns)
     assert answers == [None]
     assert disk.load("r1").epoch == 1

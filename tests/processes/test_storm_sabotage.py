@@ -116,8 +116,8 @@ def _unseen(*events: Event) -> Callable[[Patch], None]:
     def blind(patch: Patch) -> None:
         watch = monitor.watch
 
-        def watched(*args: Any) -> Any:
-            memory, happenings = watch(*args)
+        def watched(*args: Any, **keys: Any) -> Any:
+            memory, happenings = watch(*args, **keys)
             return memory, tuple(h for h in happenings if h.event not in events)
 
         patch.setattr(monitor, "watch", watched)
