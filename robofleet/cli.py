@@ -1,6 +1,7 @@
 """The operator's commands. Exit 0: completed; 1: ended by a fault or by the operator; 2: bad input."""
 
 import json
+import shlex
 import sys
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,12 +18,20 @@ if TYPE_CHECKING:
 
     from robofleet.config.tree import Config
 
-app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Drive a platoon of differential-drive robots under an overhead camera.",
+    epilog="First: robofleet check configs/platoon.yaml, then: robofleet run configs/platoon.yaml. "
+    "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you; 2: bad input.",
+)
 
 app.add_typer(commands.app)
 app.add_typer(run_commands.app)
 
-ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
+ConfigFile = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/README.md lists every key.")
+]
 Overrides = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
@@ -32,7 +41,9 @@ Overrides = Annotated[
 @app.command()
 def run(
     config: ConfigFile,
-    lockstep: Annotated[bool, typer.Option(help="One process on a simulated clock: fast and repeatable.")] = False,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="One process on a simulated clock: fast and repeatable.")
+    ] = False,
     duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; default: run.duration_s.")] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Default: run.seed.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer copies it
@@ -40,14 +51,16 @@ def run(
     reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
     takeover: Annotated[bool, typer.Option("--takeover", help="Take robots that another controller has.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
-    quiet: Annotated[bool, typer.Option(help="No live view.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:
     """Drive the platoon: start, arm, run, stop; then a table, and DIR/summary.json.
 
-    robofleet run configs/platoon.yaml
+    $ robofleet run configs/platoon.yaml
 
-    robofleet run configs/platoon.yaml --lockstep --set groups.0.track=centre
+    $ robofleet run configs/platoon.yaml --lockstep --set groups.0.track=centre
+
+    Ctrl-C ends it, twice is the emergency stop; from another terminal: robofleet stop, hold, resume, status.
     """
     changes = [*overrides]
     if duration is not None:
@@ -85,29 +98,69 @@ def run(
 
 @app.command()
 def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
-    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved."""
+    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved.
+
+    $ robofleet check configs/platoon.yaml --set groups.0.path_rate=0.06
+    """
     with bad_input():
         tree = _checked(config, overrides, None, lockstep=False)
+    from rich.box import SIMPLE_HEAD  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
     from robofleet.processes.check import proofs  # noqa: PLC0415
 
-    table = Table("proved", "value", "limit", title=f"{config}: can run", title_justify="left")
+    table = Table(title=f"{config} can run. What was proved:", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("")
+    for column in ("value", "limit", "used"):
+        table.add_column(column, justify="right", no_wrap=True)
     for row in proofs(tree):
         table.add_row(*row)
     Console().print(table)
+    print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
+
+
+@app.command()
+def schema(
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: standard output.")] = None,
+) -> None:
+    """The configuration's JSON schema: with it an editor completes keys and marks mistakes.
+
+    $ robofleet schema --out schema.json
+
+    The first line of a configuration beside it is then:
+
+    # yaml-language-server: $schema=schema.json
+    """
+    from robofleet.config import schema as schemas  # noqa: PLC0415
+
+    text = json.dumps(schemas.schema(), indent=1)
+    if out is None:
+        print(text)
+        return
+    with bad_input():
+        try:
+            out.write_text(text + "\n")
+        except OSError as error:
+            raise RefusedError(f"--out: {out} cannot be written: {error.strerror}: name another file") from error
+    print(out)
 
 
 @app.command()
 def paper(
-    experiment: Annotated[str, typer.Argument(metavar="[NAME]", help="closed-curve, lane-change, ... or all.")] = "all",
+    experiment: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="memoryless, stability, closed-curve, lane-change, platoon, comparison, or all.",
+        ),
+    ] = "all",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-paper.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as one JSON object.")] = False,
 ) -> None:
     """Reproduce the paper's experiments: tables beside the paper's, figures and numbers in DIR.
 
-    robofleet paper lane-change
+    $ robofleet paper lane-change
     """
     from robofleet.experiments import paper as experiments  # noqa: PLC0415
 
@@ -135,11 +188,13 @@ def storm(
     config: ConfigFile,
     seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
     first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
-    pixels: Annotated[bool, typer.Option(help="Render the camera's images: slower.")] = False,
+    pixels: Annotated[bool, typer.Option("--pixels", help="Render the camera's images: slower.")] = False,
 ) -> None:
     """Hit a simulated fleet with random faults, in lockstep, and check what must always hold.
 
-    robofleet storm configs/platoon.yaml --seeds 50
+    $ robofleet storm configs/platoon.yaml --seeds 50
+
+    A failure is printed with the command that plays its seed again.
     """
     source = "camera" if pixels else "truth"
     with bad_input():

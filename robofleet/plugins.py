@@ -16,7 +16,7 @@ def load(group: str, name: str) -> Any:
         try:
             return getattr(import_module(module), attribute)
         except (ImportError, AttributeError, TypeError, ValueError) as error:
-            raise PluginError(f"{name!r} cannot be loaded: {error}") from error
+            raise PluginError(f"{name!r} cannot be loaded: {error}: mend its name, or install its package") from error
     found = {point.name: point for point in entry_points(group=group)}
     if name not in found:
         known = ", ".join(sorted(found)) or "none; is robofleet installed (pip install -e .)?"

@@ -6,8 +6,9 @@ import numpy as np
 from bench_tracker import Row, percentiles, timed
 from numpy.typing import NDArray
 
+from robofleet.config.barrier import body as body_of
+from robofleet.config.barrier import keepout as keepout_of
 from robofleet.config.load import load_config
-from robofleet.processes import fleet
 from robofleet.safety.barrier import Barrier, apart
 from robofleet.vehicles.differential_drive import (
     arc,
@@ -32,7 +33,8 @@ def rows() -> list[Row]:
 def _crossing(count: int) -> list[Row]:
     """All robots drive to places of others; each that arrives is sent on."""
     config = load_config(Path(__file__).parents[1] / "configs" / "platoon.yaml")
-    body, keepout, rng = fleet.body(config, config.robots[0]), fleet.keepout(config), np.random.default_rng(1)
+    body, keepout = body_of(config, config.robots[0]), keepout_of(config)
+    rng = np.random.default_rng(1)
     barrier, drive, l = Barrier(keepout, (body,) * count), body.drive, keepout.point_ahead
     cells = np.array([(x, y) for x in np.linspace(-1.4, 1.4, 10) for y in np.linspace(-0.85, 0.85, 6)])
     chosen = cells[rng.permutation(len(cells))[:count]]

@@ -60,7 +60,9 @@ def refuse_undetermined(marks: Marks) -> None:
     """Raise CalibrationError if marks leave the camera's pose open."""
     if len(marks) < LEAST:
         seen = f": {', '.join(marks.names)}" if len(marks) else ""
-        raise CalibrationError(f"{len(marks)} surveyed marks are in sight{seen}; {LEAST} or more are needed")
+        raise CalibrationError(
+            f"{len(marks)} surveyed marks are in sight{seen}; {LEAST} or more are needed: lay more, or clear the view"
+        )
     if on_one_line(marks.points):
         names = ", ".join(marks.names)
         raise CalibrationError(f"{names} lie on one line, around which the camera could turn: lay some beside it")

@@ -103,7 +103,7 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
         config = config.model_copy(update={"bus": bus})
         outcome, cause, recording = _with_processes(config, folder, watch)
     if outcome != "completed":
-        raise CalibrationError(f"the drive did not come to its end: {cause}")
+        raise CalibrationError(f"the drive did not come to its end: {cause}: mend it, and drive again")
     return recording
 
 
@@ -192,7 +192,9 @@ def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> Rob
             raise CalibrationError(f"{file}: {robot}/{name} is missing or not a finite number: drive again")
         shape = _shape(name, found)
         if array.shape != shape or (name in ("commands_s", "poses_s", "encoders_s") and (np.diff(array) <= 0).any()):
-            raise CalibrationError(f"{file}: {robot}/{name} has shape {array.shape}, not {shape}, or goes back in time")
+            raise CalibrationError(
+                f"{file}: {robot}/{name} has shape {array.shape}, not {shape}, or goes back in time: drive again"
+            )
     values: dict[str, Any] = {name: np.asarray(array, dtype=float) for name, array in found.items()}
     return RobotDrive(robot, **{**values, **{name: float(values[name]) for name in _SCALARS}})
 

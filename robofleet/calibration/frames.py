@@ -60,11 +60,15 @@ def from_camera(config: Config, count: int) -> list[Named]:
     calibrated = config.camera.model.camera
     if calibrated and camera.identity != calibrated:
         camera.close()
-        raise CalibrationError(f"this camera is {camera.identity!r}, the lens is that of {calibrated!r}")
+        raise CalibrationError(
+            f"this camera is {camera.identity!r}, the lens is that of {calibrated!r}: calibrate this one's lens"
+        )
     try:
         return [(f"live image {i + 1}", camera.read().image.copy()) for i in range(count)]
     except EOFError:
-        raise CalibrationError(f"{config.camera.source}: the camera ended before {count} images") from None
+        raise CalibrationError(
+            f"{config.camera.source}: the camera ended before {count} images: name a longer recording"
+        ) from None
     except (CameraError, OSError) as error:
         raise CalibrationError(f"{config.camera.source}: {error}") from error
     finally:

@@ -49,7 +49,7 @@ class Gathering:
     def refuse(self) -> None:
         """Raise a CalibrationError if there is nothing to fit a lens to, or if the board is another one."""
         if not self.fates:
-            raise CalibrationError("there is no image")
+            raise CalibrationError("there is no image: name a folder or a video that has some")
         faults = self._check.faults()
         if not faults and len(self.views) < FIRST:
             told = ", ".join(f"{count} {offer.value}" for offer, count in self.counts.items())

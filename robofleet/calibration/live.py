@@ -33,7 +33,7 @@ def capture(camera: Camera, gathering: Gathering, ask: Callable[[tuple[int, int]
     except (EOFError, KeyboardInterrupt):
         return
     except (CameraError, OSError) as error:
-        raise CalibrationError(f"the camera failed: {error}") from error
+        raise CalibrationError(f"the camera failed: {error}: look at its cable, and start again") from error
 
 
 class Screen:

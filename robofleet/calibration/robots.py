@@ -14,7 +14,7 @@ from robofleet.calibration.offsets import Offsets
 from robofleet.calibration.report import Report
 from robofleet.calibration.store import CalibrationError, load, provenance
 from robofleet.config.calibrated import RobotCalibration, TagOffset
-from robofleet.config.tree import Vehicle
+from robofleet.config.robots import Vehicle
 from robofleet.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive

@@ -156,7 +156,9 @@ def _by_most(lens: Lens, marks: Marks, calibrated: Calibrated) -> _Story:
     agreement = agree(lens, marks, calibrated.survey_m)
     placement = agreement.placement
     if chance(placement.chi_square, placement.freedom) < _FALSE_ALARM:
-        raise CalibrationError(f"{', '.join(marks.names)}: no pose shows these where they were surveyed")
+        raise CalibrationError(
+            f"{', '.join(marks.names)}: no pose shows these where they were surveyed: survey them again"
+        )
     return _story(placement, agreement.inside, calibrated)
 
 

@@ -10,7 +10,7 @@ class WheelCommand(NamedTuple):
 
     epoch: int  # of the lease
     seq: int  # above that of every command before, in this epoch
-    session: int  # of the controller that holds the lease
+    session: int  # of the controller that holds the lease; its upper half is the epoch of that controller's ticks
     boot_id: int  # of the driver, echoed
     nonce: int  # of the driver, newest seen, echoed
     exposure_ns: int  # mid-exposure of the newest image behind this command [tracker's host's clock]; 0: none

@@ -187,7 +187,8 @@ def _tag_sizes(config: Config) -> Iterator[Complaint]:
         tags += [(f"{kind}.{i}", tag.side_m, tag.height_m) for i, tag in enumerate(prints)]
     for path, side_m, height_m in tags:
         if max(model.focal_px) * side_m >= least_px * (eye_m - height_m):
-            yield path, f"a tag of {side_m:g} m at {height_m:g} m fills the image of a camera that hangs at {eye_m:g} m"
+            tag = f"a tag of {side_m:g} m at {height_m:g} m"
+            yield path, f"{tag} fills the image of a camera that hangs at {eye_m:g} m: mend one"
 
 
 def _calibrations(config: Config) -> Iterator[Complaint]:
@@ -240,9 +241,15 @@ def _troubles(config: Config) -> Iterator[Complaint]:
         if isinstance(fault, Late) and fault.p99_s <= fault.median_s:
             yield f"faults.{i}.p99_s", f"must be more than the median, {fault.median_s:g} s"
         if isinstance(fault, ClockStep) and fault.process in ("tracker", "router"):
-            yield f"faults.{i}.process", f"a simulated camera has no other clock than the {fault.process}'s"
+            yield (
+                f"faults.{i}.process",
+                f"a simulated camera has no other clock than the {fault.process}'s: name another process",
+            )
         if fault.at_s is not None and fault.at_s >= config.run.duration_s:
-            yield f"faults.{i}.at_s", f"the run ends after {config.run.duration_s:g} s: nothing would happen"
+            yield (
+                f"faults.{i}.at_s",
+                f"the run ends after {config.run.duration_s:g} s: nothing would happen: make it earlier",
+            )
         topics = getattr(fault, "topics", ())
         if robot is not None and (of_all := [t for t in topics if t in ("poses", "state", "tick")]):
             yield f"faults.{i}.robot", f"{of_all[0]} is not said to one robot: leave robot out, or {of_all[0]}"

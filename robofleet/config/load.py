@@ -18,7 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.config.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, parse_yaml, read_yaml
 
 _SHIPPED = Path(__file__).resolve().parents[2] / "configs"
-_FOLDERS = {
+FOLDERS = {
     ("robots", "*", "vehicle"): "robots",
     ("robots", "*", "calibration"): "robots",
     ("groups", "*", "path"): "paths",
@@ -192,7 +192,7 @@ class ConfigFile:
 
     def _named(self, node: Node, path: Loc) -> Node:
         """Return what the file holds if the value at ``path`` is the name of one, else the node itself."""
-        folder = _FOLDERS.get(tuple("*" if isinstance(part, int) else part for part in path))
+        folder = FOLDERS.get(tuple("*" if isinstance(part, int) else part for part in path))
         if folder is None or not isinstance(node.value, str):
             return node
         for file in self._candidates(node.value, folder):

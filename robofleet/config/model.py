@@ -18,6 +18,9 @@ Vector3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
 
 
 class Model(BaseModel):
-    """A frozen part of the tree; unknown keys are refused, and a number must be a number."""
+    """A frozen part of the tree; unknown keys are refused, and a number must be a number.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    What stands below a key describes it: in ``configs/README.md``, and in the schema that editors read.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)

@@ -8,7 +8,8 @@ from importlib.metadata import version
 import numpy as np
 
 from robofleet.clock import S
-from robofleet.config.tree import Config, Group, Robot, Vehicle
+from robofleet.config.robots import Robot, Vehicle
+from robofleet.config.tree import Config, Group
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections
 

@@ -8,125 +8,165 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import Model, Name, NonNegative, Positive
+from robofleet.config.model import Finite, Model, Name, NonNegative, Positive
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class Timed(Model):
-    """When: without ``at_s`` from the first moment, before the checks; without ``duration_s`` for good."""
+    """When something goes wrong; times count from the start of the run."""
 
     at_s: NonNegative | None = None
+    """null: from the first moment, before the checks."""
     duration_s: Positive | None = None
+    """null: for good."""
 
 
 class BodyFault(Timed):
     """A simulated robot's motors stand still whatever they are told, or half of its wheels' travel is lost as slip."""
 
     kind: Literal["motor_stuck", "slip"]
+    """``motor_stuck``: the motors stand; ``slip``: half of the travel is lost."""
     robot: Name
+    """Whose."""
 
 
 class ReadingFault(Timed):
     """What a robot says of itself: a battery at 5 %, or its own e-stop pressed."""
 
     kind: Literal["low_battery", "wired_stop"]
+    """``low_battery``: at 5 %; ``wired_stop``: its own e-stop is pressed."""
     robot: Name
+    """Whose."""
 
 
 class PoseFault(Timed):
     """The tracker does not see a robot's tag, or sees it twice and believes neither."""
 
     kind: Literal["pose_dropout", "duplicate_tag"]
+    """``pose_dropout``: not seen; ``duplicate_tag``: seen twice."""
     robot: Name
+    """Whose."""
 
 
 class PoseNoise(Timed):
     """A robot's pose is measured badly."""
 
     kind: Literal["pose_noise"]
+    """What goes wrong."""
     robot: Name
+    """Whose."""
     sigma_m: Positive
+    """Standard deviation, along each axis."""
     sigma_rad: NonNegative = 0.0
+    """Standard deviation of the heading."""
 
 
 class IdSwap(Timed):
     """Two robots wear each other's tag."""
 
     kind: Literal["id_swap"]
+    """What goes wrong."""
     robots: Annotated[tuple[Name, Name], Field(strict=False)]
+    """Which two."""
 
 
 class CameraFault(Timed):
     """The camera gives the same picture again and again, or none."""
 
     kind: Literal["camera_frozen", "camera_stalled"]
+    """``camera_frozen``: the same picture; ``camera_stalled``: none."""
 
 
 class PoseDelay(Timed):
     """What the tracker says comes late, all of it and in order."""
 
     kind: Literal["pose_delay"]
+    """What goes wrong."""
     delay_s: Positive
+    """How late."""
 
 
 class MessageFault(Timed):
     """Messages arrive twice, behind the next one, with a NaN, or cut short. ``robot``: those to and from this one."""
 
     kind: Literal["duplicated", "reordered", "not_a_number", "malformed"]
+    """``reordered``: behind the next one; ``malformed``: cut short."""
     topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
+    """Which messages."""
     robot: Name | None = None
+    """Those to and from this one; null: everybody's."""
     share: Share = 1.0
+    """Of the messages."""
 
 
 class Lost(Timed):
     """Messages do not arrive, one by one, or all of a robot's together in bursts of up to ``burst_s``."""
 
     kind: Literal["lost"]
+    """What goes wrong."""
     topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
+    """Which messages."""
     robot: Name | None = None
-    share: Share = 1.0  # of the messages; with bursts, of the time
+    """Those to and from this one; null: everybody's."""
+    share: Share = 1.0
+    """Of the messages; with bursts, of the time."""
     burst_s: NonNegative = 0.0
+    """The longest burst; 0: one message at a time."""
 
 
 class Late(Timed):
     """Messages arrive late by a log-normal time, each by its own: one may overtake another."""
 
     kind: Literal["late"]
+    """What goes wrong."""
     topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
+    """Which messages."""
     robot: Name | None = None
+    """Those to and from this one; null: everybody's."""
     median_s: Positive = 0.002
+    """Half of them are later."""
     p99_s: Positive = 0.06
+    """One in a hundred is later."""
 
 
 class NetworkCut(Timed):
     """Nothing passes between some processes and the others; what is ``held_back`` arrives at the end, all at once."""
 
     kind: Literal["network_cut"]
+    """What goes wrong."""
     processes: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
+    """Those on one side of the cut."""
     held_back: bool = False
+    """Whether what was said meanwhile arrives at the end."""
 
 
 class ProcessFault(Timed):
     """A process is killed and started again at the end, or it is stopped and goes on then."""
 
     kind: Literal["killed", "stopped"]
+    """``killed``: and started again at the end; ``stopped``: and continued then."""
     process: str
+    """Which one."""
 
 
 class ClockStep(Timed):
     """A process's clock jumps, and back at the end. In lockstep only: no process may set a real clock."""
 
     kind: Literal["clock_step"]
+    """What goes wrong."""
     process: str
-    step_s: float = Field(allow_inf_nan=False)
+    """Whose clock."""
+    step_s: Finite
+    """Forward, or back if negative."""
 
 
 class WholeFault(Timed):
     """The disk takes nothing any more, or a second controller wants to drive the same robots (in lockstep only)."""
 
     kind: Literal["disk_full", "second_controller"]
+    """``disk_full``: nothing can be written; ``second_controller``: it wants the same robots."""
 
 
 Fault = Annotated[

@@ -82,7 +82,7 @@ def _folder() -> Path:
     folder = Path(runtime) / "robofleet" if runtime else Path(f"/tmp/robofleet-{os.getuid()}")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if folder.stat().st_uid != os.getuid():  # in /tmp anybody may have made it
-        raise PermissionError(f"{folder} belongs to somebody else")
+        raise PermissionError(f"{folder} belongs to somebody else: set XDG_RUNTIME_DIR to a folder of yours")
     return folder
 
 

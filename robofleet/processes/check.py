@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import S
-from robofleet.config import slices
+from robofleet.config import barrier, slices
 from robofleet.config.faults import Complaint
 from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.config.troubles import BodyFault
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
-from robofleet.processes import fleet
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
@@ -90,14 +89,19 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     return complaints
 
 
-def proofs(config: Config) -> list[tuple[str, str, str]]:
-    """Return what was proved: (what, the tightest value, its limit)."""
+def proofs(config: Config) -> list[tuple[str, str, str, str]]:
+    """Return what was proved: (what, the tightest value, its limit, how much of it is used)."""
     tightest: dict[str, Bound] = {}
     for bound in _bounds(config):
         if bound.what not in tightest or bound.tightness > tightest[bound.what].tightness:
             tightest[bound.what] = bound
     return [
-        (b.what, _shown(b.value, b.unit), ("at least " if b.at_least else "at most ") + _shown(b.limit, b.unit))
+        (
+            b.what,
+            _shown(b.value, b.unit),
+            ("≥ " if b.at_least else "< " if b.strict else "≤ ") + _shown(b.limit, b.unit),
+            f"{b.tightness:.0%}",
+        )
         for b in tightest.values()
     ]
 
@@ -175,8 +179,8 @@ def _path(config: Config) -> Iterator[Bound]:
 
 def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
     radius = max(robot.vehicle.body_radius_m for robot in config.platoon)
-    keepout = fleet.keepout(config)
-    margin = max(from_edge(keepout, fleet.body(config, robot)) for robot in config.platoon) - radius
+    keepout = barrier.keepout(config)
+    margin = max(from_edge(keepout, barrier.body(config, robot)) for robot in config.platoon) - radius
     for axis, name in enumerate("xy"):
         reach = np.abs(lap.position[:, axis])
         k = int(reach.argmax())
@@ -213,10 +217,10 @@ def _spacing(config: Config, path: Path, lap: Lap) -> Iterator[Bound]:
     mend = f"a spacing of {_rounded_down(length / len(robots)):g} fits"
     what = "the platoon with a gap behind it, spacing_m a robot,"
     yield Bound("groups.0.spacing_m", what, len(robots) * spacing, length, "m", mend, strict=True)
-    keepout = fleet.keepout(config)
+    keepout = barrier.keepout(config)
     for one, other in itertools.pairwise(robots):
         fastest = min(float(np.abs(lap.v).max()), other.vehicle.max_speed_m_s)
-        near = apart(keepout, fleet.body(config, one), fleet.body(config, other)) + 2 * fastest / keepout.rate
+        near = apart(keepout, barrier.body(config, one), barrier.body(config, other)) + 2 * fastest / keepout.rate
         mend = f"the barrier would hold {other.id} back from {one.id}, so raise it"
         yield Bound("groups.0.spacing_m", "spacing_m", spacing, near, "m", mend, at_least=True)
 

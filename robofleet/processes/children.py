@@ -98,7 +98,7 @@ class Children:
             meanwhile()
             if clock.now_ns() > deadline_ns:
                 names = ", ".join(child.name for child in waiting)
-                raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s")
+                raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s: see {waiting[0].log}")
             readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
             for child in waiting:
                 if child.lifeline in readable and child.lifeline.recv(64):
@@ -111,7 +111,7 @@ class Children:
             if code is not None and not child.killed:
                 if code < 0:
                     raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
-                raise RunError(f"the {child.name} ended with exit code {code}{child.last_lines()}")
+                raise RunError(f"the {child.name} ended with exit code {code}: see {child.log}{child.last_lines()}")
 
     def reap(self, clock: Clock, *, but: int = 0, last_word: bytes = b"") -> None:
         """End every child but the first ones, each with a last word; kill what does not answer. Idempotent."""

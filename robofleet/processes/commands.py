@@ -14,15 +14,38 @@ if TYPE_CHECKING:
     from robofleet.processes.arena_file import ArenaFile
 
 app = typer.Typer()
+OPERATOR = "A running arena, from any terminal"
+PROCESSES = "One process of a run, by itself"
+
+
+def _running_names() -> list[str]:
+    """Return what a shell completes for ARENA."""
+    from robofleet.processes.arena_file import running  # noqa: PLC0415
+
+    return [there.arena for there in running()]
+
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration, with a named port.")]
-ArenaName = Annotated[str | None, typer.Argument(metavar="[ARENA]", help="Which one, where several have a run.")]
+ArenaName = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="ARENA",
+        help="arena.name of its configuration; it need not be said where only one has a run.",
+        autocompletion=_running_names,
+        show_default=False,
+    ),
+]
 LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATOR)
 def stop(arena: ArenaName = None) -> None:
-    """Emergency stop of a running arena: every robot stands at once, and its gate stays latched."""
+    """Emergency stop: every robot stands at once, and its gate stays latched, also through a restart.
+
+    $ robofleet stop
+
+    It says who has acknowledged, and when. Look at the robots; then robofleet reset, or robofleet run --reset.
+    """
     from robofleet.processes import operator  # noqa: PLC0415
 
     _told(*operator.stop(_running(arena)))
@@ -34,20 +57,23 @@ def _asking(what: str, described: str) -> None:
 
         _told(*operator.ask(_running(arena), what))
 
-    app.command(what, help=described)(command)
+    app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
 
 
-_asking("hold", "Let every robot of a running arena stand until it is resumed.")
+_asking("hold", "Let every robot stand; `robofleet resume` goes on.")
 _asking("resume", "Go on after a hold.")
 _asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATOR)
 def status(
     arena: ArenaName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
 ) -> None:
-    """What a running arena says of itself: its phase and the cause, each robot's gate, latch and battery."""
+    """How an arena stands: its phase and the cause, each robot's gate, latch and battery, and what can be done now.
+
+    $ robofleet status --json
+    """
     from robofleet.processes import operator  # noqa: PLC0415
 
     try:
@@ -62,6 +88,7 @@ def status(
         from robofleet.recording.report import status_table  # noqa: PLC0415
 
         Console().print(status_table(found))
+        print(found["next"] or "")
 
 
 def _running(arena: str | None) -> "ArenaFile":
@@ -88,23 +115,26 @@ def _process(name: str) -> None:
 
         getattr(child, name)(_for_one_process(config), Lifeline(lifeline))
 
-    app.command(name, help=f"The {name} of a run, as a process of its own.")(command)
+    app.command(name, help=f"The {name} of a run.\n\n$ robofleet {name} lab.yaml", rich_help_panel=PROCESSES)(command)
 
 
 for _name in ("router", "tracker"):
     _process(_name)
 
 
-@app.command()
+@app.command(rich_help_panel=PROCESSES)
 def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
-    """The supervisor of a run, as a process of its own."""
+    """The supervisor of a run.
+
+    $ robofleet supervisor lab.yaml
+    """
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
     child.supervisor(_for_one_process(config), Lifeline(lifeline), config.parent)
 
 
-@app.command()
+@app.command(rich_help_panel=PROCESSES)
 def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
     """The recorder of a run, as a process of its own: it writes run.mcap beside CONFIG."""
     from robofleet.processes import child  # noqa: PLC0415
@@ -115,26 +145,32 @@ def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
         child.recorder(tree, Lifeline(lifeline), config.parent)
 
 
-@app.command()
+@app.command(rich_help_panel=PROCESSES)
 def controller(
     config: ConfigFile,
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """The controller of a run, as a process of its own."""
+    """The controller of a run.
+
+    $ robofleet controller lab.yaml
+    """
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
     child.controller(_for_one_process(config), Lifeline(lifeline), take_over=takeover)
 
 
-@app.command()
+@app.command(rich_help_panel=PROCESSES)
 def driver(
     config: ConfigFile,
     robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
     lifeline: LifelineFd = None,
 ) -> None:
-    """The drivers of some robots, as a process of its own."""
+    """The drivers of some robots: what a robot's own computer runs.
+
+    $ robofleet driver lab.yaml --robots r1,r2
+    """
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 

@@ -52,35 +52,41 @@ class Controller:
         self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False
     ) -> None:
         robots, c = config.platoon, config.controller
-        self._clock = clock
+        self._config, self._clock = config, clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
-        self._leases = Leases(bus, [robot.id for robot in robots], slices.drawn_id(rng, 64), take_over=take_over)
+        session = self._epoch << 32 | slices.drawn_id(rng, 32)
+        self._leases = Leases(bus, [robot.id for robot in robots], session, take_over=take_over)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._first_delay_s = slices.delay_ns(config, robots[0]) / S
         self._lost_after_ns = round(c.filter.lost_after_s * S)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
-        self._behaviour = fleet.behaviour(config)
-        self._filter, self._barrier = fleet.fleet_filter(config), fleet.barrier(config)
         self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, [robot.id for robot in robots])
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._state = Inbox(bus.newest(STATE), RUN_STATE)
         self._commands = [bus.publisher(COMMAND, robot.id) for robot in robots]
-        self._wheels = [[0.0, 0.0]] * len(robots)  # as commanded at the newest tick
         self._seq = 0  # of the newest command
         self._publish_tick = bus.publisher(TICK)
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
+        self._timing = _Timing()
+        self._record = np.zeros((len(robots), 18))
+        self._begin()
+
+    def _begin(self) -> None:
+        """Know nothing of the fleet: at the start, and as long as somebody else drives these robots."""
+        n = len(self._rows)
+        self._behaviour = fleet.behaviour(self._config)
+        self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
+        self._wheels = [[0.0, 0.0]] * n  # as commanded at the newest tick
         self._phase = Phase.IDLE
         self._run_tick = -1
-        self._permitted = np.zeros(len(robots), dtype=np.bool_)
+        self._permitted = np.zeros(n, dtype=np.bool_)
         self._probe: tuple[int, int] = (NOBODY, 0)  # a robot, and the stroke that it does
         self._taken = (0, 0)  # epoch and seq of the newest poses
         self._exposure_ns = 0  # of the newest ones used
         self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
-        self._timing = _Timing()
-        self._record = np.zeros((len(robots), 18))
 
     def step(self, now_ns: int) -> int:
         """Do the newest tick that is due; ticks that were missed are counted and never made up.
@@ -104,8 +110,16 @@ class Controller:
         """Nothing to bring to rest: the gates close when commands cease."""
 
     def _tick(self, tick_ns: int) -> None:
-        self._read_state()
-        measured = self._read_poses()
+        silent = self._leases.refused
+        self._hear_drivers()
+        if self._leases.refused:  # somebody else drives these robots: not a word that could be taken for the other's
+            if not silent:
+                self._begin()
+            return
+        measured = [False] * len(self._rows)
+        if not silent:  # who begins anew takes nothing at first: by that the record tells it
+            self._read_state()
+            measured = self._read_poses()
         lost = tick_ns - self._filter.measured_ns > self._lost_after_ns
         running = self._phase is Phase.RUNNING
         self._run_tick += running
@@ -118,8 +132,6 @@ class Controller:
         self._try_wheels(decisions)
         self._filter.command(tick_ns, decisions[:, WHEELS])
         self._wheels = decisions[:, WHEELS].tolist()
-        if self._leases.refused:
-            return  # somebody else drives these robots: not a word that could be taken for the other's
         seq = self._seq
         for row in range(len(self._wheels)):
             self._command(row)
@@ -147,6 +159,8 @@ class Controller:
                 if self._phase is Phase.RUNNING and not resumed:
                     self._run_tick = -1
                     self._behaviour.restart()
+
+    def _hear_drivers(self) -> None:
         self._statuses.take()
         self._leases.update(self._statuses.newest)
 

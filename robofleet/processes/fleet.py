@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 
-from robofleet.clock import S
 from robofleet.config import slices
-from robofleet.config.tree import Config, Robot
+from robofleet.config.barrier import body, keepout
+from robofleet.config.tree import Config
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.path import Path
 from robofleet.control.platoon import Platoon, PlatoonSettings
-from robofleet.safety.barrier import Barrier, Body, Keepout
+from robofleet.safety.barrier import Barrier
 from robofleet.tracking.estimator import FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -44,21 +44,6 @@ def fleet_filter(config: Config) -> FleetFilter:
 def barrier(config: Config) -> Barrier:
     """Return the barrier of the group."""
     return Barrier(keepout(config), tuple(body(config, robot) for robot in config.platoon))
-
-
-def keepout(config: Config) -> Keepout:
-    """Return what the barrier keeps."""
-    c = config.controller
-    b, pose_error_m = c.barrier, c.filter.gate_sigma * c.filter.position_noise_m  # an image further off is not used
-    return Keepout(
-        b.gap_m, b.ahead_m, b.rate_per_s, pose_error_m, b.age_s, c.filter.lost_after_s, c.point_ahead_m, c.tick_s,
-        config.arena.size_m,
-    )  # fmt: skip
-
-
-def body(config: Config, robot: Robot) -> Body:
-    """Return what the barrier must know of a robot."""
-    return Body(slices.drive(robot), robot.vehicle.body_radius_m, slices.delay_ns(config, robot) / S)
 
 
 def _platoon(config: Config) -> Platoon:

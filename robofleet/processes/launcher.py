@@ -19,6 +19,7 @@ from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
+from robofleet.safety.advice import advised
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
@@ -163,7 +164,7 @@ class Launcher:
             self._phase, self._terminal.note = phase, ""
 
     def _outcome(self, state: RunState) -> Outcome:
-        cause = run_cause(state, self._robots)
+        cause = advised(run_cause(state, self._robots), state.cause)
         if state.phase == Phase.ESTOP:
             raise EmergencyError(cause)
         if state.cause == Event.ARMED_TOO_LONG:
@@ -185,9 +186,11 @@ class Launcher:
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
         stopped = emergency_stop(self._bus, self._clock, self._arena, self._robots)
+        next_step = ""
         if not stopped.silent:
             self._rest()
-        return "stopped", f"emergency stop ({why}); {stopped.describe()}"
+            next_step = ": look at the robots, then start with --reset"
+        return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
 
     def _rest(self) -> None:
         deadline_ns = self._clock.now_ns() + _REST_WITHIN_NS
@@ -221,7 +224,7 @@ class Launcher:
         self._faults.step()
         self._fleet.check()
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
-            raise RunError("the supervisor went silent")
+            raise RunError(f"the supervisor went silent: see {self._folder}/log/supervisor.log")
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)
         return state

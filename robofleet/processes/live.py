@@ -28,10 +28,11 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.processes.live_state import arming, banner, foot
+from robofleet.processes.live_state import arming, banner, keys
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.recording.run import Recording
+from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.tracking.events import describe
 
@@ -85,11 +86,13 @@ class LiveView:
         tick = self._newest(recording, TICK, TICK_RECORD)
         state = self._newest(recording, STATE, RUN_STATE)
         if self._phase == "held" and state is not None:
-            return f"held: {run_cause(state, self._ids)}: `robofleet resume` goes on, Ctrl-C ends the run"
+            cause = advised(run_cause(state, self._ids), state.cause)
+            return f"held: {cause}: `robofleet resume` goes on, Ctrl-C ends the run"
         if self._phase != "running" or tick is None:
             return self._phase
         errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
-        return f"running {self._time(tick):5.1f} s: control errors {errors} mm, {self._overruns(tick)} overruns"
+        when = f"{self._time(tick):5.1f} s of {self._config.run.duration_s:g} s"
+        return f"running {when}: control errors {errors} mm, {self._overruns(tick)} overruns"
 
     def picture(self, recording: Recording, phase: str) -> Group:
         """Return what the terminal shows."""
@@ -103,12 +106,12 @@ class LiveView:
         line = Table.grid()
         checks = Text(arming(state, self._ids), "cyan") if phase == "arming" and state is not None else None
         line.add_row(head, checks or ProgressBar(duration_s, self._reached_s, width=50))
-        parts: list[Any] = [line]
-        if state is not None and (seen := banner(state, self._ids, self._terminal.present)) is not None:
+        parts: list[Any] = [line, keys(self._terminal)]  # what a terminal that is too low cuts off comes last
+        if state is not None and (seen := banner(state, self._ids, by_key=self._terminal.present)) is not None:
             parts += ["", seen]
         if tick is not None:
-            parts += ["", self._robots(recording, tick, state), "", self._health(recording, tick)]
-        return Group(*parts, "", foot(self._terminal))
+            parts += ["", self._health(recording, tick), "", self._robots(recording, tick, state)]
+        return Group(*parts)
 
     def _robots(self, recording: Recording, tick: TickRecord, state: RunState | None) -> Table:
         table = Table("robot", box=None, padding=(0, 2, 0, 0), header_style="bold")

@@ -7,6 +7,7 @@ from rich.text import Text
 from robofleet.comms.messages import RunState
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.causes import run_cause
+from robofleet.safety.advice import advised
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Phase
 from robofleet.safety.wiggle import STROKES
@@ -36,28 +37,30 @@ def _stroke(index: int) -> str:
     return f"{wheels} {'forwards' if max(left, right) > 0.0 else 'backwards'}" if wheels else "it must stand"
 
 
-def banner(state: RunState, robots: tuple[str, ...], keys: bool) -> Panel | None:
+def banner(state: RunState, robots: tuple[str, ...], *, by_key: bool) -> Panel | None:
     """Return what must be seen: why the fleet stands, and what to do."""
+    cause = advised(run_cause(state, robots), state.cause)
     if state.phase == Phase.HOLD:
-        how = "press r and the run goes on; q ends it" if keys else "`robofleet resume` goes on; Ctrl-C ends the run"
-        return _panel("HOLD", run_cause(state, robots), f"Every robot stands. Look, mend it, then {how}.", "yellow")
+        how = "press r and the run goes on; q ends it" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
+        return _panel("HOLD", cause, f"Every robot stands. Look, mend it, then {how}.", "yellow")
     if state.phase == Phase.ESTOP:
         silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
         what = f"NOT acknowledged by {', '.join(silent)}" if silent else "Every robot has latched its gate."
-        return _panel("EMERGENCY STOP", run_cause(state, robots), what, "red")
+        return _panel("EMERGENCY STOP", cause, what, "red")
     if state.phase == Phase.FAULT:
-        return _panel("FAULT", run_cause(state, robots), "Every robot stands.", "red")
+        return _panel("FAULT", cause, "Every robot stands.", "red")
     return None
 
 
-def foot(terminal: Terminal) -> Text:
-    """Return the last lines: what was answered, and the keys."""
+def keys(terminal: Terminal) -> Text:
+    """Return the keys, and what was answered to the last one."""
     text = Text()
-    if terminal.note:
-        text.append(f"{terminal.note}\n\n", "red" if terminal.note.startswith("refused") else "green")
     if terminal.present:
+        text.append("\n")
         for key, does in _KEYS:
             text.append(f" {key} ", "bold red reverse" if key == "e" else "reverse").append(f" {does}   ")
+    if terminal.note:
+        text.append(f"\n\n{terminal.note}", "red" if terminal.note.startswith("refused") else "green")
     return text
 
 

@@ -15,12 +15,15 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import ArenaFile, running
 from robofleet.processes.estop import emergency_stop
 from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.requests import WAY_OUT
 from robofleet.safety.supervisor import Phase
 
 _CONNECT_WITHIN_S = 1.0
 _LISTEN_NS = 300 * MS
 _POLL_NS = 2 * MS
+_SILENT = "nobody grants the robots to move: end the run with Ctrl-C in its terminal, and see its supervisor's log"
 _BETWEEN_NS = 100 * MS  # two signals at once are one
 
 
@@ -37,13 +40,13 @@ def chosen(name: str | None) -> ArenaFile:
     there = running()
     names = ", ".join(arena.arena for arena in there)
     if not there:
-        raise NoArenaError("no arena has a run")
+        raise NoArenaError("no arena has a run: start one with `robofleet run CONFIG`")
     if name is None and len(there) > 1:
         raise NoArenaError(f"several arenas have a run: name one of {names}")
     for arena in there:
         if name in (None, arena.arena):
             return arena
-    raise NoArenaError(f"the arena {name} has no run (running: {names})")
+    raise NoArenaError(f"the arena {name} has no run: name one of {names}")
 
 
 def stop(there: ArenaFile) -> tuple[bool, str]:
@@ -56,11 +59,14 @@ def stop(there: ArenaFile) -> tuple[bool, str]:
         with _reached(there, clock) as bus:
             stopped = emergency_stop(bus, clock, there.arena, there.robots)
             return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
-    except UnreachableError as error:
+    except UnreachableError:
         os.kill(there.pid, signal.SIGTERM)
         clock.sleep_until(clock.now_ns() + _BETWEEN_NS)
         os.kill(there.pid, signal.SIGTERM)
-        return False, f"{error}: the launcher was told to end every process; no robot has acknowledged: go and look"
+        return False, (
+            f"the bus of {there.arena} does not answer: the launcher was told to end every process; "
+            "no robot has acknowledged: go and look"
+        )
 
 
 def ask(there: ArenaFile, what: str) -> tuple[bool, str]:
@@ -70,8 +76,10 @@ def ask(there: ArenaFile, what: str) -> tuple[bool, str]:
         with _reached(there, clock) as bus:
             answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
             return answer.startswith("ok"), answer
-    except (UnreachableError, TimeoutError) as error:
+    except UnreachableError as error:
         return False, str(error)
+    except TimeoutError as error:
+        return False, f"{error}: end the run with Ctrl-C in its terminal, or with `kill {there.pid}`"
 
 
 def status(there: ArenaFile) -> dict[str, Any]:
@@ -97,7 +105,8 @@ def status(there: ArenaFile) -> dict[str, Any]:
         "pid": there.pid,
         "endpoint": there.endpoint,
         "phase": None if state is None else named(Phase, state.phase),
-        "cause": None if state is None else run_cause(state, there.robots),
+        "cause": None if state is None else advised(run_cause(state, there.robots), state.cause),
+        "next": _SILENT if state is None else WAY_OUT.get(state.phase),
         "robots": [
             _robot(robot, newest.get(robot), "" if state is None else halt_cause(state, row), clock.now_ns())
             for row, robot in enumerate(there.robots)
@@ -129,7 +138,9 @@ def _reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
     joining.start()
     joining.join(_CONNECT_WITHIN_S)
     if not joined:
-        raise UnreachableError(f"the bus of {there.arena} at {there.endpoint} does not answer")
+        raise UnreachableError(
+            f"the bus of {there.arena} at {there.endpoint} does not answer: end the run with `kill {there.pid}`"
+        )
     try:
         yield joined[0]
     finally:

@@ -1,17 +1,50 @@
 """The commands that look at a run afterwards, from the file that it left."""
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from robofleet.clock import S
+from robofleet.clock import S, stopwatch_ns
 from robofleet.processes.refusal import RefusedError, bad_input
 
 app = typer.Typer()
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
+
+
+@app.command()
+def replay(run: RunFolder) -> None:
+    """Let today's controller take what a recorded one took, tick by tick, and compare all that it says.
+
+    Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
+    different, or could not be compared.
+
+    robofleet replay runs/20260102T030405Z-platoon
+    """
+    from robofleet.processes import replay as replaying  # noqa: PLC0415
+    from robofleet.processes.controller import compile_kernels  # noqa: PLC0415
+    from robofleet.recording.reading import RecordingError, read  # noqa: PLC0415
+
+    times_ns = [stopwatch_ns()]
+    with bad_input():
+        try:
+            recording = read(run)
+            times_ns.append(stopwatch_ns())
+            compile_kernels(recording.config)
+            times_ns.append(stopwatch_ns())
+            verdict = replaying.replay(recording, replaying.tolerance(recording))
+        except RecordingError as error:
+            raise RefusedError(str(error)) from error
+    times_ns.append(stopwatch_ns())
+    reading_s, loading_s, driving_s = ((after - before) / S for before, after in pairwise(times_ns))
+    lasted_s, took_s = verdict.ticks * recording.config.controller.tick_s, reading_s + driving_s
+    speed = f"{lasted_s:.1f} s in {took_s:.2f} s, {lasted_s / took_s:.0f} x real time; kernels in {loading_s:.1f} s"
+    print("\n".join(verdict.lines()), f"({speed})")
+    if not verdict.equal:
+        raise typer.Exit(1)
 
 
 @app.command()

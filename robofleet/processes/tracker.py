@@ -13,6 +13,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
+from robofleet.processes.pictures import Pictures
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses
 from robofleet.simulation.sources import TruthSource
@@ -62,17 +63,24 @@ class Tracker:
         self._publish = bus.publisher(POSES, CAMERA)
         self._publish_news = bus.publisher(NEWS, CAMERA)
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
+        self._pictures = Pictures(config, bus, clock, wake, self._epoch)
         self._seq = 0
         self._news_seq = 0
         self._refused = 0
 
     def step(self, now_ns: int) -> int:
-        """Publish the observation that is ready, if one is."""
+        """Publish the observation that is ready, if one is; a picture waits until there is none."""
         self._ticks.update()
+        self._pictures.answer(now_ns)
         observation = self._source.observe(now_ns)
         if observation is not None:
             self._send(observation, self._clock.now_ns() - now_ns)
+            self._pictures.offer(observation.image, observation.exposure_ns, now_ns)
         self._tell(self._source.news())
+        if observation is None:
+            self._pictures.publish()
+        elif self._pictures.waits:
+            return now_ns + 1
         next_ns = self._source.next_ns()
         return now_ns + _IDLE_NS if next_ns is None else next_ns
 
@@ -162,7 +170,7 @@ class _CameraPoses:
         sight = self._sight.see(taken.image, taken.exposure_ns)
         self._seen += sight.happenings
         poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi) for r in sight.robots)
-        return Observation(taken.exposure_ns, poses, sight.refused)
+        return Observation(taken.exposure_ns, poses, sight.refused, taken.image)
 
     def news(self) -> tuple[Happening, ...]:
         seen = tuple(self._seen)

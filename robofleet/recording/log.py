@@ -20,6 +20,7 @@ from robofleet.config.tree import Config
 from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, keys, schema
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
+from robofleet.recording.scene import Scene
 
 FILE = "run.mcap"
 PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: robofleet's version, the messages'
@@ -56,6 +57,9 @@ class RunLog:
         self._kept: list[Attachment | Metadata] = []  # until they are in the file
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
+        self._scene = Scene(config, epoch_ns=epoch_ns)
+        for topic, name, descriptor in self._scene.channels:
+            self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
         self._flushed_ns = 0
         self.messages = 0  # that came
         self.dropped = 0  # that are not in the file
@@ -70,7 +74,10 @@ class RunLog:
         channel = self._channels.get(full) or self._register(full)
         self.messages += 1
         self._waiting += 1
-        self._container.add_message(channel, self.messages & 0xFFFFFFFF, at_ns + self._epoch_ns, payload)
+        log_ns = at_ns + self._epoch_ns
+        self._container.add_message(channel, self.messages & 0xFFFFFFFF, log_ns, payload)
+        for topic, drawn in self._scene.update(full, payload, at_ns):
+            self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
         if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
             self._write()
 

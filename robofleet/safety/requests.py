@@ -15,7 +15,7 @@ _MET = {
     Event.ESTOP_REQUESTED: (Phase.ESTOP,),
     Event.RESET: (Phase.IDLE,),
 }
-WAY_OUT = {
+WAY_OUT: dict[int, str] = {  # by phase
     Phase.IDLE: "nothing runs: start it",
     Phase.ARMED: "the checks are under way: wait for them, or stop",
     Phase.RUNNING: "the run goes on: hold it, or stop it",

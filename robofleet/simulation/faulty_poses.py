@@ -107,6 +107,8 @@ class FaultyPoses:
             delay_s = max((i.fault.delay_s for i in self._delays if i.strike(at_ns)), default=0.0)
             if not delay_s and not self._held:
                 return observation
+            if observation.image is not None:
+                observation = observation._replace(image=observation.image.copy())  # the camera writes over it
             last_ns = self._held[-1][0] if self._held else 0
             self._held.append((max(last_ns + 1, now_ns + round(delay_s * S)), observation))
         return self._held.popleft()[1] if self._held and self._held[0][0] <= now_ns else None

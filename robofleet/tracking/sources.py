@@ -137,6 +137,7 @@ class Observation(NamedTuple):
     exposure_ns: int  # mid-exposure [this host's clock]
     poses: tuple[TagPose, ...]
     refused: int
+    image: NDArray[np.uint8] | None = None  # to look at, until the next one; None: there is no camera
 
 
 class PoseSource(Protocol):

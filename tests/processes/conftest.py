@@ -34,6 +34,7 @@ LAYOUTS: dict[Topic, Any] = {
     keys.TICK: messages.TICK_RECORD,
     keys.NEWS: messages.TRACKER_NEWS,
     keys.RECORDER: messages.RECORDER_STATUS,
+    keys.PICTURE: messages.PICTURE,
 }
 
 

@@ -56,7 +56,7 @@ def test_no_wheel_passes_its_limit_along_the_whole_path() -> None:
     assert np.abs(wheels).max() < vehicle.max_wheel_speed_rad_s
     assert np.abs(body).max() < vehicle.max_speed_m_s
 
-    proved = {what: float(value.split()[0]) for what, value, _ in proofs(config)}
+    proved = {what: float(value.split()[0]) for what, value, *_ in proofs(config)}
     assert proved["the fastest wheel along the path"] == pytest.approx(np.abs(wheels).max(), rel=1e-3)
     assert proved["the highest speed along the path"] == pytest.approx(np.abs(body).max(), rel=1e-3)
 
@@ -150,11 +150,11 @@ def test_each_kind_of_robot_is_held_to_its_own_limits() -> None:
 
 
 def test_the_proofs_show_the_tightest_value_beside_its_limit() -> None:
-    table = {what: (value, limit) for what, value, limit in proofs(platoon("controller.integrator=euler"))}
-    assert table["Euler's gain, alpha * tick_s,"] == ("1.485", "at most 2")
-    assert table["point_ahead_m"] == ("0.08 m", "at most 0.125 m")
-    assert table["the fastest wheel along the path"][1] == "at most 12.5 rad/s"
-    assert table["the distance between two robots at the start"] == ("0.1892 m", "at least 0.11 m")
+    table = {what: (value, limit, used) for what, value, limit, used in proofs(platoon("controller.integrator=euler"))}
+    assert table["Euler's gain, alpha * tick_s,"] == ("1.485", "< 2", "74%")
+    assert table["point_ahead_m"] == ("0.08 m", "≤ 0.125 m", "64%")
+    assert table["the fastest wheel along the path"][1] == "≤ 12.5 rad/s"
+    assert table["the distance between two robots at the start"] == ("0.1892 m", "≥ 0.11 m", "58%")
 
 
 def test_a_refusal_is_reported_at_its_line_and_column(tmp_path: FilePath) -> None:

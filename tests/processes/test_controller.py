@@ -27,7 +27,7 @@ class Stand:
         self.origin_ns = bench.now_ns
         self.node = Controller(bench.config, bench.bus, bench.clock, np.random.default_rng(1))
         drawn = np.random.default_rng(1)
-        self.session = [slices.drawn_id(drawn, bits) for bits in (32, 64)][1]  # whom the drivers have granted a lease
+        self.session = slices.drawn_id(drawn, 32) << 32 | slices.drawn_id(drawn, 32)  # that the drivers were granted to
 
     @property
     def tick(self) -> int:

@@ -125,6 +125,14 @@ def test_keys_are_offered_where_somebody_can_press_them(view: View) -> None:
     assert "refused: r2's tag is not seen" in shown
 
 
+def test_the_keys_come_before_what_a_low_terminal_cuts_off(view: View) -> None:
+    view.terminal = Attended()
+    lines = view.shown("running").splitlines()
+    keys = next(i for i, line in enumerate(lines) if "emergency stop" in line)
+    assert keys <= 2
+    assert all(i > keys for i, line in enumerate(lines) if line.startswith("r1"))
+
+
 def test_values_of_another_version_break_nothing(view: View) -> None:
     view.gate("r1", 77, 77)
     view.gate("r2", 77, 0)

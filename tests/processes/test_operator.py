@@ -31,6 +31,7 @@ def test_hold_status_resume_stop(real_run: Start) -> None:
     run.wait_for(lambda: "\nheld: hold requested" in run.said)
     found = json.loads(run.robofleet("status", "--json").stdout)
     assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
+    assert found["next"] == "the run is held: resume it, or stop it"
     assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
     (robot,) = found["robots"]
     assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == ("r1", "no enable", "none", None)
@@ -89,7 +90,8 @@ def test_without_a_run_there_is_nothing_to_stop(real_run: Start) -> None:
     assert run.ended(20) == 2
     for command in ("stop", "hold", "resume", "reset", "status"):
         done = run.robofleet(command)
-        assert (done.returncode, done.stdout, done.stderr) == (2, "", "no arena has a run\n"), command
+        answer = "no arena has a run: start one with `robofleet run CONFIG`\n"
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", answer), command
 
 
 def test_stop_waits_for_no_heavy_library() -> None:
@@ -129,7 +131,7 @@ def test_of_several_arenas_one_is_named(runtime: Path, platoon_of: ConfigOf) -> 
         assert operator.chosen("lab").arena == "lab"
         with pytest.raises(operator.NoArenaError, match="name one of lab, platoon"):
             operator.chosen(None)
-        with pytest.raises(operator.NoArenaError, match=r"the arena attic has no run \(running: lab, platoon\)"):
+        with pytest.raises(operator.NoArenaError, match="the arena attic has no run: name one of lab, platoon"):
             operator.chosen("attic")
 
 

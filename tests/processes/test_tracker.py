@@ -52,7 +52,7 @@ class Stand:
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, 0, 0, 0, 0, 0, 0, ()))
+        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 10, ()))
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_a_tick_that_came_late_is_not_mistaken_for_one_before_the_first(stand_of
     stand = stand_of("tracker.source=truth")
     stand.bench.wait(late_ms * MS)
     stamp_ns = stand.bench.now_ns - late_ms * MS
-    stand.bench.say(TICK, TickRecord(1, 1, 1, -1, stamp_ns, 0, 0, 0, 0, 0, 0, ()))
+    stand.bench.say(TICK, TickRecord(1, 1, 1, -1, stamp_ns, *[0] * 10, ()))
     stand.bench.run(stand.node, S // 10)
     (frame,) = stand.bench.heard(POSES, CAMERA)
     assert frame.exposure_ns == stamp_ns + TICK_NS - LEAD_NS

@@ -168,7 +168,7 @@ def test_a_camera_that_waits_for_ticks_stalls_only_while_they_come(plugged: Make
     ticks = iter(range(1, 1000))
 
     def tick() -> None:
-        stand.bench.say(TICK, TickRecord(1, 1, next(ticks), -1, stand.bench.now_ns, 0, 0, 0, 0, 0, 0, ()))
+        stand.bench.say(TICK, TickRecord(1, 1, next(ticks), -1, stand.bench.now_ns, *[0] * 10, ()))
         assert stand.woken.acquire(timeout=10)
 
     tick()

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.simulated import SimulatedRobot
 from robofleet.clock import MS, S
-from robofleet.config.tree import FilterSettings
+from robofleet.config.controller import FilterSettings
 from robofleet.tracking.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import S
-from robofleet.config.tree import Config, Robot
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
 from robofleet.processes.storm.gates import intervals
 from robofleet.processes.storm.verdict import Violation
 

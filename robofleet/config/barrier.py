@@ -1,0 +1,22 @@
+"""From the configuration's tree to what the barrier takes: the controller keeps it, checks and pictures show it."""
+
+from robofleet.clock import S
+from robofleet.config import slices
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
+from robofleet.safety.barrier import Body, Keepout
+
+
+def keepout(config: Config) -> Keepout:
+    """Return what the barrier keeps."""
+    c = config.controller
+    b, pose_error_m = c.barrier, c.filter.gate_sigma * c.filter.position_noise_m  # an image further off is not used
+    return Keepout(
+        b.gap_m, b.ahead_m, b.rate_per_s, pose_error_m, b.age_s, c.filter.lost_after_s, c.point_ahead_m, c.tick_s,
+        config.arena.size_m,
+    )  # fmt: skip
+
+
+def body(config: Config, robot: Robot) -> Body:
+    """Return what the barrier must know of a robot."""
+    return Body(slices.drive(robot), robot.vehicle.body_radius_m, slices.delay_ns(config, robot) / S)

@@ -1,0 +1,99 @@
+"""The robots of a configuration: what the controller believes of a kind of robot, and what a simulated one is like."""
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from robofleet.config.calibrated import RobotCalibration
+from robofleet.config.model import LAST_TAG, Finite, Fraction, Model, Name, NonNegative, Positive
+from robofleet.vehicles.interface import Wiring
+
+
+class PlantErrors(Model):
+    """How far a simulated robot is from ideal. Spreads are half widths of a uniform draw, one a run."""
+
+    motor_lag_s: NonNegative
+    """Time constant of the wheel-speed loop."""
+    speed_quantum_rad_s: NonNegative
+    """One encoder count in one period of the loop; 0: continuous."""
+    loop_period_s: Positive
+    """Of the robot's own wheel-speed loop."""
+    deadband_rad_s: NonNegative
+    """A turning wheel stops when less is commanded."""
+    breakaway_rad_s: NonNegative
+    """A wheel at rest stays there when less is commanded."""
+    actuation_delay_s: NonNegative = 0.0
+    """From a command's arrival to the moment when the wheels begin to follow it."""
+    wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0
+    """Of both wheels' travel, relative."""
+    wiring: Wiring = "straight"
+    """Of motors and encoders together."""
+    wheel_gain_spread: Fraction
+    """Of each wheel's travel, relative."""
+    wheel_base_spread: Fraction
+    """Of the wheel base, relative."""
+    slip_s_per_rad: NonNegative
+    """Share of a wheel's travel that is lost at a yaw rate of 1 rad/s."""
+    slip_noise: NonNegative
+    """Standard deviation of the slip, relative to it."""
+    top_speed_sag: Fraction
+    """Share of the top speed that is lost when the battery is empty."""
+    battery_life_s: Positive
+    """From full to empty."""
+
+
+class Vehicle(Model):
+    """A kind of robot (a file of ``configs/robots``): what the controller believes, and the errors."""
+
+    wheel_radius_m: Positive
+    """As believed."""
+    wheel_base_m: Positive
+    """Between the wheels' points of contact."""
+    body_radius_m: Positive
+    """Of the smallest disc around everything that can touch, about the middle of the axle."""
+    max_wheel_speed_rad_s: Positive
+    """No wheel is asked for more."""
+    max_speed_m_s: Positive
+    """The robot is asked for no more."""
+    max_wheel_acceleration_rad_s2: Positive
+    """The fastest change of a wheel's speed that the gate asks for."""
+    motor_lag_s: NonNegative
+    """Time constant of the wheel-speed loop, as believed."""
+    simulated: PlantErrors
+    """What a simulated robot of this kind is like."""
+
+
+class StartPose(Model):
+    """Where a simulated robot's centre stands at first [world frame]."""
+
+    x_m: Finite
+    """From the arena's centre, along its long side."""
+    y_m: Finite
+    """To the left of it."""
+    heading_deg: Finite
+    """From the x axis, counter-clockwise."""
+
+    @property
+    def psi(self) -> float:
+        """Heading in (-pi, pi] [rad]."""
+        return math.remainder(math.radians(self.heading_deg), math.tau)
+
+
+class Robot(Model):
+    """One robot of the fleet."""
+
+    id: Name
+    """Its name on the bus, in messages and in the summary."""
+    tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
+    """The id of its AprilTag, of the family 36h11."""
+    tag_height_m: NonNegative | None = None
+    """Of its tag above the floor; null: ``tracker.tag_height_m``."""
+    driver: Annotated[str, Field(min_length=1)] = "simulated"
+    """What moves it: an entry point of ``robofleet.drivers``, or a class, ``module:Class``."""
+    vehicle: Vehicle
+    """The kind of robot that it is."""
+    calibration: RobotCalibration | None = None
+    """What ``tools/calibrate.py`` measured of it; null: nothing was."""
+    start: StartPose
+    """Where it stands at first, if it is simulated."""

@@ -1,0 +1,126 @@
+"""The fleet as viewers draw it: frames that move, and shapes in them."""
+
+from collections.abc import Sequence
+
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.message import Message
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from robofleet.clock import S
+from robofleet.comms.messages import TICK_RECORD, TRUTH, RobotTick, RunState
+from robofleet.config.tree import Config
+from robofleet.recording import shapes
+from robofleet.recording.shapes import WORLD, Look
+from robofleet.safety.supervisor import Phase
+
+_STOPPED = (Phase.HOLD, Phase.FAULT, Phase.ESTOP)
+
+Said = Sequence[tuple[str, Message]]  # (topic, message)
+
+
+def stamp(date_ns: int) -> Timestamp:
+    """Return a date [ns since 1970]."""
+    seconds, nanos = divmod(date_ns, S)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def pose_topic(robot: str) -> str:
+    """Return where a robot's pose is told."""
+    return f"/robots/{robot}/pose"
+
+
+class FleetScene:
+    """Told what is known of the robots, it draws what is new. Rows are in the group's order, times are dates [ns]."""
+
+    def __init__(self, config: Config) -> None:
+        self._config, self._robots = config, config.platoon
+        self.state: RunState | None = None  # as the supervisor said it last
+        self.latches = [0] * len(self._robots)  # safety.gate.Latch
+        self._ticked: tuple[int, bytes] | None = None  # the newest tick not drawn yet, and its date
+        self._truths: dict[int, tuple[int, bytes]] = {}  # the same of every robot's truth
+        self._items: tuple[RobotTick, ...] = ()  # of the tick drawn last
+        self._seen: set[int] = set()  # rows; the others' estimates mean nothing
+        self._looks: dict[int, Look] = {}  # as drawn
+        self._references: list[int] = []  # rows; as drawn
+
+    def tick(self, payload: bytes, date_ns: int) -> Said:
+        """Take the controller's record; it is drawn later."""
+        self._ticked = date_ns, payload
+        return ()
+
+    def truth(self, row: int, payload: bytes, date_ns: int) -> Said:
+        """Take a simulated robot's true state; it is drawn later."""
+        self._truths[row] = date_ns, payload
+        return ()
+
+    def draw(self, date_ns: int) -> Said:
+        """Return what is new since the last call."""
+        said, frames = self._estimates()
+        frames += self._true_frames()
+        if frames:
+            said.append(("/tf", FrameTransforms(transforms=frames)))
+        looks = {row: self._look(row) for row in self._seen}
+        if looks != self._looks:
+            self._looks, at = looks, stamp(date_ns)
+            bodies = [shapes.robot(self._config, self._robots[row], look, at) for row, look in looks.items()]
+            said.append(("/fleet", SceneUpdate(entities=bodies)))
+        return said
+
+    def _estimates(self) -> tuple[list[tuple[str, Message]], list[FrameTransform]]:
+        """Where the newest tick says that the robots are, and are to be."""
+        said: list[tuple[str, Message]] = []
+        frames: list[FrameTransform] = []
+        (date_ns, payload), self._ticked = self._ticked or (0, b""), None
+        tick = TICK_RECORD.decode(payload)
+        if tick is None or len(tick.robots) != len(self._robots):
+            return said, frames
+        self._items, at = tick.robots, stamp(date_ns)
+        self._seen.update(row for row, item in enumerate(self._items) if not item.lost)
+        for row in sorted(self._seen):
+            robot, item = self._robots[row].id, self._items[row]
+            frames.append(_frame(robot, at, item.x_m, item.y_m, item.psi_rad))
+            pose = Pose(position=Vector3(x=item.x_m, y=item.y_m), orientation=shapes.turned(item.psi_rad))
+            said.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
+        referring = [row for row in sorted(self._seen) if tick.phase == Phase.RUNNING and self._permitted(row)]
+        if referring or self._references:
+            shape = shapes.references({row: self._items[row] for row in referring}, at)
+            said.append(("/references", SceneUpdate(entities=[shape])))
+        self._references = referring
+        return said, frames
+
+    def _true_frames(self) -> list[FrameTransform]:
+        frames = []
+        for row, (date_ns, payload) in self._truths.items():
+            if (truth := TRUTH.decode(payload)) is not None:
+                child = f"{self._robots[row].id}/truth"
+                frames.append(_frame(child, stamp(date_ns), truth.x_m, truth.y_m, truth.psi_rad))
+        self._truths.clear()
+        return frames
+
+    def _look(self, row: int) -> Look:
+        state = self.state
+        if self.latches[row]:
+            return Look.LATCHED
+        if self._items[row].lost:
+            return Look.LOST
+        if state is None or row >= len(state.robots):
+            return Look.STANDING
+        if state.robots[row].cause or state.phase in _STOPPED:
+            return Look.HALTED
+        return Look.RUNNING if state.robots[row].permitted else Look.STANDING
+
+    def _permitted(self, row: int) -> bool:
+        state = self.state
+        return state is not None and row < len(state.robots) and bool(state.robots[row].permitted)
+
+
+def _frame(child: str, at: Timestamp, x: float, y: float, psi: float) -> FrameTransform:
+    return FrameTransform(
+        timestamp=at, parent_frame_id=WORLD, child_frame_id=child, translation=Vector3(x=x, y=y),
+        rotation=shapes.turned(psi),
+    )  # fmt: skip

@@ -1,0 +1,58 @@
+"""A run's messages as the lines of a log: what changed, and why."""
+
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import NamedTuple
+
+from robofleet.comms.messages import RunState, TrackerNews
+from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import Phase
+from robofleet.tracking.events import TrackerEvent, describe
+
+
+class Level(IntEnum):
+    """How grave a line is."""
+
+    INFO = 2
+    WARNING = 3
+    ERROR = 4
+
+
+class Line(NamedTuple):
+    """One line."""
+
+    level: Level
+    name: str  # of the process, or of the robot
+    words: str
+
+
+_GRAVE = {Phase.HOLD: Level.WARNING, Phase.FAULT: Level.ERROR, Phase.ESTOP: Level.ERROR}
+_GOOD_NEWS = (TrackerEvent.TAG_FOUND, TrackerEvent.CAMERA_BACK, TrackerEvent.CAMERA_ENDED)
+
+
+def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...]) -> Iterator[Line]:
+    """Yield what the supervisor's word says that the one before did not; ``robots`` in the group's order."""
+    if before is None or (before.phase, before.cause, before.robot) != (state.phase, state.cause, state.robot):
+        grave = next((level for phase, level in _GRAVE.items() if phase == state.phase), Level.INFO)
+        why = f": {run_cause(state, robots)}" if state.cause else ""
+        yield Line(grave, "supervisor", f"{named(Phase, state.phase)}{why}")
+    for row, robot in enumerate(robots):
+        was, now = "" if before is None else halt_cause(before, row), halt_cause(state, row)
+        if now and now != was:
+            yield Line(Level.WARNING, robot, f"stands still: {now}")
+        elif was and not now:
+            yield Line(Level.INFO, robot, "may move again")
+
+
+def latch_line(robot: str, latch: int) -> Line:
+    """Return that a robot's gate was latched, or cleared."""
+    if latch == Latch.NONE:
+        return Line(Level.INFO, robot, "gate cleared")
+    return Line(Level.INFO if latch == Latch.DRILL else Level.ERROR, robot, f"gate latched: {named(Latch, latch)}")
+
+
+def news_line(news: TrackerNews) -> Line:
+    """Return what happened to the camera or to a tag."""
+    level = Level.INFO if news.event in _GOOD_NEWS else Level.WARNING
+    return Line(level, "tracker", describe(news.event, news.tag, news.value))

@@ -1,0 +1,112 @@
+"""The camera's pictures with what the tracker found in them."""
+
+import math
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.Point2_pb2 import Point2
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from robofleet.comms.keys import CAMERA
+from robofleet.comms.messages import TagPose
+from robofleet.config.calibrated import TagOffset
+from robofleet.config.tree import Config
+from robofleet.recording.shapes import WORLD, colour
+from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.offset import tag_from_centre
+from robofleet.tracking.pictures import picture_size
+from robofleet.tracking.targets import robot_targets
+
+_CORNERS = ((0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5))
+_FONT_PX, _LINE_PX = 22.0, 2.0
+_MEASURED, _PREDICTED, _LABEL = "#1fd655", "#ffb000", "#000000"  # on grey images
+# Foxglove's names of the lenses that OpenCV's coefficients mean, with how many of them; longer ones it does not know.
+_PINHOLES = (("plumb_bob", 5), ("rational_polynomial", 8))
+
+
+class Overlay:
+    """Where the fleet's tags are in a picture. A drift that the tracker corrects is not followed."""
+
+    def __init__(self, config: Config) -> None:
+        model = config.camera.model
+        self._model, self._geometry = model, CameraGeometry.from_model(model)
+        self._size = picture_size(model.width, model.height)
+        self._scale = np.array(self._size) / (model.width, model.height)
+        self._targets = {target.tag: target for target in robot_targets(config)}
+        self._robots = {robot.tag: robot for robot in config.robots}
+
+    def place(self, at: Timestamp) -> FrameTransform:
+        """Return where the camera is."""
+        x, y, z = self._geometry.position.tolist()
+        rotation = cv2.Rodrigues(self._geometry.T_world_camera[:3, :3])[0].ravel()
+        angle = float(np.linalg.norm(rotation))
+        a, b, c = (math.sin(angle / 2) / (angle or 1.0) * rotation).tolist()
+        return FrameTransform(
+            timestamp=at, parent_frame_id=WORLD, child_frame_id=CAMERA, translation=Vector3(x=x, y=y, z=z),
+            rotation=Quaternion(x=a, y=b, z=c, w=math.cos(angle / 2)),
+        )  # fmt: skip
+
+    def calibration(self, at: Timestamp) -> CameraCalibration | None:
+        """Return the lens, for pictures of the size that is shown; None where Foxglove has no name for it."""
+        model, width, height = self._model, *self._size
+        terms = list(model.distortion)
+        kinds = [("kannala_brandt", 4)] if model.lens == "fisheye" else [k for k in _PINHOLES if len(terms) <= k[1]]
+        if not kinds:
+            return None
+        (f_x, f_y), (s_x, s_y) = model.focal_px, self._scale.tolist()
+        c_x, c_y = (((np.array(model.centre_px) + 0.5) * self._scale) - 0.5).tolist()
+        name, count = kinds[0]
+        return CameraCalibration(
+            timestamp=at, frame_id=CAMERA, width=width, height=height, distortion_model=name,
+            D=terms + [0.0] * (count - len(terms)),
+            K=[f_x * s_x, 0.0, c_x, 0.0, f_y * s_y, c_y, 0.0, 0.0, 1.0],
+            R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            P=[f_x * s_x, 0.0, c_x, 0.0, 0.0, f_y * s_y, c_y, 0.0, 0.0, 0.0, 1.0, 0.0],
+        )  # fmt: skip
+
+    def outlines(self, poses: tuple[TagPose, ...], at: Timestamp) -> ImageAnnotations:
+        """Return the outlines of the robots' tags with the robots' ids; what was predicted has another colour."""
+        drawn, known = ImageAnnotations(timestamp=at), [pose for pose in poses if pose.tag in self._robots]
+        for pose, outline in zip(known, self._outlines(known), strict=True):
+            corners = [Point2(x=u, y=v) for u, v in outline]
+            ink = colour(_PREDICTED if pose.coasted_ns else _MEASURED)
+            kind = PointsAnnotation.LINE_LOOP
+            drawn.points.append(
+                PointsAnnotation(timestamp=at, type=kind, points=corners, outline_color=ink, thickness=_LINE_PX)
+            )
+            text, corner = self._robots[pose.tag].id, max(corners, key=lambda point: point.x)
+            drawn.texts.append(
+                TextAnnotation(
+                    timestamp=at,
+                    position=corner,
+                    text=text,
+                    font_size=_FONT_PX,
+                    text_color=ink,
+                    background_color=colour(_LABEL, 0.6),
+                )
+            )
+        return drawn
+
+    def _outlines(self, poses: list[TagPose]) -> list[list[list[float]]]:
+        """Return the corners of every robot's tag in the picture [px]."""
+        if not poses:
+            return []
+        pixels = self._geometry.project(np.array([self._corners(pose) for pose in poses]))
+        # Foxglove's origin is the corner of the first pixel, not its centre.
+        corners: list[list[list[float]]] = ((pixels + 0.5) * self._scale).reshape(-1, 4, 2).tolist()
+        return corners
+
+    def _corners(self, pose: TagPose) -> list[tuple[float, float, float]]:
+        """Return the corners of a robot's tag [m; world]."""
+        target, calibration = self._targets[pose.tag], self._robots[pose.tag].calibration
+        offset = TagOffset() if calibration is None else calibration.tag_offset
+        x, y, psi = tag_from_centre(pose.x_m, pose.y_m, pose.psi_rad, offset)
+        c, s = math.cos(psi) * target.side, math.sin(psi) * target.side
+        return [(x + c * a - s * b, y + s * a + c * b, target.height) for a, b in _CORNERS]

@@ -1,0 +1,156 @@
+"""A run as viewers draw it: what is said on the bus, told again in Foxglove's messages (protobuf).
+
+Poses come ten times a second, as the controller estimates them and, where that is known, as they truly are; what
+changes seldom is told when it changes. A robot's shapes lie in its own frame: viewers move them by ``/tf``.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import NamedTuple
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import Message
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from robofleet.clock import S
+from robofleet.comms.keys import CAMERA, NEWS, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TRACKER_NEWS, FleetPoses
+from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.config.tree import Config
+from robofleet.recording import shapes
+from robofleet.recording.fleet_scene import FleetScene, Said, pose_topic, stamp
+from robofleet.recording.lines import Line, latch_line, news_line, state_lines
+from robofleet.recording.overlay import Overlay
+
+_PERIOD_NS = S // 10
+_IMAGES = 8  # whose poses are kept until their picture comes
+
+
+class Channel(NamedTuple):
+    """What a viewer must know before the first message of a topic."""
+
+    topic: str
+    schema: str  # full name of the message
+    descriptor: bytes  # FileDescriptorSet
+
+
+class Scene:
+    """Told every message of the bus in order, it returns what viewers draw."""
+
+    def __init__(self, config: Config, *, epoch_ns: int = 0) -> None:
+        """Take what makes instants of the caller's clock dates [ns since 1970]."""
+        self._config, self._epoch_ns = config, epoch_ns
+        self._ids = tuple(robot.id for robot in config.platoon)
+        self._fleet = FleetScene(config)
+        self._overlay = Overlay(config) if config.tracker.source == "camera" else None
+        self.channels = tuple(Channel(*channel) for channel in self._described())
+        self._takes = self._by_key()
+        self._due_ns = 0
+        self._images: deque[tuple[int, bytes]] = deque(maxlen=_IMAGES)
+
+    def update(self, full: str, payload: bytes, at_ns: int) -> list[tuple[str, bytes]]:
+        """Return (topic, message) of what a message of the bus changes in the picture.
+
+        ``at_ns``: when it came, on the caller's clock.
+        """
+        date_ns = at_ns + self._epoch_ns
+        take = self._takes.get(full)
+        said = () if take is None else take(payload, date_ns)
+        if at_ns >= self._due_ns:
+            said = (*said, *self._draw(at_ns, date_ns))
+        return [(topic, message.SerializeToString()) for topic, message in said] if said else []
+
+    def _draw(self, at_ns: int, date_ns: int) -> Said:
+        first, self._due_ns = not self._due_ns, at_ns + _PERIOD_NS
+        return (*(self._unchanging(date_ns) if first else ()), *self._fleet.draw(date_ns))
+
+    def _described(self) -> Iterator[tuple[str, str, bytes]]:
+        kinds: dict[str, type[Message]] = {
+            "/tf": FrameTransforms, "/tf_static": FrameTransforms, "/arena": SceneUpdate, "/fleet": SceneUpdate,
+            "/references": SceneUpdate, "/log": Log, **{pose_topic(robot): PoseInFrame for robot in self._ids},
+        }  # fmt: skip
+        if self._overlay is not None:
+            kinds |= {"/camera/image": CompressedImage, "/camera/annotations": ImageAnnotations}
+            kinds["/camera/calibration"] = CameraCalibration
+        for topic, kind in kinds.items():
+            yield topic, kind.DESCRIPTOR.full_name, build_file_descriptor_set(kind).SerializeToString()
+
+    def _by_key(self) -> dict[str, Callable[[bytes, int], Said]]:
+        arena = self._config.arena.name
+        takes: dict[str, Callable[[bytes, int], Said]] = {
+            key(arena, TICK): self._fleet.tick,
+            key(arena, STATE): self._state,
+            key(arena, NEWS, CAMERA): self._news,
+        }
+        if self._overlay is not None:
+            takes[key(arena, POSES, CAMERA)] = self._poses
+            takes[key(arena, PICTURE, CAMERA)] = partial(self._picture, self._overlay)
+        for row, robot in enumerate(self._ids):
+            takes[key(arena, STATUS, robot)] = partial(self._status, row)
+            takes[key(arena, TRUTH, robot)] = partial(self._fleet.truth, row)
+        return takes
+
+    def _unchanging(self, date_ns: int) -> Said:
+        at = stamp(date_ns)
+        said: list[tuple[str, Message]] = [("/arena", SceneUpdate(entities=shapes.arena(self._config, at)))]
+        if self._overlay is not None:
+            said.append(("/tf_static", FrameTransforms(transforms=[self._overlay.place(at)])))
+            if (lens := self._overlay.calibration(at)) is not None:
+                said.append(("/camera/calibration", lens))
+        return said
+
+    def _state(self, payload: bytes, date_ns: int) -> Said:
+        before, state = self._fleet.state, RUN_STATE.decode(payload)
+        if state is None or (before is not None and before[2:] == state[2:]):
+            return ()
+        self._fleet.state = state
+        return _log(state_lines(before, state, self._ids), date_ns)
+
+    def _status(self, row: int, payload: bytes, date_ns: int) -> Said:
+        status = ROBOT_STATUS.decode(payload)
+        if status is None or status.latch == self._fleet.latches[row]:
+            return ()
+        self._fleet.latches[row] = status.latch
+        return _log([latch_line(self._ids[row], status.latch)], date_ns)
+
+    def _news(self, payload: bytes, date_ns: int) -> Said:
+        news = TRACKER_NEWS.decode(payload)
+        return () if news is None else _log([news_line(news)], date_ns)
+
+    def _poses(self, payload: bytes, date_ns: int) -> Said:
+        self._images.append((date_ns, payload))
+        return ()
+
+    def _picture(self, overlay: Overlay, payload: bytes, date_ns: int) -> Said:
+        picture = PICTURE_LAYOUT.decode(payload)
+        if picture is None:
+            return ()
+        exposed, poses = self._image(picture.exposure_ns) or (date_ns, None)
+        at = stamp(exposed)
+        shown = CompressedImage(timestamp=at, frame_id=CAMERA, data=picture.jpeg, format="jpeg")
+        if poses is None:
+            return (("/camera/image", shown),)
+        return ("/camera/image", shown), ("/camera/annotations", overlay.outlines(poses.poses, at))
+
+    def _image(self, exposure_ns: int) -> tuple[int, FleetPoses] | None:
+        """Return an image's date and its poses. The tracker's clock is not compared with this one."""
+        for date_ns, payload in self._images:
+            poses = FLEET_POSES.decode(payload)
+            if poses is not None and poses.exposure_ns == exposure_ns:
+                return date_ns - (poses.sent_ns - exposure_ns), poses
+        return None
+
+
+def _log(lines: Iterable[Line], date_ns: int) -> Said:
+    at = stamp(date_ns)
+    return [
+        ("/log", Log(timestamp=at, level=Log.Level.ValueType(level), name=name, message=words))
+        for level, name, words in lines
+    ]

@@ -1,0 +1,48 @@
+"""What an operator does about a cause: said beside it, once, where a run ends or stands. Pure."""
+
+from robofleet.safety.supervisor import Event
+
+_SEE_LOG = "its log is in the run's folder"
+_BUSY = "end what else keeps this machine busy"
+_ADVICE = {
+    Event.SUPERVISOR_STALLED: _BUSY,
+    Event.TICKS_OVERRUN: _BUSY,
+    Event.DRIVER_SILENT: _SEE_LOG,
+    Event.DRIVER_RESTARTED: _SEE_LOG,
+    Event.CONTROLLER_SILENT: _SEE_LOG,
+    Event.CONTROLLER_RESTARTED: _SEE_LOG,
+    Event.TRACKER_SILENT: _SEE_LOG,
+    Event.TRACKER_RESTARTED: _SEE_LOG,
+    Event.ESTOP_UNANSWERED: _SEE_LOG,
+    Event.OTHER_BUILD: "start every process with one version and one configuration",
+    Event.LEASE_LOST: "end the other controller, or start with --takeover",
+    Event.DISK_FULL: "make room",
+    Event.CAMERA_STALLED: "look at its cable; the tracker's log says more",
+    Event.CAMERA_FROZEN: "look at its cable; the tracker's log says more",
+    Event.CAMERA_LOST: "plug it in again, or mend camera.source",
+    Event.WIRED_STOP: "release it, then `robofleet run --reset`",
+    Event.ROBOT_FAULT: "look at the robot; its driver's log says more",
+    Event.BATTERY_LOW: "charge it",
+    Event.TAG_LOST: "clear the view of its tag, light it, or put the robot back",
+    Event.TAG_TWICE: "take one of the two away",
+    Event.POSE_JUMPED: "put it where it may start",
+    Event.OUTSIDE_ARENA: "put it back",
+    Event.TOO_CLOSE: "move them apart",
+    Event.FILTER_INFEASIBLE: "move it clear of the others and of the edge",
+    Event.DEADLOCKED: "move one of them aside",
+    Event.NOT_AT_REST: "let it stand, then start again",
+    Event.DID_NOT_MOVE: "switch it on, and compare its tag with robots[].tag",
+    Event.WRONG_TAG_MOVED: "exchange their tags, or mend robots[].tag",
+    Event.WHEELS_SWAPPED: "exchange its motors' plugs, left for right",
+    Event.LEFT_REVERSED: "reverse that motor",
+    Event.RIGHT_REVERSED: "reverse that motor",
+    Event.BOTH_REVERSED: "turn its tag, or reverse both motors",
+    Event.ENCODER_WRONG: "look at that encoder",
+    Event.HELD_TOO_LONG: "start again",
+}
+
+
+def advised(words: str, cause: int) -> str:
+    """Return an event's words with what to do about it; as they are where they say it, or nothing is to be done."""
+    advice = next((advice for event, advice in _ADVICE.items() if event == cause), None)
+    return words if advice is None else f"{words}: {advice}"
