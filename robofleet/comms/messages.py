@@ -201,8 +201,8 @@ class RecorderStatus(NamedTuple):
 
     epoch: int  # drawn when the recorder started
     seq: int
-    messages: int  # kept so far
-    dropped: int  # and not kept: they came too fast, or the disk took nothing
+    messages: int  # that it took so far
+    dropped: int  # that are not in the file: they came too fast, or the disk took nothing
     failed: int  # 1: the disk takes nothing now
 
 

@@ -53,7 +53,7 @@ class LiveView:
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._path = Path.hermite(*slices.knots(config.groups[0]))
         self._next_ns = 0
-        self._phase = ""
+        self._phase = self._page = ""
         self._reached_s = 0.0
         self._overruns_before: int | None = None
 
@@ -73,6 +73,9 @@ class LiveView:
     def __call__(self, recording: Recording, phase: str) -> None:
         """Show the run as it stands, if it is time to."""
         now_ns = self._clock.now_ns()
+        if self._terminal.page != self._page and (self._quiet or self._live is None):
+            print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
+        self._page = self._terminal.page
         if self._quiet or (now_ns < self._next_ns and phase == self._phase):
             return
         changed, self._phase = phase != self._phase, phase

@@ -60,6 +60,8 @@ def banner(state: RunState, robots: tuple[str, ...], *, by_key: bool) -> Panel |
 def keys(terminal: Terminal, phase: str) -> Text:
     """Return the keys, and what was answered to the last one."""
     text = Text()
+    if terminal.page:
+        text.append(f"\n{terminal.page}\n", "cyan")
     if terminal.present:
         text.append("\n")
         for key, does in _FIRST_KEYS if phase in WAITING else _KEYS:

@@ -30,10 +30,10 @@ class Recording:
     """Every message of a run, by key, as it came; and what the one who ran it measured."""
 
     config: Config
+    messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
     provenance: Provenance | None = None  # None: the file does not say
     dropped: int = 0  # messages that are not in the file
     trouble: str | None = None  # what is wrong with the file, behind the last of these messages; None: it is whole
-    messages: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
     outcome: str | None = None  # completed, stopped or fault; None: whoever ran it did not come to say it
     cause: str | None = None
     elapsed_s: float = 0.0
@@ -65,8 +65,10 @@ class Recording:
         return json.dumps({name: getattr(self, name) for name in _ENDING}).encode()
 
     def end(self, text: bytes) -> None:
-        """Take how the run ended from its file."""
+        """Take how the run ended from its file; ValueError where it does not say so."""
         ending = json.loads(text)
+        if not isinstance(ending, dict) or ending.keys() != set(_ENDING):
+            raise ValueError("no ending of a run")
         for name in _ENDING:
             setattr(self, name, ending[name])
 

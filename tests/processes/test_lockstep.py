@@ -149,3 +149,10 @@ def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
         assert not statuses["left_angle_rad"].any()
         assert not statuses["right_angle_rad"].any()
         assert not commands["left_rad_s"].any()
+
+
+def test_several_robots_to_a_driver_process_drive_as_well(truth: RunOf) -> None:
+    each, pairs = truth("run.duration_s=15"), truth("run.duration_s=15", "drivers.robots_per_process=2")
+    assert (pairs["outcome"], pairs["stops"], pairs["trace_hash"] != each["trace_hash"]) == ("completed", [], True)
+    for error in ("control_error_mm", "timed_error_mm", "path_error_mm"):
+        assert pairs[error]["mean"] == pytest.approx(each[error]["mean"], abs=0.05)

@@ -3,15 +3,16 @@
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, WallClock
+from robofleet.clock import MS, S
 from robofleet.comms.bus import Arrival
-from robofleet.comms.keys import COMMAND, RECORDER, STATUS, TICK, key
-from robofleet.comms.messages import RecorderStatus
+from robofleet.comms.keys import COMMAND, RECORDER, STATE, STATUS, TICK, key
+from robofleet.comms.messages import RUN_STATE, RecorderStatus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
@@ -20,10 +21,12 @@ from robofleet.processes.run import in_lockstep
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import read
+from robofleet.recording.run import Recording
+from robofleet.safety.supervisor import Phase
 from tests.processes.conftest import Bench
+from tests.processes.realrun import RealRun, of_robots
 
 ConfigOf = Callable[..., Config]
-CLOCK = WallClock()
 
 
 class Everything:
@@ -83,7 +86,7 @@ def test_it_says_how_it_goes_four_times_a_second_and_at_once_when_the_disk_fails
     stand.bench.run(stand.node, 2 * S)
     assert 8 <= len(stand.bench.heard(RECORDER)) <= 10
     assert stand.newest()[2:] == (1, 0, 0)
-    stand.log.failed = True
+    stand.log.failed = "No space left on device"
     before = len(stand.bench.heard(RECORDER))
     stand.bench.run(stand.node, 20 * MS)
     assert len(stand.bench.heard(RECORDER)) == before + 1
@@ -115,8 +118,6 @@ def test_a_lockstep_runs_summary_is_the_same_from_its_file(platoon_of: ConfigOf,
 
 
 def test_a_run_that_is_shown_keeps_the_newest_messages_and_where_they_stood(platoon_of: ConfigOf) -> None:
-    from robofleet.recording.run import Recording
-
     recording = Recording(platoon_of())
     for k in range(1000):
         recording.add("rf/platoon/often", b"%d" % k)
@@ -141,3 +142,58 @@ def test_a_recording_is_not_written_over(platoon_of: ConfigOf, tmp_path: Path) -
     assert refused.returncode == 2
     assert refused.stderr == f"{tmp_path / FILE}: File exists: a run is recorded in a folder of its own\n"
     assert (tmp_path / FILE).read_bytes() == b"a run"
+
+
+TWO_TOGETHER = *of_robots("r1", "r2"), "--set", "drivers.robots_per_process=2"
+HELD = "\nheld: the disk is full"
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Return a disk of 210 MB of its own."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=210m", "tmpfs", str(disk)], check=False)
+    if mounted.returncode:
+        pytest.skip("only root may mount a small disk: nothing is tried on a disk that is really full")
+    yield disk
+    subprocess.run(["umount", "--lazy", str(disk)], check=True)
+
+
+def test_a_disk_that_is_really_full_holds_the_run_until_there_is_room(
+    real_run: Callable[..., RealRun], small_disk: Path
+) -> None:
+    run = real_run(*TWO_TOGETHER, "--duration", "4", "--out", str(small_disk / "run"))
+    run.folder = small_disk / "run"
+    run.wait_until_running()
+    assert len(run.children("driver")) == 1
+    ballast = small_disk / "ballast"
+    with ballast.open("wb", buffering=0) as file:
+        for size in (1 << 20, 1 << 12):
+            with suppress(OSError):
+                while file.write(bytes(size)):
+                    pass
+    run.wait_for(lambda: HELD in run.said)
+    assert run.robofleet("resume").stderr == "refused: the disk is full: mend it, then resume, or stop\n"
+    ballast.unlink()
+    run.wait_for(lambda: run.robofleet("resume").stdout == "ok\n")
+    assert run.ended(20) == 0, run.said
+    assert run.summary["outcome"] == "completed"
+    recording = read(run.folder)
+    assert recording.outcome == "completed"
+    heads = [RUN_STATE.decode_head(payload) or () for payload in recording.messages[key("platoon", STATE)]]
+    phases = [head[2] for head in heads]
+    assert Phase.HOLD in phases
+    assert phases[-1] == Phase.IDLE
+    assert run.summary["recording"] == {"messages": recording.count, "dropped": recording.dropped}
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_said_to_be_full_holds_a_run_too(real_run: Callable[..., RealRun]) -> None:
+    fault = "faults=[{kind: disk_full, at_s: 0.5, duration_s: 1.5}]"
+    run = real_run(*TWO_TOGETHER, "--duration", "3", "--set", fault)
+    run.wait_until_running()
+    run.wait_for(lambda: HELD in run.said)
+    run.wait_for(lambda: run.robofleet("resume").stdout == "ok\n")
+    assert run.ended(20) == 0, run.said
+    assert run.summary["recording"]["dropped"] == 0, "it was not"

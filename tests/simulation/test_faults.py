@@ -10,8 +10,8 @@ import pytest
 
 from robofleet.clock import S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import COMMAND, NEWS, POSES, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS
+from robofleet.comms.keys import COMMAND, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.load import load_config
 from robofleet.processes.lockstep import Lockstep
@@ -28,8 +28,9 @@ BEGIN, END = 0.5, 1.5  # after the start of the run [s]
 class Drive:
     """A run of the platoon with faults, from its start on for some seconds."""
 
-    def __init__(self, *faults: str, seconds: float = 2.0) -> None:
-        overrides = ["tracker.source=truth", f"faults=[{', '.join(faults)}]"]
+    def __init__(self, *faults: str, seconds: float = 2.0, together: int = 1) -> None:
+        processes = f"drivers.robots_per_process={together}"
+        overrides = ["tracker.source=truth", processes, f"faults=[{', '.join(faults)}]"]
         self.run = Lockstep(load_config(PLATOON, overrides))
         self.run.request(b"start")
         assert self.run.advance(30.0, lambda: self.run.status.phase is Phase.RUNNING)
@@ -184,6 +185,26 @@ def test_a_robot_whose_driver_died_comes_to_rest_and_stays_where_it_is() -> None
     moved = [m for t, m in truths if t < BEGIN]
     assert max(abs(m.v_m_s) for m in stands) < 1e-3 < max(abs(m.v_m_s) for m in moved)
     assert math.dist((moved[-1].x_m, moved[-1].y_m), (stands[-1].x_m, stands[-1].y_m)) < 0.06
+
+
+@pytest.mark.parametrize("what", ["kind: killed, process: driver-r1", "kind: stopped, process: driver-r1"])
+def test_every_robot_of_a_process_that_is_struck_stands_and_is_seen_on(what: str) -> None:
+    drive = Drive(f"{{{what}, {WHEN}}}", together=2)
+    assert drive.causes[0] is Event.DRIVER_SILENT
+    for robot in ("r1", "r2"):
+        instants = [t for t, _ in drive.rows(TRUTH, TRUTH_LAYOUT, robot)]
+        assert max(np.diff(instants)) < 0.02
+        said = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, robot) if t > 0.0]
+        assert max(np.diff(said)) > END - BEGIN - 0.1
+    said = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, "r3") if t > 0.0]
+    assert max(np.diff(said)) < 0.03, "it has another process"
+
+
+def test_a_cut_to_a_driver_process_parts_all_its_robots() -> None:
+    drive = Drive(f"{{kind: network_cut, processes: [driver-r3], {WHEN}}}", together=2)
+    states = [RUN_STATE.decode(payload) for payload in drive.run.recording.messages[key("platoon", STATE)]]
+    silent = {tuple(robot.cause == Event.DRIVER_SILENT for robot in state.robots) for state in states}
+    assert silent == {(False, False, False, False), (False, False, True, True)}
 
 
 @pytest.mark.parametrize(("process", "step_s"), [("controller", 1.0), ("supervisor", -1.0), ("driver-r2", 1.0)])

@@ -10,10 +10,11 @@ from robofleet.comms import statuses
 from robofleet.processes import fleet_view, supervisor
 from robofleet.safety import arming, requests
 from tests.processes import stand as bench_stand
-from tests.processes import test_stops, test_supervisor
+from tests.processes.supervisor import test_checks, test_run, test_said, test_sight, test_stops
 from tests.sabotage import notices, sabotaged
 
-TESTS = vars(test_stops) | vars(test_supervisor)
+FILES = test_checks, test_run, test_said, test_sight, test_stops
+TESTS = {name: value for file in FILES for name, value in vars(file).items() if name.startswith("test_")}
 
 CHECKS: list[tuple[ModuleType, str, str, str]] = [
     # who may ask for what
