@@ -11,7 +11,7 @@ import typer
 
 from robofleet.clock import S, WallClock, utc_now
 from robofleet.processes import commands, run_commands
-from robofleet.processes.refusal import RefusedError, bad_input
+from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,8 +26,10 @@ app = typer.Typer(
     "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you; 2: bad input.",
 )
 
-app.add_typer(commands.app)
+for _afterwards in run_commands.app.registered_commands:
+    _afterwards.rich_help_panel = "A run afterwards, from the file that it left"
 app.add_typer(run_commands.app)
+app.add_typer(commands.app)
 
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/README.md lists every key.")
@@ -51,6 +53,7 @@ def run(
     reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
     takeover: Annotated[bool, typer.Option("--takeover", help="Take robots that another controller has.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Open the operator's page; its address is printed.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:
@@ -70,13 +73,16 @@ def run(
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
     with ExitStack() as held:
         with bad_input():
+            if web:
+                _refuse_no_page(lockstep=lockstep)
             tree = _checked(config, changes, faults, lockstep=lockstep)
             if not lockstep:
                 _refuse_unattended(tree)
                 tree = _settled(tree)
                 held.enter_context(_claimed(tree, folder))
             _new_folder(folder)
-        summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, reset=reset, take_over=takeover)
+        how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": web}
+        summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     try:
         (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     except OSError as error:
@@ -87,10 +93,11 @@ def run(
     else:
         from rich.console import Console  # noqa: PLC0415
 
-        from robofleet.recording.report import summary_table  # noqa: PLC0415
+        from robofleet.recording.tables import summary_table  # noqa: PLC0415
 
         Console().print(summary_table(summary))
         print(f"{folder / 'summary.json'}")
+    _report(folder, summary, quiet=as_json)
     if summary["outcome"] != "completed":
         print(f"{summary['outcome']}: {summary['cause']}", file=sys.stderr)
         raise typer.Exit(1)
@@ -214,10 +221,33 @@ def main() -> None:
     app()
 
 
+def _report(folder: Path, summary: dict[str, Any], *, quiet: bool) -> None:
+    """Write the run's report; where that fails, the run and its summary are there all the same."""
+    from robofleet.recording import after  # noqa: PLC0415
+    from robofleet.recording.bounds import failures  # noqa: PLC0415
+    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
+
+    try:
+        page, _ = after.report(folder)
+    except (OSError, RecordingError) as error:
+        print(f"there is no report: {error}", file=sys.stderr)
+    else:
+        if not quiet:
+            print(page)
+    for line in failures(summary):
+        print(f"bound not met: {line}", file=sys.stderr)
+
+
 def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockstep: bool) -> "Config":
     from robofleet.processes.check import load_checked  # noqa: PLC0415
 
     return load_checked(config, overrides, faults, lockstep=lockstep)
+
+
+def _refuse_no_page(*, lockstep: bool) -> None:
+    if lockstep:
+        raise RefusedError("--web: a lockstep run is over before anybody has looked: leave --web or --lockstep out")
+    need_extra("web", *WEB_PACKAGES)
 
 
 def _refuse_unattended(tree: "Config") -> None:
@@ -261,15 +291,13 @@ def _new_folder(folder: Path) -> None:
         raise RefusedError(f"--out: {folder} cannot be made: {error.strerror}") from error
 
 
-def _summary(
-    tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, reset: bool, take_over: bool
-) -> dict[str, Any]:
+def _summary(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: bool) -> dict[str, Any]:
     from robofleet.processes import run as runs  # noqa: PLC0415
 
     try:
         if lockstep:
             return runs.in_lockstep(tree, name, folder, quiet=quiet)
-        return runs.in_real_time(tree, name, folder, quiet=quiet, reset=reset, take_over=take_over)
+        return runs.in_real_time(tree, name, folder, quiet=quiet, **how)
     except OSError as error:
         print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)
         raise typer.Exit(1) from error

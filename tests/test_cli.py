@@ -20,6 +20,7 @@ SUMMARY_KEYS = {
     "version", "config", "seed", "mode", "outcome", "cause", "duration_s", "ticks", "real_time_factor", "trace_hash",
     "robots", "control_error_mm", "timed_error_mm", "path_error_mm", "centre_error_mm", "spacing_m", "min_gap_mm",
     "pose_error", "tracker", "tick", "latency_ms", "saturated_fraction", "filtered_fraction", "stops", "rejected",
+    "bounds",
 }  # fmt: skip
 PARTS = {
     "control_error_mm": {"mean", "max", "per_robot_mean"},

@@ -17,6 +17,7 @@ _READY_WITHIN_S = 30.0
 _EXIT_WITHIN_S = 1.2
 _POLL_S = 0.05
 _LAST_LINES = 5
+_LONGEST_WORD = 256  # of a child that is ready [bytes]
 _CHILD_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
 
 
@@ -33,8 +34,15 @@ class Child:
     process: "subprocess.Popen[bytes]"
     lifeline: socket.socket
     log: Path
+    needed: bool = True  # the run ends when it dies
     ready: bool = False
+    said: str = ""  # when it was ready
     killed: bool = False  # by a fault that was asked for
+
+    @property
+    def died(self) -> bool:
+        """Whether it is there no more."""
+        return self.process.poll() is not None
 
     def last_lines(self) -> str:
         """Return the end of what it wrote."""
@@ -50,9 +58,12 @@ class Children:
     config_file: Path
     children: list[Child] = field(default_factory=list)
 
-    def start(self, name: str, *arguments: str) -> None:
+    def start(self, name: str, *arguments: str, needed: bool = True) -> Child:
         """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
-        self.children.append(self._started(name, arguments))
+        child = self._started(name, arguments)
+        child.needed = needed
+        self.children.append(child)
+        return child
 
     def _started(self, name: str, arguments: tuple[str, ...]) -> Child:
         ours, theirs = socket.socketpair()
@@ -93,7 +104,7 @@ class Children:
     def wait_ready(self, clock: Clock, meanwhile: Callable[[], None]) -> None:
         """Return when every child has said that it is ready; ``meanwhile`` is called again and again, and may raise."""
         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
-        while waiting := [child for child in self.children if not child.ready]:
+        while waiting := [child for child in self.children if not child.ready and (child.needed or not child.died)]:
             self.check()
             meanwhile()
             if clock.now_ns() > deadline_ns:
@@ -101,14 +112,14 @@ class Children:
                 raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s: see {waiting[0].log}")
             readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
             for child in waiting:
-                if child.lifeline in readable and child.lifeline.recv(64):
-                    child.ready = True
+                if child.lifeline in readable and (said := child.lifeline.recv(_LONGEST_WORD)):
+                    child.ready, child.said = True, said.decode().strip()
 
     def check(self) -> None:
         """Raise RunError with its name and last lines if a child has died."""
         for child in self.children:
             code = child.process.poll()
-            if code is not None and not child.killed:
+            if code is not None and child.needed and not child.killed:
                 if code < 0:
                     raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
                 raise RunError(f"the {child.name} ended with exit code {code}: see {child.log}{child.last_lines()}")

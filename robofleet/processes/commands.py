@@ -1,17 +1,22 @@
 """The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.processes.refusal import RefusedError, bad_input
+from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
 
 if TYPE_CHECKING:
+    import socket
+
     from robofleet.config.tree import Config
     from robofleet.processes.arena_file import ArenaFile
+
+_LOOPBACK = "127.0.0.1"
 
 app = typer.Typer()
 OPERATOR = "A running arena, from any terminal"
@@ -60,6 +65,8 @@ def _asking(what: str, described: str) -> None:
     app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
 
 
+_asking("arm", "Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.")
+_asking("start", "Start a fleet that waits for its operator (run.start: operator).")
 _asking("hold", "Let every robot stand; `robofleet resume` goes on.")
 _asking("resume", "Go on after a hold.")
 _asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
@@ -85,7 +92,7 @@ def status(
     else:
         from rich.console import Console  # noqa: PLC0415
 
-        from robofleet.recording.report import status_table  # noqa: PLC0415
+        from robofleet.recording.tables import status_table  # noqa: PLC0415
 
         Console().print(status_table(found))
         print(found["next"] or "")
@@ -136,7 +143,10 @@ def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 @app.command(rich_help_panel=PROCESSES)
 def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
-    """The recorder of a run, as a process of its own: it writes run.mcap beside CONFIG."""
+    """The recorder of a run: it writes run.mcap beside CONFIG.
+
+    $ robofleet recorder lab/config.yaml
+    """
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
@@ -176,6 +186,52 @@ def driver(
 
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
     child.driver(_for_one_process(config, names), Lifeline(lifeline), names)
+
+
+@app.command()
+def web(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG]", help="A run's config.yaml; default: the running arena's.")
+    ] = None,
+    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Default: any free one.")] = 0,
+    host: Annotated[str, typer.Option(metavar="NAME", help="Which of this machine's addresses.")] = _LOOPBACK,
+    lifeline: LifelineFd = None,
+) -> None:
+    """The operator's page of a run, in a browser: see it, hold it, stop it. It prints the page's address.
+
+    robofleet web
+
+    robofleet web --host 192.168.1.5 --port 8080
+    """
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    with bad_input():
+        need_extra("web", *WEB_PACKAGES)
+        file = Path(_running(None).folder) / "config.yaml" if config is None else config
+        tree = _for_one_process(file)
+        listening = _listening(host, port)
+    from robofleet.processes.web import server  # noqa: PLC0415
+
+    if host not in (_LOOPBACK, "localhost", "::1"):
+        print(f"--host {host}: whoever reads this network's traffic can take the token and drive", file=sys.stderr)
+    server.web(tree, file.absolute().parent, Lifeline(lifeline), listening, host, of_run=lifeline is not None)
+
+
+def _listening(host: str, port: int) -> "socket.socket":
+    import socket  # noqa: PLC0415
+
+    try:
+        (family, _, _, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        if address[0] in ("0.0.0.0", "::"):
+            raise RefusedError(
+                f"--host {host}: name one of this machine's addresses: what a browser calls it is checked"
+            )
+        return socket.create_server(address[:2], family=family)
+    except OSError as error:
+        why = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
+        raise RefusedError(
+            f"--host {host} --port {port}: {why}: name an address of this machine, and a port that is free"
+        ) from error
 
 
 def _for_one_process(config: Path, robots: tuple[str, ...] = ()) -> "Config":

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 from robofleet.clock import MS, Clock
-from robofleet.comms.bus import Answer, Bus
-from robofleet.comms.keys import REQUEST, STATUS, key
+from robofleet.comms.bus import Answer, Bus, Inbox
+from robofleet.comms.keys import REQUEST, STATUS
 from robofleet.comms.messages import ROBOT_STATUS
 from robofleet.safety.gate import Latch
 
@@ -26,21 +26,21 @@ class Stopped(NamedTuple):
         return f"NOT acknowledged within {_WITHIN_NS // MS} ms by {', '.join(self.silent)}: stop them by hand"
 
 
-def emergency_stop(bus: Bus, clock: Clock, arena: str, robots: tuple[str, ...]) -> Stopped:
+def emergency_stop(bus: Bus, clock: Clock, robots: tuple[str, ...]) -> Stopped:
     """Ask the supervisor for the emergency stop, and wait until every gate is latched, or for 200 ms."""
-    started_ns = again_ns = clock.now_ns()
-    heard = bus.stream(key(arena, STATUS, "*"), 16 * len(robots))
-    names = {key(arena, STATUS, robot): robot for robot in robots}
+    started_ns = clock.now_ns()
+    answer: Answer | None = bus.ask(REQUEST, "supervisor", b"estop")
+    again_ns = started_ns + _AGAIN_NS
+    heard = {robot: Inbox(bus.newest(STATUS, robot), ROBOT_STATUS) for robot in robots}
     after_ms: dict[str, float] = {}
-    answer: Answer | None = None
-    answered = False
     while len(after_ms) < len(robots) and (now_ns := clock.now_ns()) < started_ns + _WITHIN_NS:
-        answered = answered or (answer is not None and answer.take() is not None)
-        if not answered and now_ns >= again_ns:
+        if answer is not None and answer.take() is not None:
+            answer = None  # it need not be asked again
+        if answer is not None and now_ns >= again_ns:
             answer, again_ns = bus.ask(REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
-        for _, full, payload in heard.drain():
-            status = ROBOT_STATUS.decode(payload)
-            if full in names and status is not None and status.latch not in (Latch.NONE, Latch.DRILL):
-                after_ms.setdefault(names[full], (clock.now_ns() - started_ns) / MS)
+        for robot, inbox in heard.items():
+            status = inbox.take()
+            if status is not None and status.latch not in (Latch.NONE, Latch.DRILL):
+                after_ms.setdefault(robot, (clock.now_ns() - started_ns) / MS)
         clock.sleep_until(now_ns + _POLL_NS)
     return Stopped(after_ms, tuple(robot for robot in robots if robot not in after_ms))

@@ -13,13 +13,14 @@ from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
 from robofleet.processes.child_faults import ChildFaults
-from robofleet.processes.children import Children, RunError
+from robofleet.processes.children import Child, Children, RunError
 from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.advice import advised
+from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
@@ -33,7 +34,7 @@ _AT_REST_RAD_S = 0.01
 _PHASES = {Phase.ARMED: "arming", Phase.RUNNING: "running", Phase.HOLD: "held"}
 _EMERGENCY = "emergency stop"
 _TWICE = 2
-_ASKED_BY_KEY = {"h": b"hold", "r": b"resume"}
+_ASKED_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
 
 Outcome = tuple[str, str | None]
 
@@ -50,7 +51,7 @@ class Launcher:
     """One run in real time. ``run`` returns (outcome, cause); ``recording`` has the newest messages, a file all.
 
     ``reset`` clears the latches that an earlier run left; ``take_over`` takes the robots from a controller that still
-    has them, if they stand.
+    has them, if they stand; ``web`` opens the operator's page, which the run does not need.
     """
 
     def __init__(
@@ -62,9 +63,10 @@ class Launcher:
         *,
         reset: bool = False,
         take_over: bool = False,
+        web: bool = False,
     ) -> None:
         self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
-        self._reset, self._take_over = reset, take_over
+        self._reset, self._take_over, self._web = reset, take_over, web
         self._clock = WallClock()
         self.recording = Recording(config)
         self._arena, self._robots = config.arena.name, config.groups[0].robots
@@ -77,6 +79,7 @@ class Launcher:
         self._heard_ns = 0  # when the supervisor was heard last
         self._answer: Answer | None = None  # to what a key asked
         self._counted = Interrupts()
+        self._page: Child | None = None
 
     def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
@@ -111,6 +114,8 @@ class Launcher:
         for name in ("router", "recorder"):
             fleet.start(name, name)
         fleet.wait_ready(self._clock, self._heed)
+        if self._web:
+            self._page = fleet.start("web", "web", needed=False)
         for name in ("supervisor", "tracker"):
             fleet.start(name, name)
         fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
@@ -137,17 +142,21 @@ class Launcher:
 
     def _follow(self) -> Outcome:
         """See the run through its checks and its laps; returns how it ended."""
-        self._phase = "arming"
+        waits = self._config.run.start == "operator"
+        self._phase = "waiting" if waits else "arming"
         if self._reset:
             self._ask(b"reset")
-        self._ask(b"start")
+        if not waits:
+            self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        phases, began_ns = {Phase.IDLE: "arming", **_PHASES}, 0  # IDLE: it was asked to start and has not said so yet
+        phases, began_ns = {Phase.IDLE: self._phase, **_PHASES}, 0
+        before = (Phase.IDLE, Phase.ARMED) if waits else (Phase.IDLE,)  # who waits for a start may stop the checks
         try:
             while (state := self._polled()) is None or state.phase in phases:
-                if state is not None and state.phase != Phase.IDLE:
-                    self._enter(_PHASES[Phase(state.phase)])
-                    phases = _PHASES
+                if state is not None:
+                    proved = state.phase == Phase.ARMED and state.stage == Stage.DONE
+                    self._enter("armed" if proved else phases[Phase(state.phase)])
+                    phases = phases if state.phase in before else _PHASES
                 if self._phase == "running":
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
@@ -184,7 +193,7 @@ class Launcher:
         """Latch every gate; a robot that does not say so is named, and its lifeline is cut at once."""
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
-        stopped = emergency_stop(self._bus, self._clock, self._arena, self._robots)
+        stopped = emergency_stop(self._bus, self._clock, self._robots)
         next_step = ""
         if not stopped.silent:
             self._rest()
@@ -222,6 +231,9 @@ class Launcher:
         self.recording.keep_newest(_SHOWN)
         self._faults.step()
         self._fleet.check()
+        if self._page is not None:
+            gone = "the page is gone, the run goes on: `robofleet web` opens another one"
+            self._terminal.page = gone if self._page.died else f"the operator's page: {self._page.said}"
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
             raise RunError(f"the supervisor went silent: see {self._folder}/log/supervisor.log")
         self._watch(self.recording, self._phase)

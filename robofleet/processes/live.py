@@ -28,7 +28,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.processes.live_state import arming, banner, keys
+from robofleet.processes.live_state import WAITING, arming, banner, keys
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.recording.run import Recording
@@ -53,7 +53,7 @@ class LiveView:
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._path = Path.hermite(*slices.knots(config.groups[0]))
         self._next_ns = 0
-        self._phase = ""
+        self._phase = self._page = ""
         self._reached_s = 0.0
         self._overruns_before: int | None = None
 
@@ -73,6 +73,9 @@ class LiveView:
     def __call__(self, recording: Recording, phase: str) -> None:
         """Show the run as it stands, if it is time to."""
         now_ns = self._clock.now_ns()
+        if self._terminal.page != self._page and (self._quiet or self._live is None):
+            print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
+        self._page = self._terminal.page
         if self._quiet or (now_ns < self._next_ns and phase == self._phase):
             return
         changed, self._phase = phase != self._phase, phase
@@ -88,6 +91,8 @@ class LiveView:
         if self._phase == "held" and state is not None:
             cause = advised(run_cause(state, self._ids), state.cause)
             return f"held: {cause}: `robofleet resume` goes on, Ctrl-C ends the run"
+        if self._phase in WAITING:
+            return f"{self._phase}: {WAITING[self._phase]}"
         if self._phase != "running" or tick is None:
             return self._phase
         errors = " ".join(f"{robot.control_error_m * 1e3:.2f}" for robot in tick.robots)
@@ -104,9 +109,9 @@ class LiveView:
         head = Text(f"{phase:<10}", _COLOURS.get(phase, "bold yellow"))
         head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default not bold")
         line = Table.grid()
-        checks = Text(arming(state, self._ids), "cyan") if phase == "arming" and state is not None else None
-        line.add_row(head, checks or ProgressBar(duration_s, self._reached_s, width=50))
-        parts: list[Any] = [line, keys(self._terminal)]  # what a terminal that is too low cuts off comes last
+        doing = arming(state, self._ids) if phase == "arming" and state is not None else WAITING.get(phase)
+        line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=50))
+        parts: list[Any] = [line, keys(self._terminal, phase)]  # what a terminal that is too low cuts off comes last
         if state is not None and (seen := banner(state, self._ids, by_key=self._terminal.present)) is not None:
             parts += ["", seen]
         if tick is not None:

@@ -19,6 +19,11 @@ _STAGES = {
     Stage.DONE: "every check is passed",
 }
 _KEYS = (("e", "emergency stop"), ("h", "hold"), ("r", "resume"), ("q", "end the run"))
+_FIRST_KEYS = (("e", "emergency stop"), ("a", "arm"), ("s", "start"), ("q", "end the run"))
+WAITING = {
+    "waiting": "everything is there: start it with key s, on the operator's page or by `robofleet start`",
+    "armed": "every check is passed: start it with key s, on the operator's page or by `robofleet start`",
+}
 
 
 def arming(state: RunState, robots: tuple[str, ...]) -> str:
@@ -52,12 +57,14 @@ def banner(state: RunState, robots: tuple[str, ...], *, by_key: bool) -> Panel |
     return None
 
 
-def keys(terminal: Terminal) -> Text:
+def keys(terminal: Terminal, phase: str) -> Text:
     """Return the keys, and what was answered to the last one."""
     text = Text()
+    if terminal.page:
+        text.append(f"\n{terminal.page}\n", "cyan")
     if terminal.present:
         text.append("\n")
-        for key, does in _KEYS:
+        for key, does in _FIRST_KEYS if phase in WAITING else _KEYS:
             text.append(f" {key} ", "bold red reverse" if key == "e" else "reverse").append(f" {does}   ")
     if terminal.note:
         text.append(f"\n\n{terminal.note}", "red" if terminal.note.startswith("refused") else "green")

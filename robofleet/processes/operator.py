@@ -57,7 +57,7 @@ def stop(there: ArenaFile) -> tuple[bool, str]:
     clock = WallClock()
     try:
         with _reached(there, clock) as bus:
-            stopped = emergency_stop(bus, clock, there.arena, there.robots)
+            stopped = emergency_stop(bus, clock, there.robots)
             return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
     except UnreachableError:
         os.kill(there.pid, signal.SIGTERM)

@@ -3,8 +3,11 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 import typer
+
+WEB_PACKAGES = ("starlette", "uvicorn", "websockets")  # of the extra ``web``
 
 
 class RefusedError(Exception):
@@ -21,3 +24,10 @@ def bad_input() -> Iterator[None]:
     except (ConfigError, RefusedError) as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
+
+
+def need_extra(extra: str, *packages: str) -> None:
+    """Refuse a command whose packages are not installed."""
+    missing = [package for package in packages if find_spec(package) is None]
+    if missing:
+        raise RefusedError(f"this needs {', '.join(missing)}: {sys.executable} -m pip install 'robofleet[{extra}]'")

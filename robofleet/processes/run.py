@@ -27,11 +27,11 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
 
 
 def in_real_time(
-    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool
+    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: bool
 ) -> dict[str, Any]:
     """Run with real processes and return the summary."""
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
-        run = Launcher(config, folder, view, terminal, reset=reset, take_over=take_over)
+        run = Launcher(config, folder, view, terminal, reset=reset, take_over=take_over, web=web)
         outcome, cause = run.run()
     recording = _recorded(config, folder)
     recording.elapsed_s = run.recording.elapsed_s

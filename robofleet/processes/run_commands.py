@@ -22,7 +22,7 @@ def replay(run: RunFolder) -> None:
     Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
     different, or could not be compared.
 
-    robofleet replay runs/20260102T030405Z-platoon
+    $ robofleet replay runs/20260102T030405Z-platoon
     """
     from robofleet.processes import replay as replaying  # noqa: PLC0415
     from robofleet.processes.controller import compile_kernels  # noqa: PLC0415
@@ -51,7 +51,7 @@ def replay(run: RunFolder) -> None:
 def repair(run: RunFolder) -> None:
     """Mend the recording of a run that was killed: all that was written stays, and gets its index.
 
-    robofleet repair runs/20260102T030405Z-platoon
+    $ robofleet repair runs/20260102T030405Z-platoon
     """
     from robofleet.recording.reading import RecordingError  # noqa: PLC0415
     from robofleet.recording.repair import repair as mend  # noqa: PLC0415
@@ -64,8 +64,42 @@ def repair(run: RunFolder) -> None:
         except OSError as error:
             print(f"{run}: {error.strerror}: make room; the recording is as it was", file=sys.stderr)
             raise typer.Exit(1) from error
-    what = "needs no repair" if done.trouble is None else f"mended: it {done.trouble}"
-    print(f"{done.file}: {what}")
-    print(f"{done.messages} messages over {done.span_ns / S:.1f} s, {done.lost} bytes behind them lost")
+    there = f"{done.messages} messages over {done.span_ns / S:.1f} s"
+    if done.trouble is None:
+        print(f"{done.file}: needs no repair: {there}")
+        return
+    lost = f"; {done.lost} bytes behind them are lost" if done.lost else ""
+    print(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}")
     if done.kept is not None:
-        print(f"the damaged file is kept: {done.kept}")
+        print(f"The damaged file is kept: {done.kept}")
+
+
+@app.command()
+def report(
+    run: RunFolder,
+    other: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Another one, to set beside it.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Of two: default RUN/compare-<other>.html.")] = None,
+) -> None:
+    """Write RUN/report.html and RUN/metrics.csv; of two runs, a page with both side by side.
+
+    Exit 1 if the run did not meet one of its bounds.
+
+    robofleet report runs/20260102T030405Z-platoon
+    """
+    from robofleet.recording import after  # noqa: PLC0415
+    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
+
+    with bad_input():
+        if out is not None and other is None:
+            raise RefusedError("--out: one run's report stands in its folder; name two runs to compare them")
+        try:
+            page, missed = after.report(run) if other is None else after.compare(run, other, out)
+        except RecordingError as error:
+            raise RefusedError(str(error)) from error
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    print(page)
+    for line in missed:
+        print(f"bound not met: {line}", file=sys.stderr)
+    if missed:
+        raise typer.Exit(1)

@@ -14,7 +14,7 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.processes.fleet_view import FleetListener
 from robofleet.safety import arming, monitor, supervisor
-from robofleet.safety.arming import ArmingSettings, ArmingState
+from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
@@ -27,6 +27,7 @@ _ACKNOWLEDGED_WITHIN_NS = 200 * MS
 _CLEARED_WITHIN_NS = 500 * MS  # some enables and statuses; a latch that is still there was made anew
 
 _REQUESTS = {
+    b"arm": Event.ARM_REQUESTED,
     b"start": Event.START_REQUESTED,
     b"stop": Event.STOP_REQUESTED,
     b"hold": Event.HOLD_REQUESTED,
@@ -77,6 +78,7 @@ class Supervisor:
         self._memory = Memory()
         self._standing: tuple[Happening, ...] = ()  # of the newest view
         self._checks: ArmingState | None = None  # while ARMED
+        self._start = False  # is asked for, while ARMED
         self._robots = tuple(RobotState(0, 0, Event.NOTHING) for _ in robots)  # as published last
         self._permitted = [0.0] * len(robots)  # fastest wheel [rad/s]
         self._operator_ns = NEVER
@@ -100,7 +102,9 @@ class Supervisor:
             return self._wakes_ns(now_ns)
         before = (self._status, self._checks, self._robots, self._clear)
         self._view = self._listener.look(now_ns, self._operator_ns)
-        self._memory, self._standing = monitor.watch(self._memory, self._monitoring, self._status.phase, self._view)
+        self._memory, self._standing = monitor.watch(
+            self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved
+        )
         for happening in self._standing:
             self._happen(happening)
         while request is not None:
@@ -125,19 +129,23 @@ class Supervisor:
         before, self._status = self._status, supervisor.step(self._status, happening)
         if self._status.phase is not before.phase:
             self._say(f"{before.phase.name} -> {self._status.phase.name}: {self._status.describe(self._ids)}")
+            self._checks, self._start = None, False
             self._naming_ns = None
             if self._status.phase is Phase.ESTOP:
                 self._naming_ns = self._view.now_ns + _ACKNOWLEDGED_WITHIN_NS
+
+    @property
+    def _proved(self) -> bool:
+        """Whether the fleet waits for its start."""
+        return self._checks is not None and self._checks.stage is Stage.DONE
 
     def _arm(self) -> None:
         """Go on with the checks before a start."""
         if self._status.phase is Phase.ARMED:
             checks = self._checks or arming.begin(self._view.now_ns)
-            self._checks, happening = arming.step(checks, self._arming, self._view)
+            self._checks, happening = arming.step(checks, self._arming, self._view, self._start)
             if happening is not None:
                 self._happen(happening)
-        if self._status.phase is not Phase.ARMED:
-            self._checks = None
 
     def _serve(self, request: Request) -> None:
         """Do what an operator asks for, or say why not."""
@@ -149,15 +157,20 @@ class Supervisor:
         elif (event := _REQUESTS.get(request.payload)) is None:
             known = ", ".join(name.decode() for name in (*_REQUESTS, b"status"))
             request.reply(f"refused: {request.payload!r} is not one of {known}".encode())
-        elif (why := refusal(event, self._status, self._standing, self._view, self._ids)) is not None:
+        elif (why := self._refusal(event)) is not None:
             request.reply(f"refused: {why}".encode())
         elif event is Event.RESET:
             self._reset(request)
         else:
-            if event is Event.START_REQUESTED:
-                self._operator_ns = self._view.now_ns
             self._happen(Happening(event))
+            if event in (Event.ARM_REQUESTED, Event.START_REQUESTED):
+                self._operator_ns = self._view.now_ns
+                self._start = self._start or event is Event.START_REQUESTED
             request.reply(b"ok")
+
+    def _refusal(self, event: Event) -> str | None:
+        unready = arming.unready(self._arming, self._view) if self._proved else None
+        return refusal(event, self._status, self._standing, self._view, self._ids, unready)
 
     def _reset(self, request: Request) -> None:
         """Clear every latch that is there now; the answer waits until the gates say so."""
@@ -181,6 +194,7 @@ class Supervisor:
     def _describe(self) -> str:
         """Return where the run is, what led there, and what holds whom, in a line."""
         parts = [f"{self._status.phase.name}: {self._status.describe(self._ids)}"]
+        parts += ["every check is passed: start it, or stop"] * self._proved
         parts += dict.fromkeys(describe(happening, self._ids) for happening in self._standing)
         if unanswered := self._unanswered():
             parts.append(f"not acknowledged by {', '.join(unanswered)}")

@@ -25,6 +25,7 @@ class Terminal:
     def __init__(self) -> None:
         self.lost = False  # it was closed
         self.note = ""  # what the operator should read
+        self.page = ""  # where the operator's page is, or that it is gone
         self._before: list[Any] | None = None
         self._descriptor = -1
 

@@ -58,16 +58,15 @@ _LAYOUTS: dict[Topic, Layout[Any] | ListLayout[Any] | BlobLayout[Any]] = {
     RECORDER: RECORDER_STATUS,
     TRUTH: TRUTH_LAYOUT,
 }
-_ABOUT_ROBOTS, _ABOUT_CAMERA = (COMMAND, STATUS, ENABLE, LEASE, TRUTH), (POSES, NEWS, PICTURE)
+_ABOUT_ALL, _ABOUT_CAMERA = (TICK, STATE, RECORDER), (POSES, NEWS, PICTURE)
+_ABOUT_ROBOTS = COMMAND, STATUS, ENABLE, LEASE, TRUTH
 _OTHER = "Bytes", {"fields": [], "rest": "bytes"}  # text of requests, and what is not known
 
 
 def keys(config: Config) -> Iterator[str]:
     """Yield the full keys that are known from the configuration."""
     arena = config.arena.name
-    yield key(arena, TICK)
-    yield key(arena, STATE)
-    yield key(arena, RECORDER)
+    yield from (key(arena, topic) for topic in _ABOUT_ALL)
     yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, robot.id) for robot in config.robots for topic in _ABOUT_ROBOTS)
 

@@ -41,7 +41,7 @@ def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...
         was, now = "" if before is None else halt_cause(before, row), halt_cause(state, row)
         if now and now != was:
             yield Line(Level.WARNING, robot, f"stands still: {now}")
-        elif was and not now:
+        elif was and not now and row < len(state.robots) and state.robots[row].permitted:
             yield Line(Level.INFO, robot, "may move again")
 
 

@@ -127,6 +127,7 @@ class RunLog:
         return channel
 
     def _channel(self, topic: str, encoding: str, name: str, schema_encoding: str, description: bytes) -> int:
+        """Return the id of a new channel whose messages the schema ``name`` describes."""
         if name not in self._schemas:
             self._schemas[name] = self._container.register_schema(name, schema_encoding, description)
         return self._container.register_channel(topic, encoding, self._schemas[name])

@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.control.path import Path
+from robofleet.recording.bounds import judged
 from robofleet.recording.causes import named
+from robofleet.recording.measures import (
+    compute_us,
+    delays_ms,
+    path_errors,
+    pose_errors,
+    spacings,
+    timed_errors,
+)
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.stops import stops
 from robofleet.tracking.events import NO_TAG, TrackerEvent
@@ -24,7 +32,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
     run, config = Run(recording), recording.config
     duration_s = float(run.t[-1]) if len(run.t) else 0.0
     settled, spaced = run.after(config.run.settle_s), run.after(config.run.spacing_settle_s)
-    return {
+    figures = {
         "version": 1,
         "config": name,
         "seed": config.run.seed,
@@ -52,6 +60,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
             robot.id: _rejected(run, status) for robot, status in zip(config.platoon, run.statuses, strict=True)
         },
     }
+    return figures | {"bounds": judged(figures, config.run.bounds)}
 
 
 def _errors(metres: Array) -> Figures | None:
@@ -72,39 +81,17 @@ def _true_errors(run: Run, counted: NDArray[np.bool_]) -> Figures:
         return dict.fromkeys(("timed_error_mm", "path_error_mm", "centre_error_mm"))
     points, centres = points[counted], run.truth[counted][..., :2]
     return {
-        "timed_error_mm": _errors(_timed_errors(run, points, centres, run.t[counted])),
-        "path_error_mm": _errors(_path_errors(run.path, points)),
-        "centre_error_mm": _errors(_path_errors(run.path, centres)),
+        "timed_error_mm": _errors(timed_errors(run, points, centres, run.t[counted])),
+        "path_error_mm": _errors(path_errors(run.path, points)),
+        "centre_error_mm": _errors(path_errors(run.path, centres)),
     }
-
-
-def _path_errors(path: Path, points: Array) -> Array:
-    """Distances (K, N) of points (K, N, 2) from the path [m]."""
-    flat = points.reshape(-1, 2)
-    distances = np.linalg.norm(path.position(path.nearest(flat)) - flat, axis=-1)
-    return np.asarray(distances).reshape(points.shape[:2])
-
-
-def _timed_errors(run: Run, points: Array, centres: Array, t: Array) -> Array:
-    """Distances (K, N) of p from where it should be now: r(gamma t), or d back from the predecessor."""
-    group = run.config.groups[0]
-    centre_tracked = group.track == "centre"
-    followed = centres if centre_tracked else points
-    should = np.empty(points.shape[:2])
-    should[:, 0] = group.path_rate * t % run.path.sides
-    for i in range(1, points.shape[1]):
-        should[:, i] = run.path.back(run.path.nearest(followed[:, i - 1]), group.spacing_m)
-    target = run.path.position(should)
-    if centre_tracked:
-        target = target + run.config.controller.point_ahead_m * run.path.tangent(should)
-    return np.asarray(np.linalg.norm(points - target, axis=-1))
 
 
 def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
     points = run.points()
     if points is None or not counted.any() or points.shape[1] < 2:
         return None
-    gaps = np.linalg.norm(np.diff(points[counted], axis=1), axis=-1)
+    gaps = spacings(points[counted])
     deviation = np.abs(gaps - run.config.groups[0].spacing_m)
     return {
         "mean": [_rounded(value, 5) for value in gaps.mean(axis=0)],
@@ -130,12 +117,10 @@ def _pose_error(run: Run) -> Figures | None:
     """The filter at the tick against the truth at the tick."""
     if run.truth is None:
         return None
-    dx, dy = run.items["x_m"] - run.truth[..., 0], run.items["y_m"] - run.truth[..., 1]
-    turn = np.angle(np.exp(1j * (run.items["psi_rad"] - run.truth[..., 2])))
-    squared = dx**2 + dy**2
+    off, turn = pose_errors(run, run.truth)
     return {
-        "rms_mm": _rounded(math.sqrt(squared.mean()) * 1e3),
-        "max_mm": _rounded(math.sqrt(squared.max()) * 1e3),
+        "rms_mm": _rounded(math.sqrt((off**2).mean()) * 1e3),
+        "max_mm": _rounded(off.max() * 1e3),
         "heading_rms_deg": _rounded(math.degrees(math.sqrt((turn**2).mean()))),
     }
 
@@ -174,13 +159,9 @@ def _events(run: Run) -> list[Figures]:
 
 def _tick(run: Run, recording: Recording) -> Figures:
     ticks = run.ticks
-    if recording.tick_durations_ns is not None:
-        compute = np.array(recording.tick_durations_ns)
-    else:
-        compute = ticks["compute_ns"][1:]
     return {
         "period_ms": run.config.controller.tick_s * 1e3,
-        "compute_us": _percentiles(compute / 1e3, (50, 99, 100)),
+        "compute_us": _percentiles(compute_us(run, recording), (50, 99, 100)),
         "lateness_us": _percentiles(ticks["lateness_ns"] / 1e3, (50, 99, 100)),
         "overruns": int(ticks["overruns"][-1]) - int(ticks["overruns"][0]) if len(ticks) else None,
     }
@@ -188,25 +169,14 @@ def _tick(run: Run, recording: Recording) -> Figures:
 
 def _latency(run: Run) -> Figures | None:
     """Mid-exposure to wheel of every command that was applied while running, and where that time went."""
-    if not len(run.ticks):
+    delays = delays_ms(run)
+    if not len(delays.wheel):
         return None
-    total = []
-    for status in run.statuses:
-        running = status["applied_ns"] >= run.ticks["stamp_ns"][0]
-        _, newest = np.unique(status["applied_ns"][running], return_index=True)
-        applied = status[running][newest]
-        applied = applied[applied["applied_exposure_ns"] > 0]
-        total.append((applied["applied_ns"] - applied["applied_exposure_ns"]) / 1e6)
-    if not sum(map(len, total)):
-        return None
-    to_tick = (run.ticks["stamp_ns"] - run.ticks["exposure_ns"]) / 1e6
     return {
-        "exposure_to_wheel": _percentiles(np.concatenate(total), (50, 99, 100)),
+        "exposure_to_wheel": _percentiles(delays.wheel, (50, 99, 100)),
         "stages": {
-            "exposure_to_poses": _percentiles(
-                np.array([frame.sent_ns - frame.exposure_ns for frame in run.frames]) / 1e6, (50, 99)
-            ),
-            "exposure_to_tick": _percentiles(to_tick[run.ticks["exposure_ns"] > 0], (50, 99)),
+            "exposure_to_poses": _percentiles(delays.poses, (50, 99)),
+            "exposure_to_tick": _percentiles(delays.tick, (50, 99)),
         },
     }
 

@@ -16,15 +16,12 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.comms.keys import CAMERA
 from robofleet.comms.messages import TagPose
-from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.recording.shapes import WORLD, colour
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.offset import tag_from_centre
+from robofleet.tracking.outlines import TagOutlines
 from robofleet.tracking.pictures import picture_size
-from robofleet.tracking.targets import robot_targets
 
-_CORNERS = ((0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5))
 _FONT_PX, _LINE_PX = 22.0, 2.0
 _MEASURED, _PREDICTED, _LABEL = "#1fd655", "#ffb000", "#000000"  # on grey images
 # Foxglove's names of the lenses that OpenCV's coefficients mean, with how many of them; longer ones it does not know.
@@ -39,8 +36,8 @@ class Overlay:
         self._model, self._geometry = model, CameraGeometry.from_model(model)
         self._size = picture_size(model.width, model.height)
         self._scale = np.array(self._size) / (model.width, model.height)
-        self._targets = {target.tag: target for target in robot_targets(config)}
-        self._robots = {robot.tag: robot for robot in config.robots}
+        self._outlines = TagOutlines(config)
+        self._robots = {robot.tag: robot.id for robot in config.robots}
 
     def place(self, at: Timestamp) -> FrameTransform:
         """Return where the camera is."""
@@ -73,15 +70,16 @@ class Overlay:
 
     def outlines(self, poses: tuple[TagPose, ...], at: Timestamp) -> ImageAnnotations:
         """Return the outlines of the robots' tags with the robots' ids; what was predicted has another colour."""
-        drawn, known = ImageAnnotations(timestamp=at), [pose for pose in poses if pose.tag in self._robots]
-        for pose, outline in zip(known, self._outlines(known), strict=True):
-            corners = [Point2(x=u, y=v) for u, v in outline]
-            ink = colour(_PREDICTED if pose.coasted_ns else _MEASURED)
+        drawn, coasted = ImageAnnotations(timestamp=at), {pose.tag: pose.coasted_ns for pose in poses}
+        for tag, outline in self._outlines.of(poses).items():
+            # Foxglove's origin is the corner of the first pixel, not its centre.
+            corners = [Point2(x=u, y=v) for u, v in ((outline + 0.5) * self._scale).tolist()]
+            ink = colour(_PREDICTED if coasted[tag] else _MEASURED)
             kind = PointsAnnotation.LINE_LOOP
             drawn.points.append(
                 PointsAnnotation(timestamp=at, type=kind, points=corners, outline_color=ink, thickness=_LINE_PX)
             )
-            text, corner = self._robots[pose.tag].id, max(corners, key=lambda point: point.x)
+            text, corner = self._robots[tag], max(corners, key=lambda point: point.x)
             drawn.texts.append(
                 TextAnnotation(
                     timestamp=at,
@@ -93,20 +91,3 @@ class Overlay:
                 )
             )
         return drawn
-
-    def _outlines(self, poses: list[TagPose]) -> list[list[list[float]]]:
-        """Return the corners of every robot's tag in the picture [px]."""
-        if not poses:
-            return []
-        pixels = self._geometry.project(np.array([self._corners(pose) for pose in poses]))
-        # Foxglove's origin is the corner of the first pixel, not its centre.
-        corners: list[list[list[float]]] = ((pixels + 0.5) * self._scale).reshape(-1, 4, 2).tolist()
-        return corners
-
-    def _corners(self, pose: TagPose) -> list[tuple[float, float, float]]:
-        """Return the corners of a robot's tag [m; world]."""
-        target, calibration = self._targets[pose.tag], self._robots[pose.tag].calibration
-        offset = TagOffset() if calibration is None else calibration.tag_offset
-        x, y, psi = tag_from_centre(pose.x_m, pose.y_m, pose.psi_rad, offset)
-        c, s = math.cos(psi) * target.side, math.sin(psi) * target.side
-        return [(x + c * a - s * b, y + s * a + c * b, target.height) for a, b in _CORNERS]

@@ -20,6 +20,7 @@ from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Recording
 from robofleet.recording.scanning import Scan
 
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # eight times as fast, where it is
 _MADE_BY = re.compile(LIBRARY.format(r"(\S+)", r"(\d+)"))
 
 
@@ -33,10 +34,8 @@ def read(run: Path) -> Recording:
     with opened(file) as stream:
         scan = scanned(stream)
         recording = _recording(scan, file)
-    if recording is None:
-        raise RecordingError(f"{file}: no recording: {scan.trouble or 'it holds no configuration'}")
-    if not recording.messages:
-        raise RecordingError(f"{file}: an empty recording: nothing was said before it ended")
+    if recording is None or not recording.messages:
+        raise nothing(scan, file)
     recording.trouble = scan.trouble
     return recording
 
@@ -64,8 +63,15 @@ def scanned(stream: BinaryIO) -> Scan:
     return Scan(stream, os.fstat(stream.fileno()).st_size)
 
 
-def check_maker(header: Header, file: Path) -> None:
-    """Refuse what this version did not write."""
+def nothing(scan: Scan, file: Path) -> RecordingError:
+    """Return the refusal of a file without a message."""
+    if scan.trouble is None:
+        return RecordingError(f"{file}: there is no message in it: the run ended before anything was said")
+    return RecordingError(f"{file}: no recording: it {scan.trouble}, and no message comes before that")
+
+
+def check_maker(header: Header, file: Path) -> str:
+    """Return the version that wrote a file; RecordingError where this one does not read it."""
     made_by = _MADE_BY.fullmatch(header.library) if header.profile == PROFILE else None
     if made_by is None:
         raise RecordingError(f"{file}: no recording of robofleet's: it was made by {header.library or 'somebody else'}")
@@ -75,31 +81,33 @@ def check_maker(header: Header, file: Path) -> None:
             f"{file}: was made by wire version {wire} of robofleet {robofleet}; this one reads {VERSION}: "
             "install that version"
         )
+    return f"robofleet {robofleet}"
 
 
 def _recording(scan: Scan, file: Path) -> Recording | None:
     recording: Recording | None = None
     channels: dict[int, str] = {}
+    made_by = ""
     for item in scan.items():
         if isinstance(item, Header):
-            check_maker(item, file)
+            made_by = check_maker(item, file)
         elif isinstance(item, Attachment) and item.name == CONFIG:
-            recording = Recording(_config(item.data, file))
+            recording = Recording(_config(item.data, made_by, file))
         elif recording is None:
             continue
-        elif isinstance(item, Attachment) and item.name == ENDING:
-            with suppress(ValueError):
-                recording.end(item.data)
-        elif isinstance(item, Metadata):
-            with suppress(KeyError, ValueError):  # no CRC says whether it is as it was written
+        elif isinstance(item, Attachment | Metadata):
+            with suppress(KeyError, ValueError):  # metadata have no CRC; another version may say less
                 _note(recording, item)
         elif isinstance(item, Iterator):
             _fill(recording, item, channels)
     return recording
 
 
-def _note(recording: Recording, told: Metadata) -> None:
-    if told.name == PROVENANCE:
+def _note(recording: Recording, told: Attachment | Metadata) -> None:
+    if isinstance(told, Attachment):
+        if told.name == ENDING:
+            recording.end(told.data)
+    elif told.name == PROVENANCE:
         recording.provenance = Provenance.of(told.metadata)
     elif told.name == DROPPED:
         recording.dropped += int(told.metadata[COUNT])
@@ -115,9 +123,12 @@ def _fill(recording: Recording, contents: Iterator[Content], channels: dict[int,
             channels[content.id] = content.topic
 
 
-def _config(text: bytes, file: Path) -> Config:
+def _config(text: bytes, made_by: str, file: Path) -> Config:
     try:
-        return Config.model_validate(yaml.safe_load(text))
-    except (yaml.YAMLError, ValidationError) as error:
-        fault = str(error).splitlines()[0]
-        raise RecordingError(f"{file}: its configuration is none of this version's: {fault}") from error
+        return Config.model_validate(yaml.load(text, _LOADER))
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise RecordingError(
+            f"{file}: its configuration is of another version ({place}: {fault['msg']}): install {made_by}"
+        ) from error

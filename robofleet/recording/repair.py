@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from robofleet.recording.chunks import Content, Message
 from robofleet.recording.container import Container
-from robofleet.recording.reading import RecordingError, check_maker, file_of, opened, scanned
+from robofleet.recording.reading import RecordingError, check_maker, file_of, nothing, opened, scanned
 from robofleet.recording.scanning import Scan
 
 _NEW, _OLD = ".repairing", ".damaged"  # behind the file's name
@@ -48,7 +48,7 @@ def repair(run: Path) -> Repair:
         scan = scanned(stream)
         times = [content.log_ns for content in _contents(scan, file) if isinstance(content, Message)]
         if not times:
-            raise RecordingError(f"{file}: there is no message in it that could be saved")
+            raise nothing(scan, file)
         kept = None if scan.trouble is None or scan.torn else file.with_name(file.name + _OLD)
         if scan.trouble is not None:
             stream.seek(0)

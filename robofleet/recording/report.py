@@ -1,110 +1,178 @@
-"""What a run says to a person: the summary beside the paper's figures."""
+"""What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
 
+import shlex
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
+import matplotlib as mpl
+
+from robofleet.clock import S
+from robofleet.config.load import resolved_yaml
+from robofleet.figures import STYLE
+from robofleet.pages import Marked, Page, Tile
+from robofleet.recording.bounds import JUDGED, failures
+from robofleet.recording.canvas import View
+from robofleet.recording.plots import SECTIONS
+from robofleet.recording.run import Recording, Run
+from robofleet.recording.series import CSV, series, write_csv
+from robofleet.recording.timeline import Timeline
 
 Summary = dict[str, Any]
 
-PAPER_CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
-PAPER_SPACING_M = 0.25  # IV-C: d
-_SHOWN = 4  # stops
+PAGE = "report.html"
+_ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
+_SHOWN = 80  # entries of a table; a run that is worse shows its first ones
 
 
-def summary_table(summary: Summary) -> Table:
-    """Return the table that ends a run."""
-    cause = f" ({summary['cause']})" if summary["cause"] else ""
-    table = Table(
-        title=Text(f"{summary['config']}: {summary['outcome']}{cause}", "bold"),
-        title_justify="left",
-        caption="errors and deviations: mean (max), on the true poses; times: p50, p99",
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    table.add_column("\nfigure", no_wrap=True)
-    table.add_column("this run\n(simulation)", justify="right")
-    table.add_column("the paper\n(hardware)", justify="right")
-    table.add_column("each robot\n" + " ".join(f"{robot:>5}" for robot in summary["robots"]))
-    for row in (*_errors(summary), *_health(summary)):
-        table.add_row(*row)
-    return table
+def write(recording: Recording, summary: Summary, folder: Path) -> Path:
+    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be."""
+    view = view_of(recording, summary)
+    page = Page(summary["config"], _subtitle(recording, summary))
+    _verdict(page, recording, summary)
+    if summary["ticks"]:
+        page.tiles(_tiles(summary))
+        _bounds(page, summary)
+    with mpl.rc_context(STYLE):
+        _plots(page, view)
+    _stops(page, summary)
+    _entries(page, view.timeline)
+    _robots(page, summary)
+    _origin(page, recording, folder)
+    write_csv(view.series, folder / CSV)
+    page.write(folder / PAGE)
+    return folder / PAGE
 
 
-def _errors(s: Summary) -> list[tuple[str, str, str, str]]:
+def view_of(recording: Recording, summary: Summary) -> View:
+    """Return what there is to draw of a run."""
+    run = Run(recording)
+    return View(recording, series(run), Timeline(run, summary["stops"]))
+
+
+def _subtitle(recording: Recording, summary: Summary) -> str:
+    mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
+    robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
+    said = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+    made, ticks = recording.provenance, Run(recording).all_ticks
+    if made is None or not made.epoch_ns or not len(ticks):
+        return said
+    began = datetime.fromtimestamp((made.epoch_ns + int(ticks["stamp_ns"][0])) // S, UTC)
+    return f"{began:%Y-%m-%d %H:%M:%S} UTC; {said}"
+
+
+def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
+    """Say what became of the run, and why."""
+    missed, cause, stops = failures(summary), summary["cause"], len(summary["stops"])
+    good: bool | None = not missed and summary["outcome"] == "completed"
+    if summary["outcome"] == "completed":
+        of = len(summary["bounds"])
+        said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
+        said += ", every bound met" if of and not missed else ""
+    else:
+        ended = _ENDS.get(summary["outcome"], "Nobody came to say how it ended")
+        said = ended if summary["ticks"] else "Did not start"
+        said += f": {cause}" if cause else ""
+    if missed and not summary["ticks"]:
+        missed = ["Nothing was measured."]
+    lines = missed or ([] if summary["bounds"] else ["No bounds are configured: nothing was judged."])
+    lines = [f"{stops} stop{'s' * (stops > 1)} of a robot on the way.", *lines] if stops else lines
+    if recording.trouble:
+        lines.append(f"The recording is not whole: the file {recording.trouble}.")
+    if recording.dropped:
+        lines.append(f"The recorder did not get {recording.dropped:,} messages: figures lack what they said.")
+    page.verdict(said, good=good, detail="\n".join(lines) or "No robot was stopped on the way.")
+
+
+def _tiles(summary: Summary) -> list[Tile]:
+    verdicts = {bound["figure"]: bound for bound in summary["bounds"]}
+    tiles = []
+    for name, figure in JUDGED.items():
+        value, bound = figure.of(summary), verdicts.get(name)
+        note = Marked("no bound", None)
+        if bound is not None:
+            limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
+            note = Marked(f"✓ {limit}" if bound["pass"] else f"✗ {limit}", bound["pass"])
+        shown = "–" if value is None else _short(value)
+        tiles.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
+    return tiles
+
+
+def _short(value: float) -> str:
+    """Return a number as it is read at a glance."""
+    digits = 0 if isinstance(value, int) or abs(value) >= 100 else 1 if abs(value) >= 10 else 2
+    return f"{value:,.{digits}f}"
+
+
+def _bounds(page: Page, summary: Summary) -> None:
+    if not summary["bounds"]:
+        page.note("To have runs judged, write bounds into the configuration, e.g.")
+        page.listing("run:\n  bounds: {control_error_mean_mm: 1.0, spacing_max_deviation_mm: 12, stops: 0}")
+        return
+    page.section("Bounds", "What run.bounds asks for. A figure that was not measured has not met its bound.")
     rows = []
-    for name, label, paper in (
-        ("control_error_mm", "control error, mm", f"about {PAPER_CONTROL_ERROR_MM:g}"),
-        ("timed_error_mm", "timed error, mm", "-"),
-        ("path_error_mm", "point off the path, mm", "-"),
-        ("centre_error_mm", "centre off the path, mm", "-"),
-    ):
-        figure = s[name]
-        if figure is None:
-            rows.append((label, "not measured", paper, ""))
-        else:
-            each = " ".join(f"{value:5.2f}" for value in figure["per_robot_mean"])
-            rows.append((label, f"{figure['mean']:.2f} ({figure['max']:.1f})", paper, each))
-    spacing = s["spacing_m"]
-    if spacing is not None:
-        each = " " * 6 + " ".join(f"{value * 1e3:5.1f}" for value in spacing["mean"])
-        mean = f"{1e3 * sum(spacing['mean']) / len(spacing['mean']):.1f}"
-        rows.append(("spacing, mm", mean, f"target {PAPER_SPACING_M * 1e3:g}", each))
-        rows.append(("spacing's deviation, mm", f"({spacing['max_deviation_mm']:.1f})", "-", ""))
-    return rows
+    for bound in summary["bounds"]:
+        figure = JUDGED[bound["figure"]]
+        limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}"
+        verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)
+        rows.append((figure.label, verdict, bound["value"], limit, f"run.bounds.{bound['figure']}"))
+    page.table(("figure", "", "value", "bound", "key"), rows)
 
 
-def _health(s: Summary) -> list[tuple[str, str, str, str]]:
-    rows = []
-    if s["min_gap_mm"] is not None:
-        rows.append(("smallest body gap, mm", f"{s['min_gap_mm']:.0f}", "-", ""))
-    if s["pose_error"] is not None:
-        p = s["pose_error"]
-        rows.append(("pose, rms, mm and deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}", "-", ""))
-    tracker, tick = s["tracker"], s["tick"]
-    if tracker["frames"]:
-        note = f"{tracker['frames']} images, {tracker['frame_ms']['p50']:.1f} ms each"
-        rows.append(("tags found, %", f"{100 * tracker['measured_fraction']:.1f}", "-", note))
-    if tick["compute_us"] is not None:
-        value = f"{tick['compute_us']['p50']:.0f}, {tick['compute_us']['p99']:.0f}"
-        rows.append(("computing a tick, us", value, "-", f"of {tick['period_ms'] * 1e3:g}"))
-    if tick["overruns"] is not None:
-        rows.append(("overruns", str(tick["overruns"]), "-", f"of {s['ticks']} ticks"))
-    if s["latency_ms"] is not None:
-        latency = s["latency_ms"]["exposure_to_wheel"]
-        rows.append(("exposure to wheel, ms", f"{latency['p50']:.1f}, {latency['p99']:.1f}", "-", ""))
-    if s["stops"]:
-        stops = "\n".join(map(_stop, s["stops"][:_SHOWN]))
-        rows.append(("robots stopped on the way", str(len(s["stops"])), "-", stops))
-    return rows
+def _plots(page: Page, view: View) -> None:
+    ran = len(view.series.t) > 0
+    for section, plots in SECTIONS.items():
+        page.section(section)
+        for plot in plots if ran else plots[:1]:
+            figure = plot.draw(view)
+            if figure is None:
+                page.note(f"{plot.title}. {plot.missing}")
+            else:
+                page.figure(figure, plot.caption, title=plot.title, legend=plot.legend(view), long=plot.long)
+        if not ran:
+            page.note("The fleet was never running: there is nothing more to show.")
+            return
 
 
-def _stop(stop: dict[str, Any]) -> str:
-    took = "" if stop["output_ms"] is None else f" (still after {stop['output_ms']:.0f} ms)"
-    return f"{stop['robot']} at {stop['t_s']:.1f} s: {stop['cause']}{took}"
+def _stops(page: Page, summary: Summary) -> None:
+    if summary["stops"]:
+        page.section("Stops", "Times after the stop: from the newest word heard to a target, and to an output of zero.")
+        rows = [
+            (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"])
+            for s in summary["stops"][:_SHOWN]
+        ]
+        page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms"), rows)
 
 
-def status_table(status: dict[str, Any]) -> Table:
-    """Return what a running arena says of itself: ``processes.operator.status``."""
-    phase, cause = status["phase"] or "the supervisor is silent", status["cause"]
-    table = Table(
-        title=Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold"),
-        title_justify="left",
-        caption=f"{status['folder']}, since {status['started']}, process {status['pid']}",
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for column in ("robot", "gate", "latch", "battery", "heard", "halted"):
-        table.add_column(column)
-    for robot in status["robots"]:
-        if robot["gate"] is None:
-            table.add_row(robot["id"], Text("silent", "bold red"), "", "", "", robot["halted"])
-            continue
-        battery = "unknown" if robot["battery"] is None else f"{100 * robot['battery']:.0f} %"
-        gate = Text(robot["gate"], "green" if robot["gate"] == "open" else "yellow")
-        latch = Text(robot["latch"], "" if robot["latch"] == "none" else "bold red")
-        table.add_row(robot["id"], gate, latch, battery, f"{robot['age_ms']:.0f} ms ago", robot["halted"])
-    return table
+def _entries(page: Page, timeline: Timeline) -> None:
+    page.section("Events", "Everything that happened, in order; before the start at times below 0.")
+    rows = [(f"{entry.t_s:.2f}", entry.who, entry.what) for entry in timeline.entries[:_SHOWN]]
+    page.table(("t, s", "who", "what"), rows)
+    if (more := len(timeline.entries) - _SHOWN) > 0:
+        page.note(f"And {more} more.")
+
+
+def _robots(page: Page, summary: Summary) -> None:
+    page.section("Robots", "Means over the time that counts; spacing from the robot before.")
+    errors = [
+        summary[name]["per_robot_mean"] if summary[name] else [None] * len(summary["robots"])
+        for name in ("control_error_mm", "timed_error_mm", "path_error_mm", "centre_error_mm")
+    ]
+    gaps = [None, *(summary["spacing_m"]["mean"] if summary["spacing_m"] else [None] * (len(summary["robots"]) - 1))]
+    stops = [sum(stop["robot"] == robot for stop in summary["stops"]) for robot in summary["robots"]]
+    rows = [
+        (robot, *(error[k] for error in errors), gaps[k], stops[k], summary["rejected"][robot])
+        for k, robot in enumerate(summary["robots"])
+    ]
+    units = "control error, mm", "timed error, mm", "off the path, mm", "centre off, mm", "spacing, m"
+    page.table(("robot", *units, "stops", "messages refused"), rows)
+
+
+def _origin(page: Page, recording: Recording, folder: Path) -> None:
+    page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
+    page.listing(f"robofleet replay {shlex.quote(str(folder))}")
+    made = recording.provenance
+    if made is not None:
+        rows = [("processor", made.processor), ("architecture", made.architecture), *made.versions.items()]
+        page.table(("made with", ""), [*rows, *((f"sha256 of {name}", value) for name, value in made.hashes.items())])
+    page.listing(resolved_yaml(recording.config), folded="The configuration, all of it")

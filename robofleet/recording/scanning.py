@@ -51,7 +51,7 @@ class Scan:
         try:
             yield from self._items()
         except EOFError:
-            self.torn, self.trouble = True, "ends before its index: its recorder was killed or had no room"
+            self.torn, self.trouble = True, "ends before its index, as after a kill or on a full disk"
         except OSError as error:
             self.trouble = f"cannot be read {self.good} bytes from its start: {error.strerror}"
         except (DamageError, McapError, ValueError, struct.error):
@@ -59,7 +59,8 @@ class Scan:
 
     def _items(self) -> Iterator[Item]:
         if self._take(len(MAGIC)) != MAGIC:
-            raise DamageError
+            self.trouble = "is no MCAP file"
+            return
         expected: tuple[Opcode, ...] = _START
         while True:
             self.good, crc = self._read, self._crc

@@ -68,7 +68,7 @@ class Scene:
         return [(topic, message.SerializeToString()) for topic, message in said] if said else []
 
     def _draw(self, at_ns: int, date_ns: int) -> Said:
-        first, self._due_ns = not self._due_ns, at_ns + _PERIOD_NS
+        first, self._due_ns = not self._due_ns, (at_ns // _PERIOD_NS + 1) * _PERIOD_NS
         return (*(self._unchanging(date_ns) if first else ()), *self._fleet.draw(date_ns))
 
     def _described(self) -> Iterator[tuple[str, str, bytes]]:

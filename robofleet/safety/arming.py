@@ -1,6 +1,7 @@
 """What is proved on the live system before a fleet starts: the checks, the e-stop drill, the wiggle.
 
 What is missing is waited for; what is wrong for good refuses the start at once. Either way the robot is named.
+A fleet that is proved waits for its start, and not for long: what was proved must still be so.
 """
 
 import math
@@ -20,6 +21,7 @@ _SILENT_NS = 500_000_000  # a process that said nothing for so long is not there
 _FRESH_NS = 150_000_000  # four images of a 30 Hz camera
 _ANSWER_NS = 200_000_000  # from the e-stop to its acknowledgement
 _CLEAR_NS = 1_000_000_000
+_PROOF_NS = 60_000_000_000  # a minute: longer, and somebody may have carried a robot away and brought another one
 _CHARGE = 0.2
 _FREE_BYTES = 200_000_000
 _MARGIN_M = 0.01  # between two bodies, and from a wall, wherever a wiggle may lead
@@ -31,7 +33,7 @@ class Stage(IntEnum):
     CHECKS = 0  # everything is there, fresh, at rest and of one build
     DRILL = 1  # every driver closes its gate by an e-stop, and is cleared again
     WIGGLE = 2  # robot by robot: this driver moves this tag, forwards, as far as expected
-    DONE = 3
+    DONE = 3  # it waits for the start
 
 
 class ArmingState(NamedTuple):
@@ -69,8 +71,13 @@ def begin(now_ns: int) -> ArmingState:
     return ArmingState(since_ns=now_ns)
 
 
-def step(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
-    """Go on; a happening is Event.PROVED at the end, or why the fleet must not start."""
+def step(
+    state: ArmingState, settings: ArmingSettings, view: FleetView, start: bool
+) -> tuple[ArmingState, Happening | None]:
+    """Go on; a happening is Event.PROVED at the end, or why the fleet must not start.
+
+    ``start``: it is to go on from the checks to the run; else it waits for that.
+    """
     wrong = _wrong(settings, view)
     if wrong is not None:
         return state, wrong
@@ -80,11 +87,17 @@ def step(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple
         return _drill(state, view)
     if state.stage is Stage.WIGGLE:
         going, happening = wiggle.step(state.wiggle, settings.wheel_radius, settings.wheel_base, view)
-        state = state._replace(wiggle=going)
-        if going.robot == len(view.robots):
-            return ArmingState(Stage.DONE, view.now_ns), Happening(Event.PROVED)
-        return state, happening
-    return state, None
+        if going.robot < len(view.robots) or going.robot == NOBODY:
+            return state._replace(wiggle=going), happening
+        state = ArmingState(Stage.DONE, view.now_ns)
+    if start:
+        return state, Happening(Event.PROVED)
+    return state, Happening(Event.NOT_STARTED) if view.now_ns - state.since_ns >= _PROOF_NS else None
+
+
+def unready(settings: ArmingSettings, view: FleetView) -> Happening | None:
+    """Return what keeps a fleet that waits for its start from starting now."""
+    return _missing(view) or _cramped(settings, view)
 
 
 def _wrong(settings: ArmingSettings, view: FleetView) -> Happening | None:

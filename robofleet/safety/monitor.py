@@ -53,11 +53,14 @@ class Memory(NamedTuple):
 
 
 def watch(
-    memory: Memory, settings: MonitorSettings, phase: Phase, view: FleetView
+    memory: Memory, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False
 ) -> tuple[Memory, tuple[Happening, ...]]:
-    """Return what happened since the last view and what still stands; processes first, then robot by robot."""
+    """Return what happened since the last view and what still stands; processes first, then robot by robot.
+
+    ``proved``: the checks of a fleet that is armed are passed, and it waits for its start.
+    """
     now_ns, before = view.now_ns, memory.view or view
-    running = phase is Phase.RUNNING
+    running, checking = phase is Phase.RUNNING, phase is Phase.ARMED and not proved
     since = memory.infeasible_ns or (NEVER,) * len(view.robots)
     infeasible_ns = tuple(
         (at_ns or now_ns) if running and robot.filtered == 2 else NEVER
@@ -67,9 +70,9 @@ def watch(
     sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
     memory = Memory(view, phase, memory.since_ns if phase is memory.phase else now_ns, sessions, infeasible_ns)
     happenings = [
-        *_host(before, memory, settings, view),
+        *_host(before, memory, settings, view, checking=checking),
         *_controller(before, settings, phase, view),
-        *_tracker(before, settings, phase, view),
+        *_tracker(before, settings, view, checking=checking),
         *view.news,
     ]
     for row, robot in enumerate(view.robots):
@@ -84,7 +87,9 @@ def watch(
     return memory, (*happenings, *_neighbours(settings, view))
 
 
-def _host(before: FleetView, memory: Memory, settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+def _host(
+    before: FleetView, memory: Memory, settings: MonitorSettings, view: FleetView, *, checking: bool
+) -> Iterator[Happening]:
     """Look at this process itself, its disk and its operator."""
     if abs(view.now_ns - before.now_ns) > SILENT_NS:
         yield Happening(Event.SUPERVISOR_STALLED)
@@ -93,7 +98,7 @@ def _host(before: FleetView, memory: Memory, settings: MonitorSettings, view: Fl
     if view.free_bytes < LEAST_FREE_BYTES:
         yield Happening(Event.DISK_FULL)
     lasted_ns = view.now_ns - memory.since_ns
-    if memory.phase is Phase.ARMED and lasted_ns > ARMED_NS + ARMED_ROBOT_NS * len(view.robots):
+    if checking and lasted_ns > ARMED_NS + ARMED_ROBOT_NS * len(view.robots):
         yield Happening(Event.ARMED_TOO_LONG)
     if memory.phase is Phase.HOLD and lasted_ns > HELD_NS:
         yield Happening(Event.HELD_TOO_LONG)
@@ -113,12 +118,12 @@ def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view
         yield Happening(Event.TICKS_OVERRUN, NOBODY, view.overruns - before.overruns)
 
 
-def _tracker(before: FleetView, settings: MonitorSettings, phase: Phase, view: FleetView) -> Iterator[Happening]:
+def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView, *, checking: bool) -> Iterator[Happening]:
     if view.tracker_ns == NEVER:
         return
     stale = view.image_tick != 0 and view.tick - view.image_tick > STALE_TICKS
     silent = view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale
-    if silent and phase is not Phase.ARMED:  # the checks wait for images, and a probed robot stands without
+    if silent and not checking:  # the checks wait for images, and a probed robot stands without
         yield Happening(Event.TRACKER_SILENT)
     if before.tracker_epoch not in (0, view.tracker_epoch):
         yield Happening(Event.TRACKER_RESTARTED)

@@ -6,8 +6,10 @@ from robofleet.safety.supervisor import TRANSITIONS, Event, Happening, Phase, Ru
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import WIRED_STOP
 
-# Where the run is when a wish was met already: whoever heard no answer asks again.
+# Where a wish changes no phase: it was met already, and whoever heard no answer asks again; or it is a start that
+# checks are under way for, or waiting for.
 _MET = {
+    Event.ARM_REQUESTED: (Phase.ARMED,),
     Event.START_REQUESTED: (Phase.ARMED, Phase.RUNNING),
     Event.STOP_REQUESTED: (Phase.IDLE,),
     Event.HOLD_REQUESTED: (Phase.HOLD,),
@@ -17,7 +19,7 @@ _MET = {
 }
 WAY_OUT: dict[int, str] = {  # by phase
     Phase.IDLE: "nothing runs: start it",
-    Phase.ARMED: "the checks are under way: wait for them, or stop",
+    Phase.ARMED: "the fleet is being armed: start it once the checks are passed, or stop",
     Phase.RUNNING: "the run goes on: hold it, or stop it",
     Phase.HOLD: "the run is held: resume it, or stop it",
     Phase.FAULT: "the run ended by a fault: mend it, then reset",
@@ -26,11 +28,17 @@ WAY_OUT: dict[int, str] = {  # by phase
 
 
 def refusal(
-    event: Event, status: RunStatus, standing: tuple[Happening, ...], view: FleetView, robots: tuple[str, ...]
+    event: Event,
+    status: RunStatus,
+    standing: tuple[Happening, ...],
+    view: FleetView,
+    robots: tuple[str, ...],
+    unready: Happening | None = None,
 ) -> str | None:
     """Return why what an operator asks for cannot be done, None where it can.
 
-    ``standing`` is what the monitor tells of this view; ``robots`` are the ids in the group's order.
+    ``standing`` is what the monitor tells of this view; ``robots`` are the ids in the group's order; ``unready`` is
+    what keeps a fleet that waits for its start from starting.
     """
     phase = TRANSITIONS.get((status.phase, event))
     if phase is None and status.phase not in _MET[event]:
@@ -38,8 +46,10 @@ def refusal(
     if event is Event.RESET:
         there = [(robot, seen) for robot, seen in zip(robots, view.robots, strict=True) if not gone(seen, view)]
         return next((why for robot, seen in there if (why := _unsettled(robot, seen, status.phase))), None)
-    if event is Event.START_REQUESTED and status.phase is Phase.IDLE and (held := latched(view, robots)):
+    if phase is Phase.ARMED and (held := latched(view, robots)):
         return f"{', '.join(held)}: the gate is latched: look at the robot, then reset"
+    if event is Event.START_REQUESTED and unready is not None:
+        return f"{describe(unready, robots)}: mend it, then start, or stop"
     if event is Event.RESUME_REQUESTED:
         for happening in standing:
             if (phase, happening.event) in TRANSITIONS:

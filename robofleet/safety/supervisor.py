@@ -14,7 +14,7 @@ class Phase(IntEnum):
     """State of a run."""
 
     IDLE = 0
-    ARMED = 1  # the checks before a start, robot by robot
+    ARMED = 1  # the checks before a start, robot by robot; passed, they wait for it
     RUNNING = 2
     FAULT = 3
     HOLD = 4
@@ -27,13 +27,14 @@ class Event(IntEnum):
     NOTHING = 0
     # the operator
     START_REQUESTED = 1
-    PROVED = 2  # every check before the start was passed
+    PROVED = 2  # every check was passed, and the start is asked for
     STOP_REQUESTED = 3
     HOLD_REQUESTED = 4
     RESUME_REQUESTED = 5
     ESTOP_REQUESTED = 6
     RESET = 7  # requested, and every robot at rest, every e-stop acknowledged, no input that still asks for one
     OPERATOR_LOST = 8  # the dead man's terminal is gone
+    ARM_REQUESTED = 70  # the checks, and then to wait for the start
     # the processes
     SUPERVISOR_STALLED = 9  # the supervisor itself stood still, or its clock jumped
     DRIVER_SILENT = 10
@@ -78,10 +79,12 @@ class Event(IntEnum):
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
+    NOT_STARTED = 62
 
 
 CAUSES = {
     Event.NOTHING: "nothing",
+    Event.ARM_REQUESTED: "arming requested",
     Event.START_REQUESTED: "start requested",
     Event.PROVED: "every check passed",
     Event.STOP_REQUESTED: "stop requested",
@@ -129,6 +132,7 @@ CAUSES = {
     Event.WRONG_GAIN: "it travels {detail:.2f} of what its wheels should give: check wheel_radius_m",
     Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
+    Event.NOT_STARTED: "nobody started, and the checks are old",
 }
 
 _SAME = None
@@ -138,6 +142,7 @@ _I, _A, _R, _H, _F, _E = Phase.IDLE, Phase.ARMED, Phase.RUNNING, Phase.HOLD, Pha
 _COLUMNS = (_I, _A, _R, _H, _F, _E)
 _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     #                            IDLE   ARMED  RUNNING HOLD  FAULT  ESTOP
+    Event.ARM_REQUESTED:        (_A,    _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.START_REQUESTED:      (_A,    _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.PROVED:               (_SAME, _R,    _SAME, _SAME, _SAME, _SAME),
     Event.STOP_REQUESTED:       (_SAME, _I,    _I,    _I,    _SAME, _SAME),
@@ -185,6 +190,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.WRONG_GAIN:           (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.ARMED_TOO_LONG:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.HELD_TOO_LONG:        (_SAME, _SAME, _SAME, _F,    _SAME, _SAME),
+    Event.NOT_STARTED:          (_SAME, _I,    _SAME, _SAME, _SAME, _SAME),
 }  # fmt: skip
 
 TRANSITIONS: dict[tuple[Phase, Event], Phase] = {

@@ -176,7 +176,7 @@ MISTAKES = [
     (("size_m: [3.2, 2.0]", "size_m: [3.2, «wide]"), "arena.size_m.1", "must be a number"),
     (("size_m: [3.2, 2.0]", "size_m: «3.2"), "arena.size_m", "must be a list"),
     (("[r1, r2, r3, r4]", "«[]"), "groups.0.robots", "needs 1 or more, has 0"),
-    (("run: {duration_s: 88}", "run: «88"), "run", "must be a mapping, not 88"),
+    (("arena: {name: platoon, size_m: [3.2, 2.0]}", "arena: «88"), "arena", "must be a mapping, not 88"),
     (("run: {", "bus: {endpoint: «udp/1.2.3.4:0}\nrun: {"), "bus.endpoint", "tcp/127.0.0.1:0"),
     (("tag: 3", "tag: «2"), "robots.2.tag", "2 is robots.1's already"),
     (("id: r3", "id: «r2"), "robots.2.id", "r2 is robots.1's already"),

@@ -10,17 +10,11 @@ import yaml
 
 from robofleet.control.path import Path
 from robofleet.control.platoon import WHEELS, Column, Platoon, PlatoonSettings
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.robots import GTERNAL
 
 CONFIGS = File(__file__).parent.parent.parent / "configs"
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.0,
-    max_wheel_acceleration=150.0,
-)
+DRIVE = replace(GTERNAL, motor_lag=0.0)
 PAPER = PlatoonSettings(
     alpha=45.0,
     horizon=0.6,

@@ -8,16 +8,9 @@ import pytest
 
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.platoon import WHEELS, Column
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.robots import GTERNAL
 
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
 RADIUS, TICK, ARENA = 0.055, 0.033, (3.2, 2.0)
 # as configs/platoon.yaml has them: the nearest two are 0.19 m apart
 PLATOON = [(-1.212, 0.5, 0.93), (-1.382, 0.254, 0.7), (-1.478, 0.091, 1.4), (-1.408, -0.23, 1.82)]
@@ -30,7 +23,7 @@ class Floor:
 
     def __init__(self, poses: list[Pose], seed: int = 1) -> None:
         settings = ExcitationSettings(TICK, 0.08, ARENA, (RADIUS,) * len(poses))
-        self.drive = Excitation(settings, (DRIVE,) * len(poses), np.random.default_rng(seed))
+        self.drive = Excitation(settings, (GTERNAL,) * len(poses), np.random.default_rng(seed))
         self.poses, self._wheels = list(poses), np.zeros((len(poses), 2))
         self.driving = np.ones(len(poses), dtype=np.bool_)
         self.track: list[list[Pose]] = []
@@ -41,9 +34,9 @@ class Floor:
             decisions = self.drive.tick(k * TICK, np.array(self.poses), self.driving)
             self.decisions.append(decisions)
             for _ in range(3):
-                self._wheels += (decisions[:, WHEELS] - self._wheels) * -math.expm1(-TICK / 3 / DRIVE.motor_lag)
+                self._wheels += (decisions[:, WHEELS] - self._wheels) * -math.expm1(-TICK / 3 / GTERNAL.motor_lag)
                 for row, (left, right) in enumerate(self._wheels.tolist()):
-                    body = body_from_wheels(left, right, DRIVE.wheel_radius, DRIVE.wheel_base)
+                    body = body_from_wheels(left, right, GTERNAL.wheel_radius, GTERNAL.wheel_base)
                     self.poses[row] = arc(*self.poses[row], *body, TICK / 3)
             self.track.append(list(self.poses))
 
@@ -89,8 +82,8 @@ def test_every_robot_spins_both_ways_and_drives_forth_and_back(platoon: Floor) -
 
 def test_wheel_speeds_keep_their_limits_and_change_all_the_time(platoon: Floor) -> None:
     wheels = np.array(platoon.decisions)[..., WHEELS]
-    assert np.abs(wheels).max() <= DRIVE.max_wheel_speed
-    assert DRIVE.wheel_radius * np.abs(wheels.mean(axis=2)).max() <= DRIVE.max_speed
+    assert np.abs(wheels).max() <= GTERNAL.max_wheel_speed
+    assert GTERNAL.wheel_radius * np.abs(wheels.mean(axis=2)).max() <= GTERNAL.max_speed
     for row in range(4):
         for side in range(2):
             assert (np.diff(wheels[:, row, side]) != 0.0).sum() > 100

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers.simulated import SimulatedRobot
-from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import (
     BodyTrouble,
     DriverContext,
@@ -17,31 +16,10 @@ from robofleet.vehicles.interface import (
     Simulation,
     WheelSpeeds,
 )
+from tests.robots import GTERNAL, IDEAL, WORN
 
 MS, S = 1_000_000, 1_000_000_000
 START = (0.4, -0.3, 1.0)
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
-WORN = Imperfections(
-    motor_lag=0.08,
-    speed_quantum=0.2244,
-    loop_period=0.01,
-    deadband=0.5,
-    breakaway=0.7,
-    wheel_gain_spread=0.03,
-    wheel_base_spread=0.01,
-    slip=0.02,
-    slip_noise=0.2,
-    top_speed_sag=0.1,
-    battery_life=2400.0,
-)
-IDEAL = replace(WORN, motor_lag=0.0, speed_quantum=0.0, deadband=0.0, breakaway=0.0, wheel_gain_spread=0.0, slip=0.0)
 
 
 class Bench:
@@ -50,8 +28,8 @@ class Bench:
     def __init__(self, imperfections: Imperfections = WORN) -> None:
         self.now_ns = 5 * S
         self.trouble = BodyTrouble()
-        simulation = Simulation(DRIVE, imperfections, START, lambda: self.trouble, np.random.default_rng(4))
-        self.robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: self.now_ns))
+        simulation = Simulation(GTERNAL, imperfections, START, lambda: self.trouble, np.random.default_rng(4))
+        self.robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: self.now_ns))
 
     def wait(self, ns: int, asked_every: int | None = None) -> None:
         for _ in range(ns // (asked_every or ns)):
@@ -143,7 +121,7 @@ def test_wheels_that_slip_turn_as_told_and_travel_less() -> None:
     bench.trouble = BodyTrouble(slip=0.5)
     bench.robot.write(WheelSpeeds(5.0, 5.0))
     assert travelled(bench, 100 * MS) == pytest.approx(0.5)
-    assert math.dist(bench.robot.truth()[:2], START[:2]) == pytest.approx(0.5 * DRIVE.wheel_radius / 2)
+    assert math.dist(bench.robot.truth()[:2], START[:2]) == pytest.approx(0.5 * GTERNAL.wheel_radius / 2)
 
 
 def test_the_firmware_stops_a_robot_to_which_nobody_speaks() -> None:

@@ -246,8 +246,8 @@ def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
     """Return what starts a run with real processes; nothing of it is left afterwards."""
     runs: list[RealRun] = []
 
-    def start(*arguments: str, terminal: bool = False) -> RealRun:
-        runs.append(RealRun(tmp_path, *arguments, terminal=terminal))
+    def start(*arguments: str, **how: Any) -> RealRun:
+        runs.append(RealRun(tmp_path, *arguments, **how))
         return runs[-1]
 
     yield start

@@ -49,7 +49,7 @@ class Tries:
         _CLOCK.sleep_until(_CLOCK.now_ns() + _DRIVES_NS)
         statuses = self.bus.stream(key(self._arena, STATUS, "*"), 4096)
         asked_ns = _CLOCK.now_ns()
-        stopped = emergency_stop(self.bus, _CLOCK, self._arena, self._robots)
+        stopped = emergency_stop(self.bus, _CLOCK, self._robots)
         assert not stopped.silent, stopped.describe()
         after_ms: dict[str, float] = {}
         for _, full, payload in statuses.drain():

@@ -22,7 +22,7 @@ from robofleet.comms.messages import (
 from robofleet.config import slices
 from robofleet.processes.supervisor import Supervisor
 from robofleet.safety import arming
-from robofleet.safety.arming import ArmingSettings, ArmingState
+from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase
 from robofleet.safety.view import FleetView
@@ -32,10 +32,13 @@ ROBOTS = ("r1", "r2", "r3", "r4")
 PLACES = ((-1.0, 0.0, 0.0), (-0.5, 0.0, 0.0), (0.0, 0.0, 0.0), (0.5, 0.0, 0.0))
 
 
-def proved(state: ArmingState, _settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
+def proved(
+    state: ArmingState, _settings: ArmingSettings, view: FleetView, start: bool
+) -> tuple[ArmingState, Happening | None]:
     """Stand in for the checks before a start: everybody is there."""
-    there = view.controller_ns and view.tracker_ns and all(r.heard_ns and r.seen_ns for r in view.robots)
-    return state, Happening(Event.PROVED) if there else None
+    if not (view.controller_ns and view.tracker_ns and all(r.heard_ns and r.seen_ns for r in view.robots)):
+        return state, None
+    return state._replace(stage=Stage.DONE), Happening(Event.PROVED) if start else None
 
 
 class Robot:

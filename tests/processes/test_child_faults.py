@@ -7,7 +7,7 @@ import pytest
 
 from robofleet.config.load import ConfigError
 from robofleet.processes.check import load_checked
-from tests.processes.realrun import PLATOON, RealRun
+from tests.processes.realrun import PLATOON, RealRun, of_robots
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from tests.processes.realrun import PLATOON, RealRun
 def test_what_was_to_be_killed_or_stopped_is_what_the_supervisor_names(
     real_run: Callable[..., RealRun], fault: str, cause: str
 ) -> None:
-    run = real_run("--set", "tracker.source=truth", "--set", f"faults=[{fault}]")
+    run = real_run(*of_robots("r1", "r2"), "--set", f"faults=[{fault}]")
     run.wait_until_running()
     assert run.ended(30) == 1
     assert run.nothing_is_left()

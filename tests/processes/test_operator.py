@@ -24,10 +24,10 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "robofleet"
 
 
-def test_hold_status_resume_stop(real_run: Start) -> None:
-    run = real_run(*ALONE)
+def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_it(real_run: Start) -> None:
+    run = real_run(*ALONE, terminal=True)
     run.wait_until_running()
-    assert run.robofleet("hold", "platoon").stdout == "ok\n"
+    run.press(b"h")
     run.wait_for(lambda: "\nheld: hold requested" in run.said)
     found = json.loads(run.robofleet("status", "--json").stdout)
     assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
@@ -47,18 +47,26 @@ def test_hold_status_resume_stop(real_run: Start) -> None:
     refused = run.robofleet("reset")
     assert (refused.returncode, refused.stdout) == (1, "")
     assert refused.stderr.startswith("refused: ")
-    assert run.robofleet("resume").stdout == "ok\n"
+    run.press(b"x")  # means nothing
+    run.press(b"r")
     run.wait_for(lambda: run.said.count("\nrunning") == 2)
+    assert run.robofleet("hold", "platoon").stdout == "ok\n"
+    run.wait_for(lambda: run.said.count("\nheld: hold requested") == 2)
+    assert run.robofleet("resume").stdout == "ok\n"
+    run.wait_for(lambda: run.said.count("\nrunning") == 3)
 
-    stopped = run.robofleet("stop")
-    assert (stopped.returncode, stopped.stderr) == (0, "")
-    assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
+    run.press(b"q")
     assert run.ended(5) == 1
-    assert run.latched() == {"r1": 2}
-    assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
+    assert run.nothing_is_left()
+    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator ended it")
+    assert run.summary["ticks"] > 0
+    assert "stopped: the operator ended it" in run.said
+    assert run.latched() == {"r1": 0}
 
 
-def test_latches_outlive_a_run_until_they_are_reset(real_run: Start, tmp_path: Path) -> None:
+def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_again(
+    real_run: Start, tmp_path: Path
+) -> None:
     kept = tmp_path / "state" / "robofleet" / "platoon" / "r1.json"
     kept.parent.mkdir(parents=True)
     kept.write_text(json.dumps({"epoch": 4, "latch": 2, "latch_id": 7}))
@@ -67,9 +75,16 @@ def test_latches_outlive_a_run_until_they_are_reset(real_run: Start, tmp_path: P
     assert "fault: start was refused: r1: the gate is latched: " in refused.said
     assert "`robofleet run --reset` does it" in refused.said
     assert refused.latched() == {"r1": 2}
-    run = real_run(*ALONE, "--duration", "0.5", "--out", str(tmp_path / "again"), "--reset")
-    assert run.ended(60) == 0
+
+    run = real_run(*ALONE, "--reset", name="again")
+    run.wait_until_running()
     assert run.latched() == {"r1": 0}
+    stopped = run.robofleet("stop")
+    assert (stopped.returncode, stopped.stderr) == (0, "")
+    assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
+    assert run.ended(5) == 1
+    assert run.latched() == {"r1": 2}
+    assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
 
 
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:

@@ -36,20 +36,6 @@ def test_one_key_is_the_emergency_stop(real_run: Start) -> None:
     assert 0 <= stop["target_ms"] <= stop["output_ms"] <= 230
 
 
-def test_h_holds_r_resumes_q_ends(real_run: Start) -> None:
-    run = real_run(*ALONE, terminal=True)
-    run.wait_until_running()
-    run.press(b"h")
-    run.wait_for(lambda: "\nheld: hold requested" in run.said)
-    run.press(b"x")  # means nothing
-    run.press(b"r")
-    run.wait_for(lambda: run.said.count("\nrunning") == 2)
-    run.press(b"q")
-    assert run.ended(5) == 1
-    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator ended it")
-    assert run.latched() == {"r1": 0}
-
-
 def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(real_run: Start) -> None:
     run = real_run(*of_robots("r1", "r2"), terminal=True)
     before = mode(run)

@@ -1,11 +1,15 @@
 """A run in lockstep and what was said in it, as a recorder hears it."""
 
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.log import RunLog
+from robofleet.recording.run import Recording
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 Said = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
@@ -21,6 +25,23 @@ def said_in(run_config: Config) -> Said:
     run.bus.tap(lambda message: said.append((*message, run.clock.now_ns())))
     run.run()
     return said
+
+
+def in_order(recording: Recording) -> list[tuple[str, bytes]]:
+    """Return the messages as they came, all keys together."""
+    placed = [(place, full, data) for full in recording.messages for place, data in recording.placed(full)]
+    return [(full, data) for _, full, data in sorted(placed)]
+
+
+@contextmanager
+def room_for(bytes_of_a_file: int) -> Iterator[None]:
+    """Let no file become longer: the kernel then writes a part of what is asked for, and refuses the rest."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_of_a_file, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def write(log: RunLog, said: Said) -> None:

@@ -240,7 +240,7 @@ def test_a_run_too_short_to_settle_measures_nothing(story: Make, figures: Make, 
 
 def test_an_empty_recording_says_that_nothing_was_measured(story: Make, figures: Make) -> None:
     s = figures(Recording(story().config))
-    said = {"version", "config", "seed", "mode", "outcome", "robots"}
+    said = {"version", "config", "seed", "mode", "outcome", "robots", "bounds"}
     for name, value in s.items():
         if name not in said:
             leaves = value.values() if isinstance(value, dict) else [value]

@@ -17,15 +17,13 @@ from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening
 from robofleet.safety.view import FleetView, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
-from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import STOP, Imperfections, WheelSpeeds
+from robofleet.vehicles.interface import STOP, WheelSpeeds
 from robofleet.vehicles.plant import Plant
+from tests.robots import GTERNAL, WORN
 
 MS, S = 1_000_000, 1_000_000_000
 BUILD, SESSION = 77, 5
-DRIVE = DifferentialDrive(0.016, 0.105, 12.5, 0.2, 0.08, 150.0)
 BODY_M = 0.055
-WORN = Imperfections(0.08, 0.2244, 0.01, 0.5, 0.7, 0.03, 0.01, 0.02, 0.2, 0.1, 2400.0)
 _STEP_NS, _STATUS_NS, _TICK_NS = 10 * MS, 20 * MS, 30 * MS
 _RAMP = 1.5  # a step [rad/s]
 
@@ -47,7 +45,7 @@ class Lab:
         )
         self.plants = [
             Plant(
-                DRIVE,
+                GTERNAL,
                 replace(WORN, **(faults or {}).get(row, {})),  # type: ignore[arg-type]
                 (0.3 * (row - (robots - 1) / 2), 0.0, float(rng.uniform(-math.pi, math.pi))),
                 rng,
@@ -62,6 +60,7 @@ class Lab:
         self.deaf: set[int] = set()  # to the e-stop
         self.stubborn: set[int] = set()  # latched for ever
         self.obeys = True  # the controller
+        self.start = True  # is asked for
         self.period_ns = 40 * MS  # of the supervisor
         self.noise = (0.0003, 0.0003, 0.004)
         self.alter: Alter = lambda view: view
@@ -92,7 +91,7 @@ class Lab:
                 self._tick()
             if self.now_ns % self.period_ns == 0:
                 seen = self.alter(self.view._replace(now_ns=self.now_ns))
-                self.state, happening = self.program.step(self.state, self.settings, seen)
+                self.state, happening = self.program.step(self.state, self.settings, seen, self.start)
                 now = self.state.stage, self.state.probed, self.state.stroke
                 if not self.stages or self.stages[-1] != now:
                     self.stages.append(now)

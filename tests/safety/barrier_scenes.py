@@ -7,17 +7,10 @@ import daqp
 import numpy as np
 
 from robofleet.safety.barrier import Barrier, Body, Keepout, apart, from_edge
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, wheels_from_body
+from robofleet.vehicles.differential_drive import arc, body_from_wheels, wheels_from_body
+from tests.robots import GTERNAL
 
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
-BODY = Body(DRIVE, 0.055, 0.002)
+BODY = Body(GTERNAL, 0.055, 0.002)
 KEEPOUT = Keepout(
     gap=0.01, ahead=0.01, rate=10.0, pose_error=0.002, age=0.133, lost_after=0.5, point_ahead=0.08, tick=0.033,
     arena=(3.2, 2.0),
@@ -49,7 +42,7 @@ class Answer(NamedTuple):
 
 
 def body(wheels: Array) -> tuple[float, float]:
-    return body_from_wheels(*wheels.tolist(), DRIVE.wheel_radius, DRIVE.wheel_base)
+    return body_from_wheels(*wheels.tolist(), GTERNAL.wheel_radius, GTERNAL.wheel_base)
 
 
 def feasible(wheels: Array) -> Array:
@@ -93,7 +86,7 @@ def stop_point(pose: Array, turning: Array) -> Array:
     """Return q where a robot comes to rest, its wheels' speeds decaying: step by step."""
     x, y, psi = pose.tolist()
     left = np.exp(-np.linspace(0.0, 40.0, 80))  # of the wheels' speeds
-    v, omega = body(turning * DRIVE.motor_lag)
+    v, omega = body(turning * GTERNAL.motor_lag)
     for share in (left[:-1] - left[1:]).tolist():
         x, y, psi = arc(x, y, psi, v, omega, share)
     return np.array([x + KEEPOUT.ahead * math.cos(psi), y + KEEPOUT.ahead * math.sin(psi)])
@@ -102,8 +95,8 @@ def stop_point(pose: Array, turning: Array) -> Array:
 def stop_velocity(pose: Array, turning: Array, wheels: Array) -> Array:
     """Return q' under a command, by letting the robot follow it for a moment."""
     moment = 1e-4
-    between = wheels + (turning - wheels) * math.exp(-moment / 2 / DRIVE.motor_lag)
-    after = wheels + (turning - wheels) * math.exp(-moment / DRIVE.motor_lag)
+    between = wheels + (turning - wheels) * math.exp(-moment / 2 / GTERNAL.motor_lag)
+    after = wheels + (turning - wheels) * math.exp(-moment / GTERNAL.motor_lag)
     moved = np.array(arc(*pose.tolist(), *body(between), moment))
     return (stop_point(moved, after) - stop_point(pose, turning)) / moment
 
@@ -119,13 +112,13 @@ def rows(s: Scene, i: int) -> Rows:
     """Return a robot's rows by numerical differentiation of where it would stop."""
     at = [stop_point(pose, turning) for pose, turning in zip(s.poses, s.turning, strict=True)]
     units = [
-        np.array(wheels_from_body(v, omega, DRIVE.wheel_radius, DRIVE.wheel_base))
+        np.array(wheels_from_body(v, omega, GTERNAL.wheel_radius, GTERNAL.wheel_base))
         for v, omega in ((0.1, 0), (0, 0.1 / L))
     ]
     moves = np.array([stop_velocity(s.poses[i], s.turning[i], unit) for unit in units]).T / 0.1
-    turn = DRIVE.wheel_base / 2 / L
+    turn = GTERNAL.wheel_base / 2 / L
     a = [(g, g * h) for g in (1, -1) for h in (turn, -turn, 0)]
-    b = [DRIVE.wheel_radius * 12.5, DRIVE.wheel_radius * 12.5, 0.2] * 2
+    b = [GTERNAL.wheel_radius * 12.5, GTERNAL.wheel_radius * 12.5, 0.2] * 2
     for out, half in (((1, 0), 1.6), ((-1, 0), 1.6), ((0, 1), 1.0), ((0, -1), 1.0)):
         a.append(tuple(np.array(out) @ moves))
         b.append(max(KEEPOUT.rate * (half - from_edge(KEEPOUT, BODY) - np.array(out) @ at[i]), -0.1))

@@ -1,22 +1,17 @@
 """A gate with its clock, and messages for it: right ones, of which a test changes one field."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from robofleet.safety.gate import Command, GateOutput, GateState, Inputs, Latch, LeaseAction, Permission
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import WheelSpeeds
+from tests.robots import GTERNAL
 
 MS, S = 1_000_000, 1_000_000_000
 BOOT, SESSION, OTHER, NOW = 7, 21, 22, 1_000 * S
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.16,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
+DRIVE = replace(GTERNAL, max_speed=0.16)
 WHEELS, FAST = WheelSpeeds(3.0, -4.0), WheelSpeeds(12.5, -12.5)
 
 Step = Callable[[GateState, DifferentialDrive, Inputs, int], tuple[GateState, GateOutput]]

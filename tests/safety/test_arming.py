@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 import pytest
 
+from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage
-from robofleet.safety.supervisor import NOBODY, Event
+from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.wiggle import room_m
 from tests.safety.arming_lab import MS, PROVED, Alter, Lab, S, one
 from tests.safety.arming_scenarios import HEALTHY, REFUSED, Scenario
@@ -121,9 +122,47 @@ def test_three_images_of_a_robot_at_rest_are_looked_at_before_the_next_stroke() 
 
 def test_a_proved_fleet_is_asked_for_nothing() -> None:
     lab = Lab(2)
-    lab.arm()
+    lab.start = False
+    lab.run(20.0, done=lambda state: state.stage is Stage.DONE)
     assert (lab.state.probed, lab.state.stroke, lab.state.latch, lab.state.clear) == (NOBODY, 0, 0, False)
     assert lab.run(0.5) is None
+
+
+def test_a_proved_fleet_waits_for_its_start_and_not_for_ever() -> None:
+    lab = Lab(1)
+    lab.start = False
+    assert lab.run(20.0, done=lambda state: state.stage is Stage.DONE) is None
+    done_ns = lab.now_ns
+    assert lab.run(59.9) is None
+    assert lab.run(1.0) == Happening(Event.NOT_STARTED)
+    assert lab.now_ns - done_ns == 60 * S
+    lab.state, lab.start = lab.state._replace(since_ns=lab.now_ns), True
+    assert lab.run(1.0) == PROVED
+
+
+def test_a_proved_fleet_does_not_wait_with_what_is_wrong_for_good() -> None:
+    lab = Lab(2)
+    lab.start = False
+    assert lab.run(20.0, done=lambda state: state.stage is Stage.DONE) is None
+    lab.alter = one(1, faults=4)
+    assert lab.run(1.0) == Happening(Event.ROBOT_FAULT, 1, 4)
+
+
+@pytest.mark.parametrize(
+    ("alter", "unready"),
+    [
+        (lambda view: view, None),
+        (one(1, unseen_ns=150 * MS), Happening(Event.TAG_LOST, 1)),
+        (one(1, left_speed=0.2), Happening(Event.NOT_AT_REST, 1)),
+        (one(1, session=0), Happening(Event.LEASE_LOST, 1)),
+        (one(1, pose=(9.0, 0.0, 0.0)), Happening(Event.OUTSIDE_ARENA, 1)),
+        (lambda view: view._replace(tracker_ns=view.now_ns - S), Happening(Event.TRACKER_SILENT)),
+    ],
+)
+def test_a_proved_fleet_is_started_only_while_it_is_ready(alter: Alter, unready: Happening | None) -> None:
+    lab = Lab(2)
+    lab.arm()
+    assert arming.unready(lab.settings, alter(lab.view._replace(now_ns=lab.now_ns))) == unready
 
 
 @pytest.mark.parametrize(

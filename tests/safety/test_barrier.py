@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, apart, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
+from tests.robots import GTERNAL
 from tests.safety import barrier_scenes
 from tests.safety.barrier_scenes import (
     BODY,
-    DRIVE,
     KEEPOUT,
     D,
     L,
@@ -70,8 +70,8 @@ def test_the_scenes_have_robots_of_both_kinds() -> None:
 def test_the_wheels_keep_their_limits_and_u_is_what_they_do(seed: int) -> None:
     s = scene(seed)
     got = answer(s)
-    assert np.abs(got.wheels).max() <= DRIVE.max_wheel_speed * (1 + 1e-6)
-    assert max(abs(body(row)[0]) for row in got.wheels) <= DRIVE.max_speed * (1 + 1e-6)
+    assert np.abs(got.wheels).max() <= GTERNAL.max_wheel_speed * (1 + 1e-6)
+    assert max(abs(body(row)[0]) for row in got.wheels) <= GTERNAL.max_speed * (1 + 1e-6)
     assert got.u == pytest.approx(velocities(s.poses, got.wheels), abs=1e-9)
 
 
@@ -96,7 +96,7 @@ def test_a_robots_answer_needs_no_help_from_what_others_are_asked_for(seed: int)
 @given(st.integers(0, 10**6))
 def test_asked_to_stand_at_a_safe_distance_it_stands(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    cell = D + 2 * (KEEPOUT.ahead + DRIVE.max_speed * DRIVE.motor_lag)
+    cell = D + 2 * (KEEPOUT.ahead + GTERNAL.max_speed * GTERNAL.motor_lag)
     cells = np.array([(k, m) for k in range(-4, 5) for m in range(-3, 4)]) * cell
     poses = np.column_stack([cells[rng.permutation(len(cells))[:5]], rng.uniform(-math.pi, math.pi, 5)])
     s = scene(seed)._replace(poses=poses)
@@ -139,7 +139,7 @@ def test_a_robot_that_is_not_seen_grows_until_it_must_stand_and_one_never_seen_i
     expected = [0.08 - KEEPOUT.rate / 2 * 0.2 * max(0.0, age - KEEPOUT.age) for age in ages[:4]]
     assert speeds[:4] == pytest.approx(expected, abs=1e-5)
     assert speeds[4:] == pytest.approx([-0.1, -0.1])  # it withdraws
-    wide = face_to_face(D + 2 * KEEPOUT.ahead + DRIVE.max_speed * KEEPOUT.lost_after + 0.016 + 1e-6)
+    wide = face_to_face(D + 2 * KEEPOUT.ahead + GTERNAL.max_speed * KEEPOUT.lost_after + 0.016 + 1e-6)
     assert body(answer(wide, unseen=np.array([0.0, 60.0])).wheels[0])[0] == pytest.approx(0.08)
     assert body(answer(s, unseen=np.array([0.0, math.inf])).wheels[0])[0] == pytest.approx(0.08)
 
@@ -179,8 +179,8 @@ SLOW = DifferentialDrive(0.016, 0.105, 12.5, 0.02, 0.08, 150.0)
 @pytest.mark.parametrize(
     ("drive", "rate", "wheels", "way", "speed"),
     [
-        (DRIVE, 10.0, (12.5, 12.5), (1.0, 0.0), 0.2),
-        (DRIVE, 0.3, (12.5, 12.5), (1.0, 0.0), 0.2),  # 1.4 m apart
+        (GTERNAL, 10.0, (12.5, 12.5), (1.0, 0.0), 0.2),
+        (GTERNAL, 0.3, (12.5, 12.5), (1.0, 0.0), 0.2),  # 1.4 m apart
         (FAST, 10.0, (93.0, 93.0), (1.0, 0.0), 1.488),
         (SLOW, 10.0, (-12.5, 12.5), (0.0, 1.0), 2 * 0.016 * 12.5 / 0.105 * 0.01),  # its point goes sideways
     ],
@@ -234,8 +234,8 @@ def test_two_robots_in_one_place_are_given_an_answer() -> None:
 
 
 def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    slow = replace(DRIVE, motor_lag=0.4)
-    monkeypatch.setattr(barrier_scenes, "DRIVE", slow)
+    slow = replace(GTERNAL, motor_lag=0.4)
+    monkeypatch.setattr(barrier_scenes, "GTERNAL", slow)
     changed = 0
     for seed in range(300):
         s = scene(seed, n=1)

@@ -7,9 +7,9 @@ import pytest
 
 from robofleet.safety.barrier import CHANGED, Barrier
 from robofleet.vehicles.differential_drive import wheels_from_body
+from tests.robots import GTERNAL
 from tests.safety.barrier_scenes import (
     BODY,
-    DRIVE,
     KEEPOUT,
     D,
     L,
@@ -111,7 +111,7 @@ def test_who_asks_for_more_than_half_its_top_speed_is_held_turning_included(size
     towards = np.array([0.1, math.sqrt(0.99)])
     row = towards * (1.0, KEEPOUT.ahead / L)
     v, sideways = size * row / np.linalg.norm(row)
-    wheels = wheels_from_body(v, sideways / L, DRIVE.wheel_radius, DRIVE.wheel_base)
+    wheels = wheels_from_body(v, sideways / L, GTERNAL.wheel_radius, GTERNAL.wheel_base)
     poses = np.array([(0.0, 0.0, 0.0), (*(D * towards), 0.0)])
     s, barrier = Scene(poses, np.zeros((2, 2)), np.array([wheels, (0.0, 0.0)])), Barrier(KEEPOUT, (BODY,) * 2)
     told = [bool(answer(s, barrier).blocked[0]) for _ in range(TICKS_3_S + 5)]

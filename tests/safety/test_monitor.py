@@ -325,6 +325,16 @@ def test_patience_ends(phase: Phase, limit_ns: int, event: Event) -> None:
     assert monitor.watch(fresh, SETTINGS, phase, healthy(NOW + limit_ns + 3))[1] == (), "it begins anew"
 
 
+def test_a_fleet_that_waits_for_its_start_has_passed_its_checks_and_needs_images_again() -> None:
+    memory, silent_ns = Memory(), NOW + 600 * S
+    for ns in range(0, 600 * S, 400 * MS):
+        memory, happenings = monitor.watch(memory, SETTINGS, Phase.ARMED, healthy(NOW + ns), proved=True)
+        assert happenings == ()
+    blind = healthy(silent_ns)._replace(tracker_ns=silent_ns - 300 * MS)
+    assert Happening(Event.TRACKER_SILENT) in monitor.watch(memory, SETTINGS, Phase.ARMED, blind, proved=True)[1]
+    assert Happening(Event.TRACKER_SILENT) not in monitor.watch(memory, SETTINGS, Phase.ARMED, blind)[1]
+
+
 def test_running_needs_no_patience() -> None:
     views = [healthy(NOW + k * 400 * MS) for k in range(400)]
     assert follow(views, Phase.RUNNING) == [[]] * 400

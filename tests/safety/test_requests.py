@@ -16,7 +16,8 @@ SILENT_NS = 500 * MS
 IDS = ("a", "b", "c")
 THERE = RobotView(heard_ns=NOW)
 HELD = THERE._replace(latch=Latch.EMERGENCY_STOP)
-WISHES = {  # what an operator may ask for, and where it was met already
+WISHES = {  # what an operator may ask for, and where it was met already, or is heard
+    Event.ARM_REQUESTED: {Phase.ARMED},
     Event.START_REQUESTED: {Phase.ARMED, Phase.RUNNING},
     Event.STOP_REQUESTED: {Phase.IDLE},
     Event.HOLD_REQUESTED: {Phase.HOLD},
@@ -82,7 +83,16 @@ def test_no_start_with_a_latched_gate_and_all_of_them_are_named() -> None:
     assert why(Event.START_REQUESTED, Phase.ARMED, HELD) is None, "it was met already"
     assert why(Event.START_REQUESTED, Phase.IDLE, HELD._replace(heard_ns=NOW - SILENT_NS - 1)) is None
     assert why(Event.STOP_REQUESTED, Phase.IDLE, HELD) is None
+    assert why(Event.ARM_REQUESTED, Phase.IDLE, HELD, THERE, THERE._replace(latch=Latch.DRILL)) == told
     assert latched(FleetView(NOW, (THERE, HELD, HELD._replace(heard_ns=NEVER))), IDS) == ["b"]
+
+
+def test_a_fleet_that_waits_is_not_started_while_something_is_missing() -> None:
+    unready = Happening(Event.TAG_LOST, 1)
+    view, told = FleetView(NOW, (THERE,) * 3), "b: the tracker lost the robot: mend it, then start, or stop"
+    assert refusal(Event.START_REQUESTED, RunStatus(Phase.ARMED), (), view, IDS, unready) == told
+    for event in (Event.ARM_REQUESTED, Event.STOP_REQUESTED, Event.ESTOP_REQUESTED):
+        assert refusal(event, RunStatus(Phase.ARMED), (), view, IDS, unready) is None
 
 
 def test_a_run_is_not_resumed_into_what_would_end_it_again() -> None:

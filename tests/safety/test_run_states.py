@@ -30,11 +30,13 @@ HOLDS = {  # it may pass, and the run can be resumed
 OF_MOTION = {Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED}  # mean something while the fleet drives
 OF_CHECKS = {event for event in Event if 50 <= event < 60} | {Event.ARMED_TOO_LONG}  # the fifties are the checks'
 WISHES = {
+    (Phase.IDLE, Event.ARM_REQUESTED): Phase.ARMED,
     (Phase.IDLE, Event.START_REQUESTED): Phase.ARMED,
     (Phase.ARMED, Event.PROVED): Phase.RUNNING,
     (Phase.ARMED, Event.STOP_REQUESTED): Phase.IDLE,
     (Phase.RUNNING, Event.STOP_REQUESTED): Phase.IDLE,
     (Phase.HOLD, Event.STOP_REQUESTED): Phase.IDLE,
+    (Phase.ARMED, Event.NOT_STARTED): Phase.IDLE,  # nothing is wrong
     (Phase.RUNNING, Event.HOLD_REQUESTED): Phase.HOLD,
     (Phase.HOLD, Event.RESUME_REQUESTED): Phase.RUNNING,
     (Phase.FAULT, Event.RESET): Phase.IDLE,

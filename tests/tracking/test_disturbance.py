@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from robofleet.tracking.estimator import FilterNoise, FleetFilter
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.robots import GTERNAL
 
-DRIVE = DifferentialDrive(0.016, 0.105, 12.5, 0.2, 0.0, 150.0)
+DRIVE = replace(GTERNAL, motor_lag=0.0)
 TICK = 33_000_000
 L = 0.08
 NOISE = FilterNoise(0.0004, 0.006, 0.0015, 0.06, 5.0, efficiency=0.15, efficiency_time=20.0)

@@ -8,33 +8,13 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.tracking.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
-from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import Imperfections, WheelSpeeds
+from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
+from tests.robots import GTERNAL, IDEAL
 
 TICK, LATE, DELAY = 33 * MS, 18 * MS, 2 * MS
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
 NOISE = FilterNoise(position=0.0004, heading=0.006, position_drift=0.0015, heading_drift=0.06, gate_sigma=5.0)
-LAG_ONLY = Imperfections(
-    motor_lag=0.08,
-    speed_quantum=0.0,
-    loop_period=0.01,
-    deadband=0.0,
-    breakaway=0.0,
-    wheel_gain_spread=0.0,
-    wheel_base_spread=0.0,
-    slip=0.0,
-    slip_noise=0.0,
-    top_speed_sag=0.0,
-    battery_life=1e9,
-)
+LAG_ONLY = replace(IDEAL, motor_lag=0.08)
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -46,8 +26,8 @@ class Lab:
     """One robot, its filter, and images of it, mid-exposure 18 ms before each tick."""
 
     def __init__(self, believed_lag: float = 0.08, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        self.plant = Plant(DRIVE, LAG_ONLY, start, np.random.default_rng(1))
-        self.filter = FleetFilter((replace(DRIVE, motor_lag=believed_lag),), (DELAY,), NOISE)
+        self.plant = Plant(GTERNAL, LAG_ONLY, start, np.random.default_rng(1))
+        self.filter = FleetFilter((replace(GTERNAL, motor_lag=believed_lag),), (DELAY,), NOISE)
         self.now_ns = 10 * S
         self.tick_ns = self.now_ns
         self.blocked = False
@@ -60,7 +40,7 @@ class Lab:
     def carry(self, by: tuple[float, float, float]) -> None:
         """Lift the robot and put it down somewhere else; its wheels are at rest then."""
         x, y, psi = (self.pose() + by).tolist()
-        self.plant = Plant(DRIVE, LAG_ONLY, (x, y, psi), np.random.default_rng(1))
+        self.plant = Plant(GTERNAL, LAG_ONLY, (x, y, psi), np.random.default_rng(1))
 
     def tick(self, wheels: WheelSpeeds, add: np.ndarray | None = None, seen: bool = True) -> int:
         """Go on to the next tick, ask for ``wheels`` in it; returns what became of its image (``add``: its error)."""
@@ -205,7 +185,7 @@ def test_noise_about_pi_is_no_outlier() -> None:
 
 def test_before_the_first_image_it_knows_nothing_and_takes_no_time() -> None:
     """The clock's zero may be weeks ago: nothing is integrated from there."""
-    fleet = FleetFilter((DRIVE,) * 4, (DELAY,) * 4, NOISE)
+    fleet = FleetFilter((GTERNAL,) * 4, (DELAY,) * 4, NOISE)
     month_ns = 30 * 24 * 3600 * S
     for k in range(100):
         fleet.command(month_ns + k * TICK, np.full((4, 2), 5.0))

@@ -1,22 +1,17 @@
 """The fleet filter's certainty is what it deserves: a textbook Kalman filter agrees, innovations have their size."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
 from robofleet.tracking.estimator import UNUSED, USED, FilterNoise, FleetFilter
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.robots import GTERNAL
 
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.0,
-    max_wheel_acceleration=150.0,
-)
+DRIVE = replace(GTERNAL, motor_lag=0.0)
 ROBOTS, IMAGES, PERIOD_S = 40, 100, 0.033
 WHEELS = np.random.default_rng(5).uniform(2.0, 10.0, (ROBOTS, 2))
 R = np.diag([0.0004, 0.0004, 0.006]) ** 2

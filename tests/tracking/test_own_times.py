@@ -10,31 +10,11 @@ from drivers.simulated import SimulatedRobot
 from robofleet.clock import MS, S
 from robofleet.config.controller import FilterSettings
 from robofleet.tracking.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
-from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
+from robofleet.vehicles.interface import DriverContext, Simulation, WheelSpeeds
+from tests.robots import GTERNAL, WORN
 
 TICK = 33 * MS
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.06,
-    max_wheel_acceleration=150.0,
-)
-WORN = Imperfections(
-    motor_lag=0.06,
-    speed_quantum=0.2244,
-    loop_period=0.01,
-    deadband=0.5,
-    breakaway=0.7,
-    wheel_gain_spread=0.0,
-    wheel_base_spread=0.0,
-    slip=0.02,
-    slip_noise=0.2,
-    top_speed_sag=0.1,
-    battery_life=2400.0,
-)
+NO_SPREAD = replace(WORN, wheel_gain_spread=0.0, wheel_base_spread=0.0)
 SHIPPED = FilterSettings()
 NOISE = FilterNoise(
     SHIPPED.position_noise_m,
@@ -57,10 +37,10 @@ class Fleet:
         self.robots: list[SimulatedRobot] = []
         self.images: list[list[np.ndarray]] = [[] for _ in delays_s]
         for row, (delay_s, lag_s) in enumerate(zip(delays_s, lags_s, strict=True)):
-            faults = replace(WORN, actuation_delay=delay_s, motor_lag=lag_s)
-            simulation = Simulation(DRIVE, faults, (0.0, 0.0, 3.0), None, np.random.default_rng(row))
-            self.robots.append(SimulatedRobot(DriverContext(f"r{row}", DRIVE, simulation, lambda: self.now_ns)))
-        drives = tuple(replace(DRIVE, motor_lag=lag_s if told else 0.0) for lag_s in lags_s)
+            faults = replace(NO_SPREAD, actuation_delay=delay_s, motor_lag=lag_s)
+            simulation = Simulation(GTERNAL, faults, (0.0, 0.0, 3.0), None, np.random.default_rng(row))
+            self.robots.append(SimulatedRobot(DriverContext(f"r{row}", GTERNAL, simulation, lambda: self.now_ns)))
+        drives = tuple(replace(GTERNAL, motor_lag=lag_s if told else 0.0) for lag_s in lags_s)
         self.filter = FleetFilter(drives, tuple(round(delay_s * S) if told else 0 for delay_s in delays_s), NOISE)
 
     def run(self, seconds: float) -> tuple[float, float]:
@@ -110,7 +90,7 @@ def test_every_robot_has_its_own_delay_lag_and_exposure() -> None:
 
 
 def test_a_command_is_predicted_to_act_when_its_robot_does() -> None:
-    fleet = FleetFilter((replace(DRIVE, motor_lag=0.0),) * 2, (10 * MS, 60 * MS), NOISE)
+    fleet = FleetFilter((replace(GTERNAL, motor_lag=0.0),) * 2, (10 * MS, 60 * MS), NOISE)
     fleet.observe(np.full(2, S), np.zeros((2, 3)))
     fleet.command(S + 10 * MS, np.full((2, 2), 10.0))
     here, there, _ = fleet.predict(S + 50 * MS)
@@ -119,7 +99,7 @@ def test_a_command_is_predicted_to_act_when_its_robot_does() -> None:
 
 
 def test_what_is_old_for_one_robot_may_be_new_for_another() -> None:
-    fleet = FleetFilter((DRIVE,) * 2, (0, 0), NOISE)
+    fleet = FleetFilter((GTERNAL,) * 2, (0, 0), NOISE)
     assert fleet.observe(np.array([S + 9 * MS, S]), np.zeros((2, 3))).tolist() == [CARRIED, CARRIED]
     assert fleet.observe(np.array([S + 5 * MS, S + 5 * MS]), np.zeros((2, 3))).tolist() == [UNUSED, USED]
     assert fleet.measured_ns.tolist() == [S + 9 * MS, S + 5 * MS]

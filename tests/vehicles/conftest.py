@@ -10,45 +10,12 @@ import pytest
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections
 from robofleet.vehicles.plant import Plant
-
-IDEAL = Imperfections(
-    motor_lag=0.0,
-    speed_quantum=0.0,
-    loop_period=0.01,
-    deadband=0.0,
-    breakaway=0.0,
-    wheel_gain_spread=0.0,
-    wheel_base_spread=0.0,
-    slip=0.0,
-    slip_noise=0.0,
-    top_speed_sag=0.0,
-    battery_life=1e9,
-)
-WORN = Imperfections(
-    motor_lag=0.08,
-    speed_quantum=0.2244,
-    loop_period=0.01,
-    deadband=0.5,
-    breakaway=0.7,
-    wheel_gain_spread=0.03,
-    wheel_base_spread=0.01,
-    slip=0.02,
-    slip_noise=0.2,
-    top_speed_sag=0.1,
-    battery_life=2400.0,
-)
+from tests.robots import GTERNAL, IDEAL, WORN
 
 
 @pytest.fixture(scope="session")
 def drive() -> DifferentialDrive:
-    return DifferentialDrive(
-        wheel_radius=0.016,
-        wheel_base=0.105,
-        max_wheel_speed=12.5,
-        max_speed=0.2,
-        motor_lag=0.08,
-        max_wheel_acceleration=150.0,
-    )
+    return GTERNAL
 
 
 @pytest.fixture(scope="session")

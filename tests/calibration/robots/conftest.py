@@ -13,34 +13,13 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.platoon import WHEELS
 from robofleet.tracking.offset import tag_from_centre
-from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
+from tests.robots import GTERNAL, WORN
 
 MS, S = 1_000_000, 1_000_000_000
 NO_GATE = 1e9  # rad/s^2: nothing stands between the commands and the wheels
 TICK, LEAD, ENCODER = 33 * MS, 18 * MS, 20 * MS
-DRIVE = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
-WORN = Imperfections(
-    motor_lag=0.06,
-    speed_quantum=0.2244,
-    loop_period=0.01,
-    deadband=0.5,
-    breakaway=0.7,
-    wheel_gain_spread=0.03,
-    wheel_base_spread=0.01,
-    slip=0.02,
-    slip_noise=0.2,
-    top_speed_sag=0.1,
-    battery_life=2400.0,
-    actuation_delay=0.043,
-)
+LATE = replace(WORN, motor_lag=0.06, actuation_delay=0.043)
 OFFSET = TagOffset(forward_m=0.0123, left_m=-0.0071, heading_deg=3.4)
 
 Make = Callable[..., RobotDrive]
@@ -53,7 +32,7 @@ def driven() -> Make:
 
 
 def drive(
-    imperfections: Imperfections = WORN,
+    imperfections: Imperfections = LATE,
     offset: TagOffset = OFFSET,
     seed: int = 1,
     noise: tuple[float, float] = (3e-5, math.radians(0.05)),
@@ -61,10 +40,10 @@ def drive(
 ) -> RobotDrive:
     rng = np.random.default_rng(seed)
     settings = ExcitationSettings(TICK / S, 0.08, (3.2, 2.0), (0.055,))
-    excitation = Excitation(settings, (DRIVE,), np.random.default_rng(seed))
+    excitation = Excitation(settings, (GTERNAL,), np.random.default_rng(seed))
     now_ns = 0
-    simulation = Simulation(DRIVE, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
-    robot = SimulatedRobot(DriverContext("r1", DRIVE, simulation, lambda: now_ns))
+    simulation = Simulation(GTERNAL, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
+    robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: now_ns))
     ticks = int(excitation.ends[0] * S) // TICK
     events = [(k * TICK, 2) for k in range(1, ticks)] + [(k * TICK - LEAD, 0) for k in range(1, ticks)]
     events += [(k * ENCODER, 1) for k in range(ticks * TICK // ENCODER)]
@@ -105,7 +84,7 @@ def smooth(driven: Make) -> RobotDrive:
     """Return the drive of a robot that has lag and delay alone."""
     return driven(
         replace(
-            WORN, speed_quantum=0.0, deadband=0.0, breakaway=0.0, wheel_gain_spread=0.0, wheel_base_spread=0.0,
+            LATE, speed_quantum=0.0, deadband=0.0, breakaway=0.0, wheel_gain_spread=0.0, wheel_base_spread=0.0,
             slip=0.0, top_speed_sag=0.0,
         )
     )  # fmt: skip

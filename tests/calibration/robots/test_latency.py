@@ -10,13 +10,13 @@ from robofleet.calibration.drive import RobotDrive
 from robofleet.calibration.increments import wheel_travel
 from robofleet.calibration.store import CalibrationError
 
-from .conftest import WORN, Make
+from .conftest import LATE, Make
 from .test_offsets import part
 
 
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0, 0.0), (0.002, 0.08), (0.043, 0.06), (0.12, 0.2)])
 def test_delay_and_lag_are_found_to_a_millisecond(driven: Make, delay_s: float, lag_s: float) -> None:
-    found = latency.find(driven(replace(WORN, actuation_delay=delay_s, motor_lag=lag_s)))
+    found = latency.find(driven(replace(LATE, actuation_delay=delay_s, motor_lag=lag_s)))
     assert found.delay_s == pytest.approx(delay_s, abs=0.001)
     assert found.motor_lag_s == pytest.approx(lag_s, abs=0.001)
     assert found.sigma[0] < 0.0005

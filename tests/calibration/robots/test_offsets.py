@@ -11,8 +11,9 @@ from robofleet.calibration.drive import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_from_tag
+from tests.robots import GTERNAL
 
-from .conftest import DRIVE, OFFSET, WORN, Make
+from .conftest import LATE, OFFSET, Make
 
 TRUE_TAG = np.array([OFFSET.forward_m, OFFSET.left_m, OFFSET.heading_deg])
 
@@ -21,8 +22,8 @@ def true_wheels(seed: int) -> tuple[float, float]:
     """Return radius and base of the simulated robot of a seed, as its plant draws them."""
     left, right, base = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
     return (
-        DRIVE.wheel_radius * (1 + WORN.wheel_gain_spread * (left + right) / 2),
-        DRIVE.wheel_base * (1 + WORN.wheel_base_spread * base),
+        GTERNAL.wheel_radius * (1 + LATE.wheel_gain_spread * (left + right) / 2),
+        GTERNAL.wheel_base * (1 + LATE.wheel_base_spread * base),
     )
 
 
@@ -32,7 +33,7 @@ def without_encoders(drive: RobotDrive) -> RobotDrive:
 
 @pytest.mark.parametrize("encoders", [True, False])
 def test_the_tag_is_placed_and_the_wheels_are_measured(worn: RobotDrive, encoders: bool) -> None:
-    found = offsets.find(worn if encoders else without_encoders(worn), DRIVE)
+    found = offsets.find(worn if encoders else without_encoders(worn), GTERNAL)
     assert found.by_encoders == encoders
     error = np.abs(found.values[:3] - TRUE_TAG)
     assert error[:2].max() < 0.00004
@@ -45,7 +46,7 @@ def test_the_tag_is_placed_and_the_wheels_are_measured(worn: RobotDrive, encoder
 @pytest.mark.parametrize("heading_deg", [90.0, 179.0, -135.0])
 def test_a_tag_may_be_glued_on_any_way_round(driven: Make, heading_deg: float) -> None:
     turned = TagOffset(forward_m=-0.02, left_m=0.03, heading_deg=heading_deg)
-    found = offsets.find(driven(offset=turned), DRIVE)
+    found = offsets.find(driven(offset=turned), GTERNAL)
     assert (1e3 * found.tag_offset.forward_m, 1e3 * found.tag_offset.left_m) == pytest.approx((-20, 30), abs=0.06)
     assert found.tag_offset.heading_deg == pytest.approx(heading_deg, abs=0.03)
 
@@ -54,8 +55,8 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     rng, found = np.random.default_rng(7), []
     for _ in range(8):
         noise = rng.normal(size=smooth.poses.shape) * (3e-4, 3e-4, 0.004)
-        found.append(offsets.find(replace(smooth, poses=smooth.poses + noise), DRIVE))
-    errors = np.array([one.values for one in found]) - [*TRUE_TAG, DRIVE.wheel_radius, DRIVE.wheel_base]
+        found.append(offsets.find(replace(smooth, poses=smooth.poses + noise), GTERNAL))
+    errors = np.array([one.values for one in found]) - [*TRUE_TAG, GTERNAL.wheel_radius, GTERNAL.wheel_base]
     scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([one.sigma for one in found]).mean(axis=0)
     assert (scatter > 0.4).all()
     assert (scatter < 2.0).all()
@@ -65,21 +66,21 @@ def test_outliers_change_little_and_are_counted(worn: RobotDrive) -> None:
     rng, poses = np.random.default_rng(3), worn.poses.copy()
     wrong = rng.choice(len(poses), 40, replace=False)
     poses[wrong] += rng.normal(size=(40, 3)) * (0.02, 0.02, 0.5)
-    found = offsets.find(replace(worn, poses=poses), DRIVE)
+    found = offsets.find(replace(worn, poses=poses), GTERNAL)
     assert 30 <= found.left_out <= 90
     assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00006
     assert abs(found.values[2] - TRUE_TAG[2]) < 0.04
 
 
 def test_missing_images_do_no_harm(driven: Make) -> None:
-    found = offsets.find(driven(lost=0.2), DRIVE)
+    found = offsets.find(driven(lost=0.2), GTERNAL)
     assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00005
     assert abs(found.values[2] - TRUE_TAG[2]) < 0.03
 
 
 def test_encoders_of_another_clock_are_put_right(worn: RobotDrive) -> None:
     """What the way to the driver takes is missing from its clock: some milliseconds."""
-    found = offsets.find(replace(worn, encoders_s=worn.encoders_s - 0.012), DRIVE)
+    found = offsets.find(replace(worn, encoders_s=worn.encoders_s - 0.012), GTERNAL)
     assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00005
 
 
@@ -94,14 +95,14 @@ def part(drive: RobotDrive, start_s: float, end_s: float) -> RobotDrive:
 
 def refusal(drive: RobotDrive) -> str:
     with pytest.raises(CalibrationError) as refused:
-        offsets.find(drive, DRIVE)
+        offsets.find(drive, GTERNAL)
     (line,) = refused.value.faults
     assert line.startswith("r1: ")
     return line
 
 
 def test_what_a_drive_does_not_determine_is_refused(worn: RobotDrive) -> None:
-    turn = 1.1 * math.tau / (0.4 * 12.5 * 2 * DRIVE.wheel_radius / DRIVE.wheel_base)
+    turn = 1.1 * math.tau / (0.4 * 12.5 * 2 * GTERNAL.wheel_radius / GTERNAL.wheel_base)
     spins, straights = part(worn, 0.0, 1.5 + 2 * turn), part(worn, 2.0 + 3 * turn, 2.0 + 3 * turn + 8.0)
     assert "straight" in refusal(spins)
     assert "spin both ways" in refusal(straights)
@@ -122,7 +123,7 @@ def test_a_robot_that_was_lost_or_never_moved_is_refused(worn: RobotDrive) -> No
 def test_with_what_was_found_the_spin_stands_still(worn: RobotDrive) -> None:
     """While it spins, the tag goes round and the robot's centre stays, but for what its wheels differ by."""
     spin = part(worn, 1.0, 4.0).poses.tolist()
-    found = offsets.find(worn, DRIVE)
+    found = offsets.find(worn, GTERNAL)
     centres = np.array([centre_from_tag(*pose, found.tag_offset) for pose in spin])
     assert np.ptp(np.array(spin)[:, :2], axis=0).min() > 0.02
     assert np.ptp(centres[:, :2], axis=0).max() < 0.004

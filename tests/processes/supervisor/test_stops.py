@@ -11,24 +11,12 @@ from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
 from robofleet.comms.messages import LEASE_REQUEST, Enable, LeaseRequest, WheelCommand
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.keeping import MemoryKeeping
-from robofleet.safety import arming
 from robofleet.safety.gate import Latch, LeaseAction
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.vehicles.interface import STOP, WIRED_STOP
 from tests.processes.stand import ROBOTS, Stand
 
 Make = Callable[..., Any]
-
-
-@pytest.fixture
-def stand_of(bench_of: Make, platoon_of: Make, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Stand]:
-    monkeypatch.setattr(arming, "step", arming.step)  # put back at the end
-    return lambda **keys: Stand(bench_of(platoon_of()), **keys)
-
-
-@pytest.fixture
-def stand(stand_of: Callable[..., Stand]) -> Stand:
-    return stand_of()
 
 
 def emergency(stand: Stand) -> None:

@@ -10,10 +10,11 @@ from robofleet.comms import statuses
 from robofleet.processes import fleet_view, supervisor
 from robofleet.safety import arming, requests
 from tests.processes import stand as bench_stand
-from tests.processes import test_stops, test_supervisor
+from tests.processes.supervisor import test_checks, test_run, test_said, test_sight, test_stops
 from tests.sabotage import notices, sabotaged
 
-TESTS = vars(test_stops) | vars(test_supervisor)
+FILES = test_checks, test_run, test_said, test_sight, test_stops
+TESTS = {name: value for file in FILES for name, value in vars(file).items() if name.startswith("test_")}
 
 CHECKS: list[tuple[ModuleType, str, str, str]] = [
     # who may ask for what
@@ -22,7 +23,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
     (requests, " and status.phase not in _MET[event]", "", "test_whoever_asks_again_is_told_that_it_was_done"),
     (requests, "if event is Event.RESET:", "if False:", "test_a_reset_is_refused_with_a_reason"),
     (requests, "if not gone(seen, view)]\n", "]\n", "test_a_robot_that_is_gone_does_not_keep_the_others_from_a_reset"),
-    (requests, "if event is Event.START_REQUESTED and", "if False and",
+    (requests, "if phase is Phase.ARMED and", "if False and",
      "test_a_latched_robot_is_not_started_and_a_reset_lets_it"),
     (requests, "(phase, happening.event) in TRANSITIONS", "False", "test_a_run_is_not_resumed_into_what_held_it"),
     (requests, "(phase, happening.event) in TRANSITIONS", "True",
@@ -41,7 +42,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
     (supervisor, "self._checks.probed == row", "True", "test_the_probed_robot_alone_may_move_while_armed"),
     (supervisor, "min(PROBE_RAD_S, self._limits[row])", "self._limits[row]",
      "test_the_probed_robot_alone_may_move_while_armed"),
-    (supervisor, "if self._status.phase is not Phase.ARMED:\n            self._checks = None", "",
+    (supervisor, "self._checks, self._start = None, False", "self._start = False",
      "test_a_start_begins_the_checks_anew"),
     (supervisor, "if self._status.phase is Phase.ARMED:", "if False:",
      "test_a_run_starts_when_asked_and_stops_when_asked"),
@@ -64,7 +65,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
     (supervisor, "speeds, attended)", "speeds, False)",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
-    (supervisor, "if event is Event.START_REQUESTED:", "if False:",
+    (supervisor, "self._operator_ns = self._view.now_ns\n                self._start", "self._start",
      "test_an_operator_who_asks_for_a_start_has_a_second_to_be_there"),
     # how it ends
     (supervisor, "seen.latch_id if seen.latch else 0 for", "0 for",

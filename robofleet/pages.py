@@ -1,0 +1,171 @@
+"""A self-contained HTML page of what was measured: a verdict, figures, tables, and plots as inline SVG.
+
+It is read on a screen, on a phone and on paper; nothing is fetched from elsewhere.
+"""
+
+import html
+import io
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from robofleet.figures import COLOURS, FAINT, INK, QUIET, STYLE
+
+GOOD, BAD = COLOURS[2], COLOURS[1]
+
+_PRECISION = re.compile(r"(\.\d\d)\d+")  # a hundredth of a point is finer than any screen
+_NAMES = re.compile(r' id="[a-zA-Z]+\d*(?:\.[a-z]+)*_\d+"')  # nobody refers to them, and every plot has the same
+_NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+_CSS = f"""
+:root {{ color-scheme: light }} * {{ box-sizing: border-box }}
+body {{ font: 15px/1.5 system-ui, sans-serif; color: {INK}; background: #fff; max-width: 60rem; margin: 2rem auto 4rem;
+  padding: 0 1rem }}
+h1 {{ font-size: 1.9rem; line-height: 1.2; margin: 0 }} h3 {{ font-size: 1rem; margin: 0 }}
+h2 {{ font-size: 1.25rem; margin: 2.6rem 0 .4rem; padding-top: .8rem; border-top: 1px solid {FAINT} }}
+.when, .note {{ color: #666; margin: .2rem 0 }}
+nav {{ margin: 0 0 1.5rem; font-size: .9rem }} nav a {{ color: {COLOURS[0]}; text-decoration: none; margin-right: 1rem;
+  white-space: nowrap }}
+figure {{ margin: 1.4rem 0 }} figcaption {{ color: #666; font-size: .9rem; max-width: 46rem }}
+.plot {{ overflow-x: auto }} .plot svg {{ display: block; width: 100%; height: auto }}
+.plot.long svg {{ min-width: 36rem }}
+.plot svg text {{ font-family: system-ui, sans-serif !important }}
+.legend span {{ margin-right: 1rem; font-size: .85rem; white-space: nowrap }}
+.legend i {{ display: inline-block; width: .7rem; height: .7rem; border-radius: 50%; margin-right: .3rem }}
+.wide {{ overflow-x: auto }} table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0 }}
+th, td {{ text-align: left; padding: .25rem 1.2rem .25rem 0; border-bottom: 1px solid {FAINT}; vertical-align: top }}
+th {{ font-weight: 600 }} td {{ white-space: nowrap }} td:last-child {{ white-space: normal; min-width: 7rem }}
+.verdict {{ padding: .8rem 1.1rem; border-left: 6px solid {QUIET}; margin: 1.2rem 0; background: #f6f6f6;
+  white-space: pre-line }}
+.verdict strong {{ font-size: 1.25rem }}
+.verdict.good {{ border-color: {GOOD}; background: #f0f6f1 }}
+.verdict.bad {{ border-color: {BAD}; background: #fbf1ee }}
+.tiles {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(10.5rem, 1fr)); gap: .7rem; margin: 1.2rem 0 }}
+.tile {{ border: 1px solid {FAINT}; border-top: 4px solid {FAINT}; border-radius: 4px; padding: .5rem .8rem }}
+.tile.good {{ border-top-color: {GOOD} }} .tile.bad {{ border-top-color: {BAD}; background: #fbf1ee }}
+.tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; font-weight: 600; font-variant-numeric: tabular-nums }}
+.tile b small {{ font-size: .9rem; font-weight: 400 }} .tile span {{ display: block; font-size: .82rem; color: #666 }}
+span.good, td.good {{ color: {GOOD} }} span.bad, td.bad {{ color: {BAD}; font-weight: 600 }}
+pre {{ overflow-x: auto; background: #f6f6f6; padding: .8rem 1rem; font-size: .82rem; line-height: 1.45 }}
+summary {{ cursor: pointer; color: {COLOURS[0]} }}
+@media print {{
+  body {{ font-size: 11px; max-width: none; margin: 0 }} nav {{ display: none }} h2 {{ break-after: avoid }}
+  figure, tr, .tiles, .verdict {{ break-inside: avoid }}
+  .plot.long svg {{ min-width: 0 }} * {{ print-color-adjust: exact }}
+}}
+"""
+
+
+class Marked(NamedTuple):
+    """A cell, or a line of a tile, that says whether something is good; None: neither."""
+
+    text: str
+    good: bool | None
+
+
+class Tile(NamedTuple):
+    """A figure to be seen at a glance."""
+
+    label: str
+    value: str
+    unit: str
+    note: Marked
+
+
+class Page:
+    """Collects a page from top to bottom; ``write`` makes the file."""
+
+    def __init__(self, title: str, subtitle: str) -> None:
+        """Begin a page; the subtitle says of when and where it is."""
+        self._title, self._subtitle = title, subtitle
+        self._parts: list[str] = []
+        self._sections: list[str] = []
+
+    def verdict(self, text: str, *, good: bool | None, detail: str = "") -> None:
+        """Add the sentence that says whether the result is good; with details it is their headline."""
+        shown = f"<strong>{_text(text)}</strong>\n{_text(detail)}" if detail else _text(text)
+        self._parts.append(f'<p class="verdict{_class(good)}">{shown}</p>')
+
+    def section(self, title: str, text: str = "") -> None:
+        """Begin a section."""
+        self._sections.append(title)
+        self._parts.append(f'<h2 id="s{len(self._sections)}">{_text(title)}</h2>')
+        if text:
+            self.note(text)
+
+    def note(self, text: str) -> None:
+        """Add a sentence."""
+        self._parts.append(f"<p>{_text(text)}</p>")
+
+    def tiles(self, tiles: Iterable[Tile]) -> None:
+        """Add figures to be seen at a glance."""
+        shown = (
+            f'<div class="tile{_class(note.good)}"><span>{_text(label)}</span><b>{_text(value)} '
+            f'<small>{_text(unit)}</small></b><span class="{_class(note.good)}">{_text(note.text)}</span></div>'
+            for label, value, unit, note in tiles
+        )
+        self._parts.append(f'<div class="tiles">{"".join(shown)}</div>')
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+        """Add a table; floats show four digits."""
+        lines = ["".join(f"<th>{_text(cell)}</th>" for cell in head)] + ["".join(map(_cell, row)) for row in rows]
+        self._parts.append(
+            '<div class="wide"><table>' + "".join(f"<tr>{line}</tr>" for line in lines) + "</table></div>"
+        )
+
+    def figure(
+        self,
+        figure: Figure,
+        caption: str,
+        *,
+        title: str = "",
+        legend: Iterable[tuple[str, str]] = (),
+        long: bool = False,
+    ) -> None:
+        """Add a plot, with its legend's (label, colour); make it inside ``with mpl.rc_context(STYLE):``.
+
+        A long one does not shrink to a narrow screen: it is moved to the side there.
+        """
+        buffer = io.StringIO()
+        with mpl.rc_context({**STYLE, "svg.fonttype": "none"}):
+            figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+        _, start, rest = buffer.getvalue().partition("<svg")
+        svg = _NAMES.sub("", _PRECISION.sub(r"\1", start + rest))
+        chips = "".join(f'<span><i style="background:{colour}"></i>{_text(label)}</span>' for label, colour in legend)
+        head = f"<h3>{_text(title)}</h3>" if title else ""
+        head += f'<div class="legend">{chips}</div>' if chips else ""
+        plot = f'<div class="plot{" long" if long else ""}">{svg}</div>'
+        self._parts.append(f"<figure>{head}{plot}<figcaption>{_text(caption)}</figcaption></figure>")
+
+    def listing(self, text: str, folded: str = "") -> None:
+        """Add text as it is, folded away under a line where one is given."""
+        listing = f"<pre>{_text(text)}</pre>"
+        self._parts.append(f"<details><summary>{_text(folded)}</summary>{listing}</details>" if folded else listing)
+
+    def write(self, file: Path) -> None:
+        """Write the page; OSError if it cannot be."""
+        title = _text(self._title)
+        head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>'
+        links = "".join(f'<a href="#s{k}">{_text(name)}</a>' for k, name in enumerate(self._sections, 1))
+        top = f'<h1>{title}</h1><p class="when">{_text(self._subtitle)}</p>'
+        body = f"<nav>{links}</nav>{top}" + "\n".join(self._parts)
+        page = f'<!doctype html><html lang="en"><head>{head}<style>{_CSS}</style></head><body>{body}</body></html>\n'
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(page, encoding="utf-8")
+
+
+def _cell(cell: object) -> str:
+    if isinstance(cell, Marked):
+        return f'<td class="{_class(cell.good)}">{_text(cell.text)}</td>'
+    return f"<td>{_text(f'{cell:.4g}' if isinstance(cell, float) else '-' if cell is None else str(cell))}</td>"
+
+
+def _class(good: bool | None) -> str:
+    return "" if good is None else " good" if good else " bad"
+
+
+def _text(text: str) -> str:
+    return html.escape(text)

@@ -1,0 +1,215 @@
+"""What is said to the page: JSON objects, each with its ``type``. Lengths in m, angles in rad, unless a name says else.
+
+A value that is not known is null, never 0.
+"""
+
+import base64
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robofleet.clock import MS, S
+from robofleet.comms.messages import FleetPoses, RobotStatus, RobotTick, RunState
+from robofleet.config import barrier, slices
+from robofleet.config.tree import Config
+from robofleet.control import path as paths
+from robofleet.processes.web.hearing import Hearing
+from robofleet.processes.web.words import ENDED, phase_name, stage, what_next
+from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.safety.barrier import apart
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.tracking.outlines import TagOutlines
+
+Frame = dict[str, Any]
+
+COLUMNS = (
+    "x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "reference_x_m", "reference_y_m", "control_mm", "spacing_mm",
+    "left_rad_s", "right_rad_s", "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered",
+)  # fmt: skip
+_PATH_POINTS = 400
+_LONGEST_MS = 1000.0  # two hosts' stamps give any number: more is no latency
+
+
+def hello(config: Config, folder: Path) -> Frame:
+    """Return what does not change in a run."""
+    group, camera = config.groups[0], config.camera
+    path = paths.Path.hermite(*slices.knots(group))
+    points = path.position(np.linspace(0.0, path.sides, _PATH_POINTS, endpoint=False))
+    seen = config.tracker.source == "camera"
+    return {
+        "type": "hello",
+        "arena": {"name": config.arena.name, "size_m": config.arena.size_m},
+        "robots": [_robot(config, row) for row in range(len(config.platoon))],
+        "path": [[_rounded(x, 3), _rounded(y, 3)] for x, y in points.tolist()],
+        "spacing_m": group.spacing_m,
+        "tick_ms": config.controller.tick_s * 1e3,
+        "duration_s": config.run.duration_s,
+        "camera": {"width": camera.width, "height": camera.height} if seen else None,
+        "config": str(folder / "config.yaml"),
+        "folder": str(folder),
+        "columns": COLUMNS,
+    }
+
+
+def tick(hearing: Hearing, config: Config, seq: int, now_ns: int) -> Frame:
+    """Return the run as it stands."""
+    state, robots = hearing.state, config.groups[0].robots
+    return {
+        "type": "tick",
+        "seq": seq,
+        "t_s": _rounded(hearing.t_s, 3),
+        "phase": phase_name(state),
+        "cause": None if state is None else run_cause(state, robots),
+        "stage": stage(state, robots),
+        "what_next": what_next(state, hearing.statuses.newest, config),
+        "health": _health(hearing),
+        "robots": _rows(hearing, state, now_ns),
+    }
+
+
+def beat(hearing: Hearing, now_ns: int) -> Frame:
+    """Return how long ago the supervisor and the controller were heard [ms]: the link to the robots, not the page's."""
+    return {
+        "type": "beat",
+        "supervisor": _age_ms(hearing.state_ns, now_ns),
+        "controller": _age_ms(hearing.record_ns, now_ns),
+    }
+
+
+def event(at_s: float | None, level: str, text: str) -> Frame:
+    """Return something that happened; ``at_s`` is of the run."""
+    return {"type": "event", "at": _rounded(at_s, 2), "level": level, "text": text}
+
+
+def answer(to: str, ok: bool, text: str) -> Frame:
+    """Return what came of something that the page asked for."""
+    return {"type": "answer", "to": to, "ok": ok, "text": text}
+
+
+def ended(hearing: Hearing, config: Config) -> Frame | None:
+    """Return the last word of a run that has ended; None where the server leaves a run that may go on."""
+    if hearing.state is None or hearing.state.phase not in ENDED:
+        return None
+    last = f"{phase_name(hearing.state)}: {run_cause(hearing.state, config.groups[0].robots)}"
+    return {"type": "ended", "text": last}
+
+
+def picture(hearing: Hearing, outlines: TagOutlines) -> Frame:
+    """Return the newest picture, and where its tags were seen [px of the camera's image]."""
+    assert hearing.shown is not None
+    seen, poses = hearing.shown
+    return {
+        "type": "picture",
+        "exposure_ns": seen.exposure_ns,
+        "width": seen.width,
+        "height": seen.height,
+        "jpeg": base64.b64encode(seen.jpeg).decode(),
+        "tags": [
+            {
+                "id": tag,
+                "robot": hearing.tags.get(tag),
+                "corners": [[_rounded(u, 1), _rounded(v, 1)] for u, v in corners],
+            }
+            for tag, corners in outlines.of(poses).items()
+        ],
+    }
+
+
+def _robot(config: Config, row: int) -> Frame:
+    robot = config.platoon[row]
+    body = barrier.body(config, robot)
+    return {
+        "id": robot.id,
+        "tag": robot.tag,
+        "body_radius_m": body.radius,
+        "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
+    }
+
+
+def _health(hearing: Hearing) -> Frame:
+    record = None if hearing.controller_silent() else hearing.record
+    rate, seen = _tracker(list(hearing.images), len(hearing.tags))
+    return {
+        "compute_us": None if record is None else record.compute_ns // 1000,
+        "late_us": None if record is None else record.lateness_ns // 1000,
+        "overruns": None if record is None else record.overruns,
+        "latency_ms": _latency_ms(hearing),
+        "tracker_hz": rate,
+        "seen_pct": seen,
+    }
+
+
+def _latency_ms(hearing: Hearing) -> float | None:
+    """Return the longest time from an image to the wheels that it moves, of the robots' newest commands."""
+    applied = [
+        (status.applied_ns - status.applied_exposure_ns) / MS
+        for status in hearing.statuses.newest
+        if status is not None and status.applied_exposure_ns and status.gate == GateStatus.OPEN
+    ]
+    return _rounded(max(applied), 1) if applied and 0.0 <= max(applied) <= _LONGEST_MS else None
+
+
+def _tracker(images: list[FleetPoses], robots: int) -> tuple[float | None, float | None]:
+    """Return the images' rate [Hz] and how many of the tags are measured in them [%]."""
+    if len(images) < 2 or images[-1].exposure_ns <= images[0].exposure_ns:
+        return None, None
+    rate = (images[-1].seq - images[0].seq) * S / (images[-1].exposure_ns - images[0].exposure_ns)
+    newest = images[-1]
+    measured = sum(pose.coasted_ns == 0 for pose in newest.poses)
+    return _rounded(rate, 1), _rounded(100.0 * min(1.0, measured / robots), 1)
+
+
+def _rows(hearing: Hearing, state: RunState | None, now_ns: int) -> list[list[Any]]:
+    ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
+    rows: list[list[Any]] = []
+    ahead: tuple[float, float] | None = None
+    for row, status in enumerate(hearing.statuses.newest):
+        its = None if ticks is None else ticks.robots[row]
+        point = (its.point_x_m, its.point_y_m) if its is not None and hearing.placed[row] else None
+        spacing_m = math.dist(point, ahead) if point is not None and ahead is not None else None
+        running = ticks is not None and ticks.run_tick >= 0
+        halted = "" if state is None else halt_cause(state, row)
+        age_ms = _age_ms(hearing.heard_ns[row], now_ns)
+        rows.append([
+            *(_place(its) if its is not None and point is not None else [None] * 5),
+            *(_aim(its) if its is not None and running else [None] * 3),
+            None if spacing_m is None else _rounded(spacing_m * 1e3, 1),
+            *(_drive(its) if its is not None else [None] * 2),
+            *_gate(status), halted or None, _battery(status), age_ms,
+            *((int(its.measured), int(its.lost), int(its.filtered)) if its is not None else [None] * 3),
+        ])  # fmt: skip
+        ahead = point
+    return rows
+
+
+def _place(its: RobotTick) -> list[float | None]:
+    pose = its.x_m, its.y_m, its.psi_rad, its.point_x_m, its.point_y_m
+    return [_rounded(value, 4) for value in pose]
+
+
+def _aim(its: RobotTick) -> list[float | None]:
+    return [_rounded(its.reference_x_m, 4), _rounded(its.reference_y_m, 4), _rounded(its.control_error_m * 1e3, 2)]
+
+
+def _drive(its: RobotTick) -> list[float | None]:
+    return [_rounded(its.left_rad_s, 2), _rounded(its.right_rad_s, 2)]
+
+
+def _gate(status: RobotStatus | None) -> tuple[str | None, str | None]:
+    if status is None:
+        return None, None
+    return named(GateStatus, status.gate), named(Latch, status.latch) if status.latch else None
+
+
+def _battery(status: RobotStatus | None) -> float | None:
+    return None if status is None or status.battery < 0.0 else _rounded(status.battery, 3)
+
+
+def _age_ms(heard_ns: int, now_ns: int) -> int | None:
+    return (now_ns - heard_ns) // MS if heard_ns else None
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(float(value), digits)

@@ -1,0 +1,108 @@
+"""What the operator's page hears of a run: the newest of everything, and when it came."""
+
+from collections import deque
+from typing import NamedTuple
+
+from robofleet.clock import MS, Clock, S
+from robofleet.comms.bus import Bus, Wake
+from robofleet.comms.keys import CAMERA, NEWS, PICTURE, POSES, STATE, TICK, key
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    RUN_STATE,
+    TICK_RECORD,
+    TRACKER_NEWS,
+    FleetPoses,
+    Picture,
+    RunState,
+    TagPose,
+    TickRecord,
+    TrackerNews,
+)
+from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.comms.statuses import Statuses
+from robofleet.config.tree import Config
+from robofleet.safety.supervisor import Phase
+
+_IMAGES = 64  # two seconds of a camera, by which its rate is told
+_NEWS = 64
+_POSES_WITHIN_NS = 200 * MS  # of a picture's arrival; it is shown without outlines then
+_SILENT_NS = S  # a controller that says nothing for so long is not there
+
+
+class Shown(NamedTuple):
+    """A picture, and the poses of the same image."""
+
+    picture: Picture
+    poses: tuple[TagPose, ...]
+
+
+class Hearing:
+    """``wake`` is called, from any thread, when a tick's record or a state of the run came."""
+
+    def __init__(self, config: Config, bus: Bus, clock: Clock, wake: Wake) -> None:
+        robots, arena = config.platoon, config.arena.name
+        self._clock, self._tick_s = clock, config.controller.tick_s
+        self.tags = {robot.tag: robot.id for robot in robots}
+        self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
+        self.statuses = Statuses(bus, [robot.id for robot in robots])
+        self._frames = bus.stream(key(arena, POSES, CAMERA), _IMAGES)
+        self._news = bus.stream(key(arena, NEWS, CAMERA), _NEWS)
+        self._pictures = bus.newest(PICTURE, CAMERA)
+        self._pending: tuple[int, Picture] | None = None  # and when it came
+        self.record: TickRecord | None = None
+        self.record_ns = 0  # its arrival; 0: none yet
+        self.state: RunState | None = None
+        self.state_ns = 0
+        self.heard_ns = [0] * len(robots)  # newest status of each
+        self.placed = [False] * len(robots)  # it was seen at least once: its estimate is one
+        self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
+        self.shown: Shown | None = None
+        self.t_s: float | None = None  # of the run; stays while it is held
+
+    def hear(self) -> bool:
+        """Take what came of the tick and of the run's state; returns whether there is something new to show."""
+        record = None if (payload := self._ticks.take()) is None else TICK_RECORD.decode(payload)
+        state = None if (payload := self._states.take()) is None else RUN_STATE.decode(payload)
+        if record is not None and len(record.robots) == len(self.placed):
+            self._take(record)
+        changed = False
+        if state is not None:
+            changed = self.state is None or self.state._replace(seq=0) != state._replace(seq=0)
+            self.state, self.state_ns = state, self._states.arrival_ns
+            if state.phase in (Phase.IDLE, Phase.ARMED):
+                self.t_s = None
+        return changed or record is not None
+
+    def hear_the_rest(self) -> list[TrackerNews]:
+        """Take what else came: the robots' words, the images', a picture; returns the tracker's news."""
+        now_ns = self._clock.now_ns()
+        for row, _ in self.statuses.take():
+            self.heard_ns[row] = now_ns
+        for *_, payload in self._frames.drain():
+            if (image := FLEET_POSES.decode(payload)) is not None:
+                self.images.append(image)
+        self._show(now_ns)
+        news = (TRACKER_NEWS.decode(payload) for *_, payload in self._news.drain())
+        return [item for item in news if item is not None]
+
+    def controller_silent(self) -> bool:
+        """Whether what is known of the tick is of the past."""
+        return not self.record_ns or self._clock.now_ns() - self.record_ns > _SILENT_NS
+
+    def _take(self, record: TickRecord) -> None:
+        self.record, self.record_ns = record, self._ticks.arrival_ns
+        self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
+        if record.run_tick >= 0:
+            self.t_s = record.run_tick * self._tick_s
+
+    def _show(self, now_ns: int) -> None:
+        """Wait for the poses of a picture's image; they may come after it."""
+        payload = self._pictures.take()
+        if payload is not None and (picture := PICTURE_LAYOUT.decode(payload)) is not None:
+            self._pending = now_ns, picture
+        if self._pending is not None:
+            came_ns, picture = self._pending
+            same = next((image for image in self.images if image.exposure_ns == picture.exposure_ns), None)
+            if same is not None or now_ns - came_ns > _POSES_WITHIN_NS:
+                self.shown = Shown(picture, same.poses if same is not None else ())
+                self._pending = None

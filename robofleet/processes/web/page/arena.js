@@ -1,0 +1,171 @@
+// The arena from above. What the newest tick says is drawn as it is: nothing is made up between two ticks.
+
+import { drawFloor } from "./floor.js";
+import { Labels } from "./labels.js";
+import { FINE, HALTED, LATCHED, LOST, SLOWED } from "./robots.js";
+import { arrow, circle, line } from "./shapes.js";
+import { View } from "./view.js";
+
+const TRAIL_EVERY = 3; // ticks
+const TRAIL_POINTS = 40; // 4 s
+const TRAIL_BANDS = 4; // of one opacity each: one stroke a band, however many robots
+
+export class Arena {
+  #floor = document.getElementById("arena-floor");
+  #top = document.getElementById("arena-robots");
+  #stage = document.getElementById("arena-stage");
+  #hello = null;
+  #tick = null;
+  #trails = [];
+  #taken = 0;
+  #labels = new Labels();
+  #view = null;
+
+  constructor() {
+    new ResizeObserver(() => this.#resize()).observe(this.#stage);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#resize());
+    matchMedia("(resolution: 1dppx)").addEventListener("change", () => this.#resize());
+  }
+
+  /** Take what does not change in a run. */
+  begin(hello) {
+    this.#hello = hello;
+    this.#trails = hello.robots.map(() => []);
+    const [width, height] = hello.arena.size_m;
+    this.#stage.style.aspectRatio = `${width} / ${height}`;
+    this.#resize();
+  }
+
+  /** Draw a tick; while nobody tells any robot's place the last ones stay. */
+  draw(robots) {
+    if (this.#tick && robots.every((robot) => robot.x_m === null)) return;
+    this.#tick = robots;
+    if (this.#taken++ % TRAIL_EVERY === 0) this.#remember(robots);
+    this.#drawRobots();
+  }
+
+  #remember(robots) {
+    for (const { row, x_m, y_m } of robots) {
+      if (x_m === null) continue;
+      const trail = this.#trails[row];
+      trail.push([x_m, y_m]);
+      if (trail.length > TRAIL_POINTS) trail.shift();
+    }
+  }
+
+  #resize() {
+    if (this.#hello === null) return;
+    const { clientWidth: width, clientHeight: height } = this.#stage;
+    for (const canvas of [this.#floor, this.#top]) {
+      canvas.width = Math.round(width * devicePixelRatio);
+      canvas.height = Math.round(height * devicePixelRatio);
+      canvas.getContext("2d").setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+    }
+    this.#view = new View(this.#hello.arena.size_m, width, height);
+    drawFloor(this.#floor.getContext("2d"), this.#view, this.#hello);
+    if (this.#tick) this.#drawRobots();
+  }
+
+  #drawRobots() {
+    const [g, view] = [this.#top.getContext("2d"), this.#view];
+    const seen = this.#tick.filter((robot) => robot.x_m !== null);
+    g.clearRect(0, 0, view.width, view.height);
+    drawTrails(g, view, this.#trails);
+    drawAims(g, view, seen);
+    drawBodies(g, view, seen);
+    this.#labels.draw(g, view, seen);
+  }
+}
+
+function drawTrails(g, view, trails) {
+  g.strokeStyle = view.colour.accent;
+  g.lineWidth = 2;
+  const points = TRAIL_POINTS / TRAIL_BANDS;
+  for (let band = 0; band < TRAIL_BANDS; band++) {
+    g.globalAlpha = 0.45 * (1 - band / TRAIL_BANDS);
+    g.beginPath();
+    for (const trail of trails) {
+      const end = trail.length - 1 - band * points;
+      for (let k = end, first = true; k >= 0 && k >= end - points; k--, first = false) {
+        const [x, y] = trail[k];
+        if (first) g.moveTo(view.x(x), view.y(y));
+        else g.lineTo(view.x(x), view.y(y));
+      }
+    }
+    g.stroke();
+  }
+  g.globalAlpha = 1;
+}
+
+// From point p (a dot) to its reference (a cross).
+function drawAims(g, view, robots) {
+  g.strokeStyle = g.fillStyle = view.colour.ink;
+  g.lineWidth = 1;
+  g.beginPath();
+  const dots = new Path2D();
+  for (const robot of robots) {
+    const { point_x_m, point_y_m, reference_x_m, reference_y_m } = robot;
+    if (point_x_m === null || reference_x_m === null) continue;
+    const [px, py, rx, ry] = [view.x(point_x_m), view.y(point_y_m), view.x(reference_x_m), view.y(reference_y_m)];
+    const size = Math.min(4, view.radius(robot) / 2);
+    line(g, px, py, rx, ry);
+    line(g, rx - size, ry - size, rx + size, ry + size);
+    line(g, rx - size, ry + size, rx + size, ry - size);
+    circle(dots, px, py, size * 0.6);
+  }
+  g.stroke();
+  g.fill(dots);
+}
+
+// Each kind of trouble has a shape of its own: colour alone tells nothing.
+function drawBodies(g, view, robots) {
+  const { accent, amber, red } = view.colour;
+  const colours = { [FINE]: accent, [SLOWED]: accent, [HALTED]: amber, [LOST]: amber, [LATCHED]: red };
+  for (const trouble of [FINE, SLOWED, HALTED, LOST, LATCHED]) {
+    const some = robots.filter((robot) => robot.trouble === trouble);
+    if (some.length === 0) continue;
+    g.strokeStyle = g.fillStyle = colours[trouble];
+    drawRings(g, view, some, trouble);
+    const bodies = new Path2D();
+    for (const robot of some) circle(bodies, view.x(robot.x_m), view.y(robot.y_m), view.radius(robot));
+    g.lineWidth = trouble === FINE ? 1 : 2.5;
+    g.setLineDash(trouble === LOST ? [5, 4] : []);
+    if (trouble === LOST) g.fillStyle = view.colour.floor;
+    g.fill(bodies);
+    g.stroke(bodies);
+    g.setLineDash([]);
+    g.strokeStyle = g.fillStyle = trouble === LOST ? amber : view.colour["on-accent"];
+    drawMarks(g, view, some, trouble);
+  }
+}
+
+function drawRings(g, view, robots, trouble) {
+  g.globalAlpha = trouble === FINE ? 0.35 : 1;
+  g.lineWidth = trouble === FINE ? 1 : 2.5;
+  g.beginPath();
+  for (const robot of robots) {
+    circle(g, view.x(robot.x_m), view.y(robot.y_m), robot.safety_radius_m * view.scale);
+  }
+  g.stroke();
+  g.globalAlpha = 1;
+}
+
+// Heading, or what stopped it: a cross for a latch, two bars for a halt.
+function drawMarks(g, view, robots, trouble) {
+  const [arrows, bars] = [new Path2D(), new Path2D()];
+  for (const robot of robots) {
+    const [x, y, r, psi] = [view.x(robot.x_m), view.y(robot.y_m), view.radius(robot), robot.psi_rad];
+    if (trouble === LATCHED) {
+      line(bars, x - r / 2, y - r / 2, x + r / 2, y + r / 2);
+      line(bars, x - r / 2, y + r / 2, x + r / 2, y - r / 2);
+    } else if (trouble === HALTED) {
+      line(bars, x - r / 3, y - r / 2, x - r / 3, y + r / 2);
+      line(bars, x + r / 3, y - r / 2, x + r / 3, y + r / 2);
+    } else {
+      arrow(arrows, x + 0.15 * r * Math.cos(psi), y - 0.15 * r * Math.sin(psi), psi, 0.6 * r);
+    }
+  }
+  g.lineWidth = Math.max(2, view.radius(robots[0]) / 5);
+  g.fill(arrows);
+  g.stroke(bars);
+}

@@ -1,0 +1,134 @@
+// The operator's page: takes the server's frames, draws the newest tick once a screen refresh, and says when it is old.
+
+import { Arena } from "./arena.js";
+import { Camera } from "./camera.js";
+import { Charts } from "./charts.js";
+import { Controls } from "./controls.js";
+import { Link } from "./link.js";
+import { LATCHED, robotsOf } from "./robots.js";
+import { RobotTable } from "./table.js";
+
+const LOOK_MS = 100;
+const FIGURES_MS = 200; // between two writings of what is read, not watched
+const EVENTS = 200; // kept in the list
+const PHASES = {
+  starting: "Starting",
+  idle: "Idle",
+  armed: "Arming",
+  running: "Running",
+  hold: "HOLD",
+  fault: "FAULT",
+  estop: "EMERGENCY STOP",
+};
+const id = (name) => document.getElementById(name);
+
+/** What the page shows now, for whoever looks at it from outside. */
+const state = { hello: null, tick: null, robots: [], phase: null, lost: null, drawn: 0 };
+const link = new Link((frame) => frames[frame.type]?.(frame));
+const [arena, table, charts] = [new Arena(), new RobotTable(), new Charts()];
+const [controls, camera] = [new Controls(link), new Camera(link)];
+window.robofleet = { state };
+
+let drawing = false;
+let writtenAt = -Infinity;
+
+const frames = {
+  hello(hello) {
+    state.hello = hello;
+    for (const part of [arena, table, charts, camera]) part.begin(hello);
+    id("events-list").replaceChildren();
+    write("arena-name", hello.arena.name);
+    write("config-name", hello.config);
+    write("lap-length", hello.duration_s.toFixed(0));
+    look();
+  },
+  tick(tick) {
+    state.tick = tick;
+    if (!drawing) {
+      drawing = true;
+      requestAnimationFrame(draw);
+    }
+    enter(tick);
+  },
+  event: addEvent,
+  answer: (answer) => controls.answered(answer),
+  picture: (picture) => camera.draw(picture),
+  ended: look,
+};
+
+// At once, not with the next drawing: a page in the background draws nothing.
+function enter({ phase, cause, stage, what_next: next }) {
+  write("phase-cause", stage ?? (cause === "nothing" ? "" : (cause ?? "")));
+  write("phase-next", next);
+  if (phase === state.phase) return;
+  state.phase = phase;
+  write("phase-name", PHASES[phase] ?? phase);
+  document.body.dataset.phase = phase;
+  if (phase === "estop") performance.mark("estop-shown");
+  controls.entered(phase);
+  look();
+}
+
+function draw(now) {
+  drawing = false;
+  const tick = state.tick;
+  state.robots = robotsOf(state.hello, tick);
+  arena.draw(state.robots);
+  charts.add(tick.health);
+  if (now - writtenAt >= FIGURES_MS) {
+    writtenAt = now;
+    table.draw(state.robots);
+    charts.draw();
+    writeFigures(tick);
+  }
+  link.send({ ack: tick.seq });
+  if (state.drawn++ === 0) performance.mark("first-tick-drawn");
+}
+
+function writeFigures({ t_s: t, health }) {
+  write("lap-time", t === null ? "–" : t.toFixed(1));
+  id("lap-progress").value = Math.min(1, (t ?? 0) / state.hello.duration_s);
+  write("health-overruns", `${health.overruns ?? "–"}`);
+  write("health-tracker", health.tracker_hz === null ? "–" : `${health.tracker_hz.toFixed(1)} Hz`);
+  write("health-seen", health.seen_pct === null ? "–" : `${health.seen_pct.toFixed(1)} %`);
+}
+
+function addEvent({ at, level, text }) {
+  const item = document.createElement("li");
+  const [time, words] = [document.createElement("time"), document.createElement("span")];
+  time.textContent = at === null ? "–" : `${at.toFixed(1)} s`;
+  words.textContent = text;
+  item.className = level;
+  item.append(time, words);
+  const list = id("events-list");
+  list.prepend(item);
+  if (list.childElementCount > EVENTS) list.lastChild.remove();
+}
+
+/** Whether what is shown can still be believed. */
+function look() {
+  const lost = link.lost(performance.now());
+  state.lost = lost;
+  id("lost-banner").hidden = lost === null;
+  id("ended-banner").hidden = link.ended === null;
+  document.body.classList.toggle("lost", lost !== null);
+  document.body.classList.toggle("ended", link.ended !== null);
+  if (lost) {
+    write("lost-why", lost.why);
+    write("lost-since", `For ${(lost.ms / 1000).toFixed(lost.ms < 10_000 ? 1 : 0)} s.`);
+  }
+  if (link.ended !== null) write("ended-text", link.ended);
+  const title = `${lost ? "LINK LOST" : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
+  if (document.title !== title) document.title = title;
+  const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
+  controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+}
+
+function write(name, text) {
+  const element = id(name);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+setInterval(look, LOOK_MS);
+document.addEventListener("visibilitychange", look);
+look();

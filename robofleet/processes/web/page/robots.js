@@ -1,0 +1,27 @@
+// What a tick says of each robot, and how bad it is. One place for the words that the arena and the table use.
+
+export const FINE = 0;
+export const SLOWED = 1; // the barrier changes its command
+export const HALTED = 2; // it alone stands still
+export const LOST = 3; // no image of it for too long
+export const LATCHED = 4; // somebody must look at it
+
+/** The robots of a tick: one object each, with its values by the names of the columns, `trouble` and `words`. */
+export function robotsOf(hello, tick) {
+  return tick.robots.map((values, row) => {
+    const robot = { ...hello.robots[row], row };
+    hello.columns.forEach((column, k) => (robot[column] = values[k]));
+    [robot.trouble, robot.words] = assess(robot);
+    return robot;
+  });
+}
+
+function assess({ latch, lost, halted, gate, filtered }) {
+  if (latch && latch !== "none") return [LATCHED, `latched: ${latch}`];
+  if (lost) return [LOST, "lost: no image of it"];
+  if (halted) return [HALTED, `halted: ${halted}`];
+  if (gate === null) return [HALTED, "silent: nothing heard of it"];
+  if (filtered > 1) return [HALTED, "halted: no motion is safe"];
+  if (filtered) return [SLOWED, "kept apart by the barrier"];
+  return [FINE, gate === "open" ? "drives" : "stands"];
+}

@@ -1,0 +1,186 @@
+"""The server of the operator's page: one port, its guard, and what a page may say."""
+
+import asyncio
+import json
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from robofleet.clock import Clock, WallClock
+from robofleet.comms.bus import Bus
+from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.config.tree import Config
+from robofleet.processes.node import Lifeline
+from robofleet.processes.web import frames
+from robofleet.processes.web.controls import ASKED, ESTOP, Controls
+from robofleet.processes.web.feed import Feed, Page
+from robofleet.processes.web.guard import Guard, authorities, new_token
+
+LOOPBACK = "127.0.0.1"
+_NICE = 5  # the page waits for the run, never the other way round
+_PAGE = Path(__file__).parent / "page"
+_LARGEST_MESSAGE = 1024  # of a page [bytes]
+_LARGEST_HEAD = 16384  # of a request [bytes]
+_PAGES = 16
+_CONNECTIONS = 64
+_PING_S, _PONG_WITHIN_S = 5.0, 10.0  # then a page that sleeps is forgotten; it comes back by itself
+_POLL_S = 0.05
+_LEAVE_WITHIN_S = 0.5  # of the end
+_POLICY_VIOLATION, _TRY_LATER, _GOING_AWAY = 1008, 1013, 1001
+
+
+def web(config: Config, folder: Path, lifeline: Lifeline, listening: socket.socket, name: str, *, of_run: bool) -> None:
+    """Serve the page of a run until the lifeline is cut.
+
+    ``name`` is how browsers call this host; ``of_run``: this process ends with its run.
+    """
+    os.nice(_NICE)
+    clock = WallClock()
+    bus = ZenohBus(config.arena.name, config.bus.endpoint, "web", clock)
+    try:
+        served = Served(config, folder, bus, clock, name, of_run)
+        asyncio.run(serve(served, listening, lifeline.ready, lambda: lifeline.cut))
+    finally:
+        bus.close()
+
+
+class Served(NamedTuple):
+    """What a server shows."""
+
+    config: Config
+    folder: Path  # of the run
+    bus: Bus
+    clock: Clock
+    name: str  # how browsers call this host
+    of_run: bool  # the server ends with its run
+
+
+async def serve(
+    served: Served, listening: socket.socket, ready: Callable[[str], None], cut: Callable[[], bool]
+) -> None:
+    """Serve until ``cut`` says so; ``ready`` is given the page's address, with its token."""
+    config, folder, bus, clock, name, of_run = served
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else an event behind a tick waits for 40 ms
+    address, port = listening.getsockname()[:2]
+    names = {name, address} | ({"localhost"} if address == LOOPBACK else set())
+    token = new_token()
+    feed = Feed(config, folder, bus, clock)
+    controls = Controls(bus, clock, config.groups[0].robots)
+    guard = Guard(application(feed, controls), authorities(names, port), token, clock)
+    server = uvicorn.Server(_settings(guard))
+    feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
+    try:
+        while not server.started:
+            await asyncio.sleep(_POLL_S)
+        ready(f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}")
+        while not (cut() or feeding.done() or serving.done()):
+            await asyncio.sleep(_POLL_S)
+        if feeding.done():
+            feeding.result()  # raises: a page that shows nothing must not look as if it did
+    finally:
+        last = frames.ended(feed.hearing, config) if of_run else None
+        for page in feed.pages:
+            page.leave(last)
+        server.should_exit = True
+        await asyncio.wait({serving}, timeout=_LEAVE_WITHIN_S)
+        feeding.cancel()
+        controls.close()
+
+
+def application(feed: Feed, controls: Controls) -> Starlette:
+    """Return what is behind the guard."""
+
+    async def index(_request: Request) -> Response:
+        return FileResponse(_PAGE / "index.html")
+
+    async def stop(_request: Request) -> Response:
+        return JSONResponse(await controls.do(ESTOP))
+
+    async def live(link: WebSocket) -> None:
+        if len(feed.pages) >= _PAGES:
+            await link.close(_TRY_LATER)
+        else:
+            await link.accept()
+            await _follow(link, feed, controls)
+
+    return Starlette(
+        routes=[
+            Route("/", index),
+            Route("/estop", stop, methods=["POST"]),
+            WebSocketRoute("/live", live),
+            Mount("/", StaticFiles(directory=_PAGE)),
+        ]
+    )
+
+
+async def _follow(link: WebSocket, feed: Feed, controls: Controls) -> None:
+    """Serve one page until it is closed, says what makes no sense, or the run ends."""
+    page = Page(feed)
+    feed.pages.add(page)
+    telling = asyncio.create_task(page.follow(link.send_text))
+    obeying = asyncio.create_task(_obey(link, page, controls))
+    try:
+        await asyncio.wait({telling, obeying}, return_when=asyncio.FIRST_COMPLETED)
+        if obeying.done() and not obeying.result():
+            await link.close(_POLICY_VIOLATION)
+        elif telling.done():
+            telling.result()
+            await link.close(_GOING_AWAY)
+    except WebSocketDisconnect:
+        pass
+    finally:
+        feed.pages.discard(page)
+        for task in (telling, obeying):
+            task.cancel()
+        await asyncio.gather(telling, obeying, return_exceptions=True)
+
+
+async def _obey(link: WebSocket, page: Page, controls: Controls) -> bool:
+    """Do what a page says, as it says it; returns whether it made sense until it was closed."""
+    while (message := await link.receive())["type"] != "websocket.disconnect":
+        try:
+            said = json.loads(message.get("text") or "")
+        except (ValueError, RecursionError):
+            return False
+        match said:
+            case {"do": str(what)} if what == ESTOP or what in ASKED:
+                controls.begin(what, page.tell)
+            case {"ack": int(seq)}:
+                page.drawn(seq)
+            case {"picture": bool(wanted)}:
+                page.wants_picture = wanted
+                page.wake()
+            case _:
+                return False
+    return True
+
+
+def _settings(app: Any) -> uvicorn.Config:
+    return uvicorn.Config(
+        app,
+        http="h11",
+        ws="websockets-sansio",
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        proxy_headers=False,
+        ws_max_size=_LARGEST_MESSAGE,
+        ws_ping_interval=_PING_S,
+        ws_ping_timeout=_PONG_WITHIN_S,
+        ws_per_message_deflate=False,  # it costs more time than a local network takes
+        limit_concurrency=_CONNECTIONS,
+        h11_max_incomplete_event_size=_LARGEST_HEAD,
+        timeout_keep_alive=5,
+    )

@@ -1,0 +1,50 @@
+"""The run's state in words for the page: where it is, what it checks, and what the operator can do now."""
+
+from collections.abc import Sequence
+
+from robofleet.comms.messages import RobotStatus, RunState
+from robofleet.config.tree import Config
+from robofleet.processes.live_state import arming
+from robofleet.recording.causes import named
+from robofleet.safety.arming import Stage
+from robofleet.safety.supervisor import Phase
+
+_NEXT = {
+    Phase.IDLE: "Arm: every robot's wheels and its emergency stop are tried, one after the other.",
+    Phase.ARMED: "Wait for the checks, or stop.",
+    Phase.RUNNING: "Hold the run, or stop it.",
+    Phase.HOLD: "Every robot stands. Look, mend what is wrong, then resume; or stop.",
+    Phase.FAULT: "Every robot stands. Mend the cause, then reset.",
+    Phase.ESTOP: "Every robot has latched its gate. Look at the robots, then reset.",
+}
+ENDED = (Phase.IDLE, Phase.FAULT, Phase.ESTOP)  # nothing moves, and nothing will by itself
+
+
+def phase_name(state: RunState | None) -> str:
+    """Return a run's phase; ``starting`` while the supervisor has not spoken."""
+    return "starting" if state is None else named(Phase, state.phase)
+
+
+def stage(state: RunState | None, robots: tuple[str, ...]) -> str | None:
+    """Return what is checked now, while the fleet is being armed."""
+    return arming(state, robots) if state is not None and state.phase == Phase.ARMED else None
+
+
+def what_next(state: RunState | None, statuses: Sequence[RobotStatus | None], config: Config) -> str:
+    """Return what the operator can do now."""
+    if state is None:
+        return "Wait: the processes are starting."
+    robots = config.groups[0].robots
+    if state.phase == Phase.ESTOP:
+        silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
+        if silent:
+            return f"NOT acknowledged by {', '.join(silent)}: stop them by hand."
+    latched = [robot for robot, status in zip(robots, statuses, strict=True) if status is not None and status.latch]
+    if config.run.start == "auto" and state.phase in ENDED:
+        by_itself = "This run starts and ends by itself."
+        return by_itself if state.phase == Phase.IDLE else "Every robot stands and this run ends: look at the robots."
+    if state.phase == Phase.IDLE and latched:
+        return f"The gate of {', '.join(latched)} is latched: look at the robots, then reset."
+    if state.phase == Phase.ARMED and state.stage == Stage.DONE:
+        return "Every check is passed: start the run, or stop."
+    return next((words for phase, words in _NEXT.items() if phase == state.phase), "")

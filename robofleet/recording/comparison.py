@@ -1,0 +1,175 @@
+"""Two runs side by side: what changed, figure by figure and plot by plot."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from robofleet.figures import COLOURS, STYLE
+from robofleet.pages import Marked, Page
+from robofleet.recording.bounds import JUDGED, Judged, part
+from robofleet.recording.canvas import View, lines, logarithmic, sheet
+from robofleet.recording.overview import floor, trail
+from robofleet.recording.plots import LOWEST_MM
+from robofleet.recording.run import Array
+from robofleet.recording.series import Series
+
+Summary = dict[str, Any]
+
+_SAME = 0.01  # a difference of a figure that is no difference, relative to the larger one
+_AS_BEFORE = "the same"
+_SHOWN = 60  # keys
+_COLOURS = COLOURS[:2]
+
+_ALSO = (
+    Judged("control error, largest", "mm", part("control_error_mm", "max")),
+    Judged("timed error, mean", "mm", part("timed_error_mm", "mean")),
+    Judged("centre off the path, mean", "mm", part("centre_error_mm", "mean")),
+    Judged("heading error, rms", "deg", part("pose_error", "heading_rms_deg")),
+    Judged("tags found", "of all", part("tracker", "measured_fraction"), at_least=True),
+)
+_NOT_JUDGED = (  # a difference is neither good nor bad, or the machine's and its load's
+    Judged("wheels at their limit", "of all ticks", part("saturated_fraction")),
+    Judged("changed by the barrier", "of all ticks", part("filtered_fraction")),
+    Judged("computing a tick, p50", "us", part("tick", "compute_us", "p50")),
+    Judged("computing a tick, p99", "us", part("tick", "compute_us", "p99")),
+    Judged("tick late by, p99", "us", part("tick", "lateness_us", "p99")),
+    Judged("tracking an image, p50", "ms", part("tracker", "frame_ms", "p50")),
+)
+
+
+class Side(NamedTuple):
+    """One of the two runs."""
+
+    name: str
+    view: View
+    summary: Summary
+
+
+def write(first: Side, second: Side, file: Path) -> None:
+    """Write the page about two runs; OSError if it cannot be."""
+    sides = first, second
+    page = Page(f"{first.name} and {second.name}", "Two runs side by side: the second one is judged against the first")
+    rows = list(_rows(*sides))
+    counts = [sum(row[-1].good is good for row in rows) for good in (True, False)]
+    same = sum(row[-1].text == _AS_BEFORE for row in rows)
+    detail = "\n".join(f"{side.name}: {_ended(side.summary)}" for side in sides)
+    page.verdict(f"{counts[0]} figures better, {counts[1]} worse, {same} the same", good=None, detail=detail)
+    page.section("Figures")
+    page.table(("figure", first.name, second.name, "difference", ""), rows)
+    _keys(page, *sides)
+    page.section("Plots", "Both from their own start.")
+    legend = [(side.name, colour) for side, colour in zip(sides, _COLOURS, strict=True)]
+    with mpl.rc_context(STYLE):
+        if all(len(side.view.series.t) for side in sides):
+            page.figure(_paths(sides), "The dashed line is the first one's path.", title="Paths", legend=legend)
+        for overlay in OVERLAYS:
+            figure = _overlaid(sides, overlay)
+            if figure is not None:
+                page.figure(figure, overlay.caption, title=overlay.title, legend=legend, long=True)
+    page.write(file)
+
+
+def _ended(summary: Summary) -> str:
+    cause = f" ({summary['cause']})" if summary["cause"] else ""
+    stops = f", {len(summary['stops'])} stops" if summary["stops"] else ""
+    return (
+        f"{summary['outcome']}{cause}, {summary['duration_s']:.1f} s, {summary['mode']}, seed {summary['seed']}{stops}"
+    )
+
+
+def _rows(first: Side, second: Side) -> Iterator[tuple[str, float | None, float | None, str, Marked]]:
+    for figure in (*JUDGED.values(), *_ALSO, *_NOT_JUDGED):
+        one, other = figure.of(first.summary), figure.of(second.summary)
+        label = f"{figure.label}, {figure.unit}" if figure.unit else figure.label
+        if one is None or other is None:
+            yield label, one, other, "", Marked("not measured in both", None)
+        else:
+            verdict = Marked("", None) if figure in _NOT_JUDGED else _verdict(one, other, more=figure.at_least)
+            yield label, one, other, f"{other - one:+.3g}", verdict
+
+
+def _verdict(one: float, other: float, *, more: bool) -> Marked:
+    """Say whether the other one is better; ``more`` is, or less."""
+    if abs(other - one) <= _SAME * max(abs(one), abs(other)):
+        return Marked(_AS_BEFORE, None)
+    better = (other > one) == more
+    by = f" by {100 * abs(other - one) / abs(one):.0f} %" if one else ""
+    return Marked(f"{'better' if better else 'worse'}{by}", better)
+
+
+def _keys(page: Page, first: Side, second: Side) -> None:
+    one, other = (_flat(side.view.config.model_dump(mode="json")) for side in (first, second))
+    missing = object()
+    differing = [key for key in one | other if one.get(key, missing) != other.get(key, missing)]
+    page.section("Configuration", "" if differing else "Both have the same, key by key.")
+    if differing:
+        page.table(
+            ("key", first.name, second.name), [(key, one.get(key), other.get(key)) for key in differing[:_SHOWN]]
+        )
+    if len(differing) > _SHOWN:
+        page.note(f"And {len(differing) - _SHOWN} more keys.")
+
+
+def _flat(tree: Any, path: str = "") -> dict[str, Any]:
+    """Return the leaves of a configuration by their dotted keys."""
+    if isinstance(tree, dict | list) and tree:
+        items = tree.items() if isinstance(tree, dict) else enumerate(tree)
+        return {k: v for key, value in items for k, v in _flat(value, f"{path}.{key}" if path else str(key)).items()}
+    return {path: tree}
+
+
+def _paths(sides: tuple[Side, Side]) -> Figure:
+    figure, axes = floor(sides[0].view)
+    for side, colour, width in zip(sides, _COLOURS, (3.0, 1.0), strict=True):
+        for row in range(len(side.view.series.robots)):
+            axes.plot(*trail(side.view.series.points[:, row]).T, color=colour, lw=width)
+    return figure
+
+
+class Overlay(NamedTuple):
+    """A line for each of two runs."""
+
+    title: str
+    label: str
+    of: Callable[[Series], Array | None]  # (K,)
+    caption: str
+
+
+def _mean(values: Array | None) -> Array | None:
+    return None if values is None else np.asarray(values.mean(axis=1))
+
+
+def _leader(values: Array | None) -> Array | None:
+    return None if values is None else values[:, 0]
+
+
+def _off(series: Series) -> Array | None:
+    asked_mm = series.run.config.groups[0].spacing_m * 1e3
+    return np.abs(series.spacing_mm - asked_mm).max(axis=1) if series.spacing_mm.shape[1] else None
+
+
+OVERLAYS = (
+    Overlay("Control error", "mm", lambda s: _mean(s.control_mm), "Mean of the robots, at every tick."),
+    Overlay("Spacing", "off by, mm", _off, "The pair that is furthest from its distance."),
+    Overlay("Path error", "mm", lambda s: _mean(s.path_mm), "Mean of the robots' true distances from the path."),
+    Overlay("Leader's timed error", "mm", lambda s: _leader(s.timed_mm), "From where the leader should be now."),
+    Overlay("Pose error", "mm", lambda s: _mean(s.pose_mm), "Mean of the robots, the filter against the truth."),
+)
+
+
+def _overlaid(sides: tuple[Side, Side], overlay: Overlay) -> Figure | None:
+    columns = [overlay.of(side.view.series) for side in sides]
+    if all(column is None or not len(column) for column in columns):
+        return None
+    figure, (axes,) = sheet(2.4)
+    span = 0.0, max(side.view.span[1] for side in sides)
+    for side, column, colour in zip(sides, columns, _COLOURS, strict=True):
+        if column is not None and len(column):
+            lines(axes, side.view.series.t, np.maximum(column, LOWEST_MM)[:, None], span, [colour])
+    logarithmic(axes, LOWEST_MM)
+    axes.set(xlabel="time since the start, s", ylabel=overlay.label, xlim=span)
+    return figure

@@ -1,0 +1,132 @@
+"""What happened in a run, on one time axis: phases, stops, news of the tracker, overruns, faults that were injected."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.config.troubles import Fault
+from robofleet.recording.causes import named, run_cause
+from robofleet.recording.run import Run
+from robofleet.safety.supervisor import Phase
+from robofleet.tracking.events import NO_TAG, describe
+
+RUN, TRACKER, CONTROLLER, FAULTS = "run", "tracker", "controller", "faults"
+_TOGETHER_S = 0.5  # what happens again so soon is one entry
+
+
+class Entry(NamedTuple):
+    """Something that happened."""
+
+    t_s: float  # since the run's first tick; before it negative
+    until_s: float  # the same, where it took no time
+    who: str  # RUN, TRACKER, CONTROLLER, FAULTS, or a robot's id
+    what: str
+    stop: bool = False
+
+
+class Span(NamedTuple):
+    """A phase of the run."""
+
+    t_s: float
+    until_s: float
+    phase: int
+    name: str
+    cause: str
+
+
+class Timeline:
+    """Everything that happened, in order. Without a tick of a run, times count from the first message."""
+
+    def __init__(self, run: Run, stops: Sequence[dict[str, Any]]) -> None:
+        """Collect; ``stops`` are the summary's."""
+        self._run = run
+        self._stamps, self._places = _instants(run)
+        begun = (run.ticks["stamp_ns"], self._stamps, run.all_ticks["stamp_ns"])
+        self._zero_ns = next((int(stamps[0]) for stamps in begun if len(stamps)), 0)
+        lasts = [
+            (stamps[-1] - self._zero_ns) / 1e9 for stamps in (self._stamps, run.all_ticks["stamp_ns"]) if len(stamps)
+        ]
+        self.begin_s = min(0.0, self._seconds(self._stamps[:1]).min(initial=0.0))
+        self.end_s = max([0.0, *map(float, lasts)])
+        self.phases = list(self._spans())
+        said = [Entry(s.t_s, s.t_s, RUN, f"{s.name}: {s.cause}" if s.cause else s.name) for s in self.phases]
+        halts = [Entry(s["t_s"], s["t_s"], s["robot"], s["cause"], stop=True) for s in stops]
+        found = *said, *halts, *self._news(), *self._overruns(), *self._barrier(), *self._faults()
+        self.entries = sorted(found, key=lambda entry: entry.t_s)
+
+    def _seconds(self, stamps: NDArray[Any]) -> NDArray[np.float64]:
+        return np.asarray((stamps - self._zero_ns) / 1e9, dtype=np.float64)
+
+    def _spans(self) -> Iterator[Span]:
+        """Yield the phases; a state has no stamp of its own: it was said when the statuses around it were."""
+        places = [place for place, _ in self._run.states]
+        known = len(self._places) > 0
+        times = np.interp(places, self._places, self._seconds(self._stamps)) if known else np.zeros(len(places))
+        changes = [
+            (float(t), state)
+            for k, (t, (_, state)) in enumerate(zip(times, self._run.states, strict=True))
+            if k == 0 or state.phase != self._run.states[k - 1][1].phase
+        ]
+        robots = self._run.config.groups[0].robots
+        for k, (t, state) in enumerate(changes):
+            until = changes[k + 1][0] if k + 1 < len(changes) else max(t, self.end_s)
+            cause = run_cause(state, robots) if state.cause else ""
+            yield Span(t, until, state.phase, named(Phase, state.phase), cause)
+
+    def _news(self) -> Iterator[Entry]:
+        robots = {robot.tag: robot.id for robot in self._run.config.robots}
+        for row, t in zip(self._run.news, self._seconds(self._run.news["stamp_ns"]), strict=True):
+            tag = int(row["tag"])
+            who = TRACKER if tag == NO_TAG else robots.get(tag, TRACKER)
+            yield Entry(float(t), float(t), who, describe(int(row["event"]), tag, float(row["value"])))
+
+    def _overruns(self) -> Iterator[Entry]:
+        ticks = self._run.all_ticks
+        count = np.diff(ticks["overruns"].astype(np.int64), prepend=ticks["overruns"][:1].astype(np.int64))
+        t = self._seconds(ticks["stamp_ns"])
+        for first, last in _episodes(t, count > 0):
+            many = int(count[first : last + 1].sum())
+            yield Entry(float(t[first]), float(t[last]), CONTROLLER, f"{many} tick{'s' * (many > 1)} overrun")
+
+    def _barrier(self) -> Iterator[Entry]:
+        t = self._seconds(self._run.ticks["stamp_ns"])
+        for row, robot in enumerate(self._run.config.platoon):
+            for first, last in _episodes(t, self._run.items["filtered"][:, row] > 0):
+                took = t[last] - t[first] + self._run.config.controller.tick_s
+                what = f"the barrier changed its command for {took:.2f} s"
+                yield Entry(float(t[first]), float(t[last]), robot.id, what)
+
+    def _faults(self) -> Iterator[Entry]:
+        for fault in self._run.config.faults:
+            begin = self.begin_s if fault.at_s is None else fault.at_s
+            until = self.end_s if fault.duration_s is None else begin + fault.duration_s
+            if begin <= self.end_s:
+                yield Entry(begin, min(until, self.end_s), FAULTS, _in_words(fault))
+
+
+def _in_words(fault: Fault) -> str:
+    given = fault.model_dump(exclude={"kind", "at_s", "duration_s"}, exclude_none=True, exclude_defaults=True)
+    values = (
+        f"{key} {', '.join(map(str, value)) if isinstance(value, tuple | list) else value}"
+        for key, value in given.items()
+    )
+    return f"{fault.kind.replace('_', ' ')} ({'; '.join(values)})" if given else fault.kind.replace("_", " ")
+
+
+def _instants(run: Run) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return stamps of the drivers' statuses and their places in the order of all messages, in that order."""
+    places = np.concatenate([np.array(own, dtype=np.int64) for own in run.status_places])
+    stamps = np.concatenate([status["stamp_ns"] for status in run.statuses])
+    order = np.argsort(places)
+    return stamps[order], places[order]
+
+
+def _episodes(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and last index of every time that something is on; shortly after one another is one."""
+    where = np.flatnonzero(on)
+    if not len(where):
+        return []
+    breaks = np.flatnonzero(np.diff(t[where]) > _TOGETHER_S)
+    return list(zip(where[[0, *(breaks + 1)]].tolist(), where[[*breaks, -1]].tolist(), strict=True))

@@ -1,0 +1,335 @@
+"""The operator's page as its browser sees it: what it is told, when, and what it can ask for."""
+
+import base64
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from robofleet.clock import MS, S
+from robofleet.comms.messages import TagPose
+from robofleet.config.load import resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, need_extra
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.supervisor import Event, Phase
+from robofleet.tracking.camera import CameraGeometry
+from tests.processes.realrun import ALONE, RealRun, wait
+from tests.processes.webstand import CLOCK, Frame, OpenPage, WebStand, placed, web_stand
+
+TRUTH = "tracker.source=truth"
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[WebStand]:
+    with web_stand(tmp_path, TRUTH) as stand:
+        yield stand
+
+
+def row(hello: Frame, tick: Frame, robot: str) -> Frame:
+    """Return a robot's values by their names."""
+    ids = [its["id"] for its in hello["robots"]]
+    return dict(zip(hello["columns"], tick["robots"][ids.index(robot)], strict=True))
+
+
+def test_a_newcomer_sees_the_fleet_at_once_and_what_is_not_known_is_null(stand: WebStand) -> None:
+    opened_ns = CLOCK.now_ns()
+    with stand.page() as page:
+        hello, tick = (page.heard_one() for _ in range(2))
+        assert CLOCK.now_ns() - opened_ns < S
+    assert (hello["type"], tick["type"]) == ("hello", "tick")
+    assert hello["arena"] == {"name": "platoon", "size_m": [3.2, 2.0]}
+    assert [robot["id"] for robot in hello["robots"]] == stand.robots
+    assert all(robot["safety_radius_m"] > robot["body_radius_m"] > 0 for robot in hello["robots"])
+    assert len(hello["path"]) <= 400
+    assert all(abs(x) < 1.6 and abs(y) < 1.0 for x, y in hello["path"])
+    assert (hello["camera"], hello["duration_s"], hello["tick_ms"]) == (None, 88, 33)
+    assert (tick["phase"], tick["t_s"], tick["cause"]) == ("starting", None, None)
+    assert set(tick["health"].values()) == {None}
+    assert all(value is None for robot in tick["robots"] for value in robot)
+
+
+def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(stand: WebStand) -> None:
+    stand.say_state(Phase.RUNNING, Event.PROVED, halted=Event.TAG_LATE)
+    with stand.page() as page:
+        hello = page.next("hello")
+        page.next("tick", lambda tick: tick["phase"] == "running")
+        stand.say_status("r1", GateStatus.NO_ENABLE, took_ns=31 * MS)
+        stand.say_status("r2", took_ns=17 * MS)
+        page.next("tick", lambda tick: row(hello, tick, "r2")["gate"])
+        robots = [
+            placed(0.5, 0.25, control_error_m=0.00123, left_rad_s=3.456, filtered=1.0),
+            placed(0.3, 0.25),
+            placed(0.1, 0.25, lost=1.0, measured=0.0),
+            placed(-0.1, 0.25),
+        ]
+        stand.say_tick(30, *robots, lateness_ns=42_000)
+        tick = page.next("tick", lambda tick: tick["t_s"] is not None)
+    assert (tick["t_s"], tick["cause"]) == (0.99, "every check passed")
+    health = {"compute_us": 250, "late_us": 42, "overruns": 3, "latency_ms": 17.0, "tracker_hz": None, "seen_pct": None}
+    assert tick["health"] == health
+    first, second, third = (row(hello, tick, robot) for robot in ("r1", "r2", "r3"))
+    assert (first["x_m"], first["point_x_m"], first["control_mm"], first["left_rad_s"]) == (0.5, 0.58, 1.23, 3.46)
+    assert (first["gate"], first["latch"], first["halted"]) == ("no enable", None, "its tag is not seen")
+    assert (first["filtered"], first["lost"], first["battery"], first["spacing_mm"]) == (1, 0, 0.5, None)
+    assert (second["gate"], second["halted"], second["spacing_mm"]) == ("open", None, 200.0)
+    assert 0 <= second["age_ms"] < 1000
+    assert (third["lost"], third["x_m"], third["gate"], third["age_ms"]) == (1, None, None, None)
+
+
+def test_a_silent_controller_is_not_shown_as_if_it_were_there(stand: WebStand) -> None:
+    stand.say_state(Phase.RUNNING)
+    stand.say_tick(30)
+    with stand.page() as page:
+        hello = page.next("hello")
+        page.next("tick", lambda tick: row(hello, tick, "r1")["x_m"] == 0.0)
+        page.next("beat", lambda beat: beat["controller"] > 1000 and beat["supervisor"] > 1000)
+        tick = page.next("tick", lambda tick: row(hello, tick, "r1")["x_m"] is None)
+        assert tick["health"]["compute_us"] is None
+        stand.say_state(Phase.RUNNING)
+        assert page.next("beat", lambda beat: beat["supervisor"] < 1000)["controller"] > 1000
+
+
+def test_the_page_is_told_every_200_ms_that_the_link_is_there(stand: WebStand) -> None:
+    with stand.page() as page:
+        frames = page.heard(2 * S)
+    assert sum(frame["type"] == "beat" for frame in frames) >= 10
+
+
+def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: WebStand) -> None:
+    with stand.page() as page:
+        stand.say_state(Phase.ARMED, Event.START_REQUESTED)
+        assert page.next("event")["text"] == "armed: start requested"
+        stand.say_state(Phase.RUNNING, Event.PROVED)
+        page.next("event", lambda event: event["text"] == "running: every check passed")
+        stand.say_tick(300)
+        page.next("tick", lambda tick: tick["t_s"] == 9.9)
+        for halted in (Event.TAG_LATE, Event.NOTHING) * 51:
+            stand.say_state(Phase.RUNNING, Event.PROVED, halted=halted)
+            expected = "r1: stands still: its tag is not seen" if halted else "r1: may move again"
+            event = page.next("event", lambda event, expected=expected: event["text"] == expected)  # type: ignore[misc]
+            assert (event["at"], event["level"]) == (9.9, "warning" if halted else "info")
+        stand.say_state(Phase.ESTOP, Event.WIRED_STOP, 1)
+        stand.say_status("r2", GateStatus.LATCHED, Latch.EMERGENCY_STOP)
+        latched = page.next("event", lambda event: "gate latched" in event["text"])
+        assert (latched["text"], latched["level"]) == ("r2: gate latched: emergency stop", "error")
+    with stand.page() as late:
+        events = [frame for frame in late.heard(S // 2) if frame["type"] == "event"]
+    assert len(events) == 100
+    assert {"estop: r2: the robot's own e-stop", latched["text"]} <= {event["text"] for event in events[-3:]}
+
+
+def test_what_happens_is_told_at_once(stand: WebStand) -> None:
+    took_ms = []
+    with stand.page() as page:
+        for phase in (Phase.RUNNING, Phase.HOLD) * 20:
+            said_ns = CLOCK.now_ns()
+            stand.say_state(phase)
+            page.next("event")
+            took_ms.append((CLOCK.now_ns() - said_ns) / MS)
+    assert np.median(took_ms) < 20, "small messages wait for one another"
+
+
+@pytest.mark.parametrize("what", ["arm", "start", "hold", "stop", "reset"])
+def test_what_the_page_asks_for_is_asked_of_the_supervisor(stand: WebStand, what: str) -> None:
+    with stand.page() as page:
+        page.say(do=what)
+        assert page.next("answer") == {"type": "answer", "to": what, "ok": True, "text": "ok"}
+    assert stand.asked == [what.encode()]
+
+
+def test_a_refusal_is_told_in_the_supervisors_words(stand: WebStand) -> None:
+    with stand.page() as page:
+        page.say(do="resume")
+        assert page.next("answer") == {"type": "answer", "to": "resume", "ok": False, "text": "the fleet is asleep"}
+        stand.mute = True
+        page.say(do="hold")
+        silent = page.next("answer")
+        assert (silent["ok"], silent["text"].split(":")[0]) == (False, "the supervisor does not answer")
+
+
+def latch_when_asked(stand: WebStand, *robots: str) -> threading.Thread:
+    """Play the drivers: these latch their gates when an emergency stop is asked for."""
+
+    def play() -> None:
+        if wait(lambda: b"estop" in stand.asked, 5):
+            for _ in range(20):
+                for robot in robots:
+                    stand.say_status(robot, GateStatus.LATCHED, Latch.EMERGENCY_STOP)
+                CLOCK.sleep_until(CLOCK.now_ns() + 5 * MS)
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    return thread
+
+
+def test_the_emergency_stop_says_who_has_and_who_has_not_acknowledged(stand: WebStand) -> None:
+    with stand.page() as page:
+        playing = latch_when_asked(stand, *stand.robots)
+        page.say(do="estop")
+        answer = page.next("answer")
+        playing.join()
+        assert (answer["to"], answer["ok"]) == ("estop", True)
+        assert answer["text"].startswith("every robot has latched its gate, the last one after ")
+        stand.asked.clear()
+        playing = latch_when_asked(stand, "r1", "r3")
+        page.say(do="estop")
+        answer = page.next("answer")
+        playing.join()
+    assert (answer["ok"], answer["text"]) == (False, "NOT acknowledged within 200 ms by r2, r4: stop them by hand")
+
+
+def test_the_emergency_stop_waits_for_no_other_request_and_no_other_page(stand: WebStand) -> None:
+    stand.mute = True  # each of these waits for two seconds
+    with stand.page() as busy, stand.page() as page:
+        for _ in range(12):
+            busy.say(do="hold")
+        assert busy.next("answer")["text"].startswith("too much was asked at once")
+        asked_ns = CLOCK.now_ns()
+        for who in (busy, page):
+            who.say(do="estop")
+        assert wait(lambda: stand.asked.count(b"estop") >= 2, 1)
+        for who in (busy, page):
+            assert who.next("answer", lambda answer: answer["to"] == "estop")["ok"] is False
+        assert CLOCK.now_ns() - asked_ns < S
+
+
+def test_the_emergency_stop_also_comes_by_post(stand: WebStand) -> None:
+    playing = latch_when_asked(stand, *stand.robots)
+    headers = {"origin": f"http://{stand.authority}", "x-token": stand.token}
+    answer = httpx.post(f"http://{stand.authority}/estop", headers=headers)
+    playing.join()
+    assert (answer.status_code, answer.json()["ok"], answer.json()["to"]) == (200, True, "estop")
+
+
+def test_a_stop_reaches_the_robots_also_when_its_page_is_gone(stand: WebStand) -> None:
+    with stand.page() as page:
+        page.say(do="estop")
+    assert wait(lambda: b"estop" in stand.asked, 2)
+
+
+def fresh_seqs(page: OpenPage, within_ns: int) -> list[int]:
+    return [frame["seq"] for frame in page.heard(within_ns) if frame["type"] == "tick"]
+
+
+def test_a_page_that_sleeps_delays_nobody_and_is_owed_no_more_than_the_newest_tick(stand: WebStand) -> None:
+    with stand.page() as asleep, stand.page() as page:
+        sent_ns = 0
+        for k in range(90):
+            sent_ns = CLOCK.now_ns()
+            stand.say_tick(k)
+            page.next("tick", lambda tick, k=k: tick["t_s"] == round(0.033 * k, 3))  # type: ignore[misc]
+            assert CLOCK.now_ns() - sent_ns < 200 * MS
+            CLOCK.sleep_until(sent_ns + 33 * MS)
+        missed = fresh_seqs(asleep, S // 2)
+        assert 4 <= len(missed) <= 4 + 4, "a few, then one a second"
+        asleep.say(ack=missed[-1])
+        newest = asleep.next("tick")
+    assert newest["t_s"] == round(0.033 * 89, 3)
+
+
+def test_a_change_of_phase_comes_also_to_a_page_that_draws_nothing(stand: WebStand) -> None:
+    stand.say_state(Phase.RUNNING)
+    with stand.page() as hidden:
+        for _ in range(5):  # as many as may be on their way
+            stand.say_tick(1)
+            CLOCK.sleep_until(CLOCK.now_ns() + 20 * MS)
+        hidden.heard(300 * MS)
+        stand.say_state(Phase.ESTOP, Event.ESTOP_REQUESTED)
+        phases = [frame["phase"] for frame in hidden.heard(200 * MS) if frame["type"] == "tick"]
+    assert phases[-1:] == ["estop"]
+
+
+def test_a_picture_comes_only_to_who_asked_with_the_tags_where_they_were_seen(tmp_path: Path) -> None:
+    with web_stand(tmp_path) as stand, stand.page() as page, stand.page() as other:
+        assert page.next("hello")["camera"] == {"width": 1280, "height": 720}
+        page.say(picture=True)
+        page.say(do="hold")
+        page.next("answer")
+        exposure_ns = CLOCK.now_ns()
+        stand.say_image(1, exposure_ns - 33 * MS, TagPose(2, 0, 0, 0.0, 0.0, 0.0))
+        stand.say_image(
+            2, exposure_ns, TagPose(1, 0, 0, 0.4, -0.3, 0.5), TagPose(77, 0, 0, 0.0, 0.0, 0.0), jpeg=b"JPEG"
+        )
+        picture = page.next("picture")
+        assert not [frame for frame in other.heard(S // 2) if frame["type"] == "picture"]
+        page.say(picture=False)
+        page.say(do="hold")
+        page.next("answer")
+        stand.say_image(3, exposure_ns + 33 * MS, jpeg=b"JPEG")
+        assert not [frame for frame in page.heard(S // 2) if frame["type"] == "picture"]
+        tick = page.next("tick")
+        camera = CameraGeometry.from_model(stand.config.camera.model)
+    assert (picture["exposure_ns"], picture["width"], picture["height"]) == (exposure_ns, 1280, 720)
+    assert base64.b64decode(picture["jpeg"]) == b"JPEG"
+    (tag,) = picture["tags"]
+    assert (tag["id"], tag["robot"]) == (1, "r1")
+    on_floor = camera.to_plane(np.array(tag["corners"]), 0.08)
+    assert on_floor.mean(axis=0) == pytest.approx([0.4, -0.3], abs=1e-3)
+    sides = np.linalg.norm(np.roll(on_floor, -1, axis=0) - on_floor, axis=1)
+    assert sides == pytest.approx([0.07] * 4, abs=1e-3)
+    right = on_floor[1] - on_floor[0]  # along the print's top
+    assert np.arctan2(right[1], right[0]) == pytest.approx(0.5, abs=0.02)
+    assert tick["health"]["tracker_hz"] == pytest.approx(30.3, abs=0.1)
+
+
+@pytest.mark.parametrize(("phase", "told"), [(Phase.IDLE, True), (Phase.RUNNING, False)])
+def test_the_last_word_of_a_run_is_said_only_when_it_has_ended(stand: WebStand, phase: Phase, told: bool) -> None:
+    with stand.page() as page:
+        stand.say_state(phase, Event.STOP_REQUESTED)
+        page.next("tick", lambda tick: tick["phase"] == phase.name.lower())
+        stand.end()
+        frames: list[Frame] = []
+        with pytest.raises(ConnectionClosed) as closed:
+            while True:
+                frames.append(page.heard_one())
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code in (1001, 1012)
+    assert [frame["text"] for frame in frames if frame["type"] == "ended"] == ["idle: stop requested"] * told
+
+
+def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE, "--web", "--duration", "1")
+    run.wait_for(lambda: "the operator's page: http://127.0.0.1:" in run.said)
+    run.kill("web")
+    run.wait_for(lambda: "\nthe page is gone, the run goes on: `robofleet web` opens another one" in run.said)
+    assert run.ended(30) == 0
+    assert run.summary["outcome"] == "completed"
+    assert run.nothing_is_left()
+
+
+def test_what_is_not_installed_is_named_with_the_way_to_it() -> None:
+    need_extra("web", *WEB_PACKAGES)
+    with pytest.raises(RefusedError, match=r"this needs no_such_one: \S+ -m pip install 'robofleet\[web\]'$"):
+        need_extra("web", "starlette", "no_such_one")
+
+
+def test_what_the_command_cannot_serve_is_refused_in_a_line(
+    real_run: Callable[..., RealRun], platoon_of: Callable[..., Config], tmp_path: Path
+) -> None:
+    run = real_run("--web", "--lockstep")
+    assert run.ended(20) == 2
+    assert run.said == "--web: a lockstep run is over before anybody has looked: leave --web or --lockstep out\n"
+    file = tmp_path / "config.yaml"
+    file.write_text(resolved_yaml(platoon_of("bus.endpoint=tcp/127.0.0.1:7447")))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        for arguments, line in [
+            ([], "no arena has a run"),
+            (
+                [str(file), "--host", "0.0.0.0"],
+                "name one of this machine's addresses: what a browser calls it is checked",
+            ),
+            (
+                [str(file), "--port", str(port)],
+                "Address already in use: name an address of this machine, and a port that",
+            ),
+        ]:
+            refused = run.robofleet("web", *arguments)
+            assert (refused.returncode, refused.stderr.count("\n")) == (2, 1), refused.stderr
+            assert line in refused.stderr

@@ -1,0 +1,301 @@
+"""How long a tick takes to the operator's page, and whether the controller feels that pages are open.
+
+    python -m tests.processes.web_latency --robots 4
+    python -m tests.processes.web_latency --robots 100 [--synthetic]
+
+Real processes and real browsers (headless Chromium through selenium). Update: from the arrival of a TickRecord at the
+page's server to the page's word that it has drawn it. Blocks without a page and with pages take turns. With
+``--synthetic`` there is no fleet: ticks, states and statuses of so many robots are published at their rates.
+"""
+
+import argparse
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from robofleet.clock import MS, S, WallClock
+from robofleet.comms.bus import Inbox
+from robofleet.comms.endpoint import bind_endpoint
+from robofleet.comms.keys import STATE, TICK, key
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.comms.requests import asked
+from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.config import slices
+from robofleet.config.load import load_config, resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.control.path import Path as ControlPath
+from robofleet.processes import controller, tracker
+from robofleet.processes.children import Children
+from robofleet.processes.node import Lifeline
+from robofleet.processes.web import feed, server
+from robofleet.safety.supervisor import Event, Phase
+from tests.processes.realrun import PLATOON, own_folders
+from tests.processes.webstand import WebStand
+
+CLOCK = WallClock()
+_SPACING_M = 0.25
+_SHARE = 0.9  # of the path, that a long platoon takes
+_ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
+
+
+class MeasuredPage(feed.Page):
+    """Keeps how long each tick took to be drawn."""
+
+    took_ms: list[float] = []  # noqa: RUF012 - one process has one list
+
+    def drawn(self, seq: int) -> None:
+        """Take the time."""
+        now_ns = CLOCK.now_ns()
+        self.took_ms += [(now_ns - at_ns) / MS for sent, at_ns in self._undrawn if sent == seq and at_ns]
+        super().drawn(seq)
+
+
+def measured_server(file: Path, descriptor: int) -> None:
+    """Be the page's server; what was measured is written beside the configuration in the end."""
+    server.Page = MeasuredPage  # type: ignore[misc]
+    listening = socket.create_server(("127.0.0.1", 0))
+    server.web(load_config(file), file.parent, Lifeline(descriptor), listening, "127.0.0.1", of_run=True)
+    (file.parent / "took_ms.json").write_text(json.dumps(MeasuredPage.took_ms))
+
+
+def fleet_of(robots: int) -> list[str]:
+    """Return what makes the platoon's configuration one of so many robots, on a path and in an arena that hold them."""
+    if robots == 4:  # as it is shipped
+        return ["tracker.source=truth"]
+    shipped = load_config(PLATOON)
+    path = ControlPath.hermite(*slices.knots(shipped.groups[0]))
+    scale = max(1.0, robots * _SPACING_M / (_SHARE * path.length()))
+    knots = [
+        {
+            "at_m": [round(scale * x, 4) for x in knot.at_m],
+            "derivative_m": [round(scale * d, 4) for d in knot.derivative_m],
+        }
+        for knot in shipped.groups[0].path.knots
+    ]
+    path = ControlPath.hermite(*(scale * part for part in slices.knots(shipped.groups[0])))
+    fine = np.linspace(path.sides, 0.0, 200_000)
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.position(fine), axis=0), axis=1))])
+    here = np.interp(_SPACING_M * np.arange(robots), walked, fine)
+    places = np.hstack([path.position(here), np.degrees(np.arctan2(*path.tangent(here).T[::-1]))[:, None]]).round(4)
+    fleet = [
+        {
+            "id": f"r{k}",
+            "tag": k,
+            "vehicle": "gternal",
+            "start": dict(zip(("x_m", "y_m", "heading_deg"), place, strict=True)),
+        }
+        for k, place in enumerate(places.tolist(), 1)
+    ]
+    changes = {
+        "arena.size_m": [round(3.2 * scale, 2), round(2.0 * scale, 2)],
+        "robots": fleet,
+        "groups.0.robots": [robot["id"] for robot in fleet],
+        "groups.0.path": {"knots": knots},
+        "groups.0.path_rate": round(shipped.groups[0].path_rate / scale, 6),
+        "drivers.robots_per_process": max(1, robots // 2),
+        "tracker.source": "truth",
+        "run.duration_s": 600,
+    }
+    return [f"{name}={json.dumps(value)}" for name, value in changes.items()]
+
+
+@contextmanager
+def real_fleet(config: Config, file: Path, log: Path) -> Iterator[ZenohBus]:
+    """Start every process of a run, and the run."""
+    controller.compile_kernels(config)
+    tracker.compile_kernels(config)
+    children = Children(log, file)
+    try:
+        children.start("router", "router")
+        children.wait_ready(CLOCK, lambda: None)
+        for name in ("supervisor", "tracker", "controller"):
+            children.start(name, name)
+        for name, robots in config.driven.items():
+            children.start(name, "driver", "--robots", ",".join(robots))
+        children.wait_ready(CLOCK, lambda: None)
+        bus = ZenohBus(config.arena.name, config.bus.endpoint, "latency", CLOCK)
+        try:
+            yield bus
+        finally:
+            bus.close()
+    finally:
+        children.reap(CLOCK)
+
+
+def start(bus: ZenohBus, robots: int) -> str:
+    """Start the run and wait until it drives; returns the phase that it came to."""
+    print(asked(bus, CLOCK, "supervisor", b"start").decode(), file=sys.stderr)
+    state, deadline_ns = Inbox(bus.newest(STATE), RUN_STATE), CLOCK.now_ns() + round(_ARMED_WITHIN_S * (1 + robots) * S)
+    phase = Phase.ARMED
+    while phase is Phase.ARMED and CLOCK.now_ns() < deadline_ns:
+        CLOCK.sleep_until(CLOCK.now_ns() + 20 * MS)
+        if (newest := state.take()) is not None and newest.cause != Event.NOTHING:
+            phase = Phase(newest.phase)
+    return phase.name if phase is Phase.RUNNING else f"{phase.name}: {newest}"
+
+
+@contextmanager
+def synthetic_fleet(config: Config) -> Iterator[ZenohBus]:
+    """Run another process that says what a fleet would say."""
+    router = open_router(config.bus.endpoint)
+    bus = ZenohBus(config.arena.name, config.bus.endpoint, "latency", CLOCK)
+    command = [sys.executable, "-m", "tests.processes.web_latency", "--robots", str(len(config.robots))]
+    saying = subprocess.Popen([*command, "--say", config.bus.endpoint])
+    try:
+        yield bus
+    finally:
+        saying.terminate()
+        saying.wait()
+        bus.close()
+        router.close()  # type: ignore[no-untyped-call]
+
+
+def say(config: Config) -> None:
+    """Publish what a fleet would say, for ever."""
+    bus = ZenohBus(config.arena.name, config.bus.endpoint, "say", CLOCK)
+    stand = WebStand(config, bus, "http://nowhere/?token=none", lambda: None)
+    due = {"tick": 33 * MS, "state": 40 * MS, "status": 20 * MS}
+    next_ns = dict.fromkeys(due, CLOCK.now_ns())
+    run_tick = 0
+    while True:
+        CLOCK.sleep_until(min(next_ns.values()))
+        for what in [what for what, at_ns in next_ns.items() if at_ns <= CLOCK.now_ns()]:
+            next_ns[what] += due[what]
+            if what == "tick":
+                stand.say_tick(run_tick := run_tick + 1)
+            elif what == "state":
+                stand.say_state(Phase.RUNNING, Event.PROVED)
+            else:
+                for robot in stand.robots:
+                    stand.say_status(robot)
+
+
+class Browser:
+    """One Chromium."""
+
+    def __init__(self, url: str) -> None:
+        from selenium import webdriver
+
+        options = webdriver.ChromeOptions()
+        for option in ("headless=new", "no-sandbox", "disable-gpu", "disable-background-networking"):
+            options.add_argument(f"--{option}")
+        options.add_argument("--window-size=1280,900")
+        self._url, self.driver = url, webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver"))
+
+    def open(self) -> None:
+        """Open the page."""
+        self.driver.get(self._url)
+
+    def first_picture_ms(self) -> float | None:
+        """Return the time from the navigation's start to the first tick drawn [ms]."""
+        script = "return performance.getEntriesByName('first-tick-drawn')[0]?.startTime"
+        found: Any = self.driver.execute_script(script)
+        return None if found is None else float(found)
+
+    def leave(self) -> None:
+        """Show nothing."""
+        self.driver.get("about:blank")
+
+
+def lateness_us(bus: ZenohBus, config: Config, seconds: float) -> list[float]:
+    """Return how late the controller's ticks were in a while [us]."""
+    stream = bus.stream(key(config.arena.name, TICK), 1 << 16)
+    CLOCK.sleep_until(CLOCK.now_ns() + round(seconds * S))
+    heads = [TICK_RECORD.decode_head(payload) for *_, payload in stream.drain()]
+    return [head[-2] / 1000 for head in heads if head is not None]
+
+
+def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float, rounds: int) -> None:
+    """Print lateness without and with pages, and how soon a page shows something."""
+    late: dict[int, list[float]] = {0: [], pages: []}
+    first: list[float] = []
+    with ExitStack() as opened:
+        browsers = [Browser(url) for _ in range(pages)]
+        for browser in browsers:
+            opened.callback(browser.driver.quit)
+        for _ in range(rounds):
+            late[0] += lateness_us(bus, config, seconds / rounds)
+            for browser in browsers:
+                browser.open()
+            CLOCK.sleep_until(CLOCK.now_ns() + 2 * S)
+            psutil.cpu_percent()
+            late[pages] += lateness_us(bus, config, seconds / rounds)
+            busy = psutil.cpu_percent()
+            first += [ms for browser in browsers if (ms := browser.first_picture_ms()) is not None]
+            for browser in browsers:
+                browser.leave()
+    for count, found in late.items():
+        print(f"lateness with {count} pages: {figures(found)} us of {len(found)} ticks in {seconds:.0f} s")
+    print(f"first picture after opening: {figures(first)} ms of {len(first)} openings")
+    print(f"processors {busy:.0f} % busy with {pages} pages")
+
+
+def figures(values: list[float]) -> str:
+    """Return percentiles in words."""
+    if not values:
+        return "nothing"
+    p50, p99 = np.percentile(values, (50, 99))
+    return f"p50 {p50:.1f}, p99 {p99:.1f}, worst {max(values):.1f}"
+
+
+@contextmanager
+def served(file: Path) -> Iterator[str]:
+    """Start the measured server and return the page's address."""
+    ours, theirs = socket.socketpair()
+    command = [sys.executable, "-m", "tests.processes.web_latency", "--serve", str(file)]
+    with theirs, ours:
+        process = subprocess.Popen([*command, "--lifeline", str(theirs.fileno())], pass_fds=[theirs.fileno()])
+        try:
+            yield ours.recv(256).decode().strip()
+            watched = psutil.Process(process.pid)
+            cpu = watched.cpu_times()
+            print(f"the server used {cpu.user + cpu.system:.1f} s, {watched.memory_info().rss / 1e6:.0f} MB")
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=4)
+    parser.add_argument("--pages", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=40.0)
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--idle", action="store_true", help="do not start the fleet")
+    parser.add_argument("--synthetic", action="store_true")
+    for name, kind in (("--serve", Path), ("--lifeline", int), ("--say", str)):
+        parser.add_argument(name, type=kind, help=argparse.SUPPRESS)
+    a = parser.parse_args()
+    if a.serve is not None:
+        measured_server(a.serve, a.lifeline)
+        return
+    config = load_config(PLATOON, [*fleet_of(a.robots), f"bus.endpoint={a.say or bind_endpoint('tcp/127.0.0.1:0')}"])
+    if a.say is not None:
+        say(config)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        os.environ.update(own_folders(folder))
+        (folder / "config.yaml").write_text(resolved_yaml(config))
+        fleet = synthetic_fleet(config) if a.synthetic else real_fleet(config, folder / "config.yaml", folder)
+        with fleet as bus:
+            if not a.synthetic and not a.idle:
+                print(f"phase: {start(bus, a.robots)}")
+            with served(folder / "config.yaml") as url:
+                measure(bus, config, url, a.pages, a.seconds, a.rounds)
+        took_ms = json.loads((folder / "took_ms.json").read_text())
+        print(f"update, {a.robots} robots, {a.pages} pages: {figures(took_ms)} ms of {len(took_ms)} ticks drawn")
+
+
+if __name__ == "__main__":
+    main()

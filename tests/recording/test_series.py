@@ -1,0 +1,93 @@
+"""Columns of a run: lines that fit a screen and lose no peak, and the table of every value."""
+
+import csv
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robofleet.comms.keys import TICK, key
+from robofleet.recording.run import Run
+from robofleet.recording.series import line, series, write_csv
+
+Make = Callable[..., Any]
+
+
+@given(st.integers(0, 5000), st.integers(10, 900), st.integers(0, 2**32 - 1))
+def test_no_peak_is_lost_however_few_columns_there_are(count: int, columns: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t, y = np.arange(count) * 0.033, rng.normal(size=count) * 10 ** rng.uniform(-3, 3)
+    span = 0.0, float(t[-1]) if count else 1.0
+    x, seen = line(t, y, span, columns)
+    assert len(x) == len(seen) <= max(2 * (columns + 1), min(count, 2 * columns))
+    if count:
+        assert (seen.min(), seen.max()) == (y.min(), y.max())
+        assert (np.diff(x) >= 0).all()
+        width = (span[1] - span[0]) / columns
+        for peak in (int(y.argmax()), int(y.argmin())):
+            drawn_at = x[seen == y[peak]]
+            assert (np.abs(drawn_at - t[peak]) <= width + 1e-9).any(), "a peak stands where it was"
+
+
+def test_a_line_is_broken_where_ticks_are_missing() -> None:
+    t = np.concatenate([np.arange(100), np.arange(300, 400)]) * 0.033
+    for columns in (50, 1000):
+        x, y = line(t, np.ones(200), (0.0, 13.2), columns)
+        (broken,) = np.flatnonzero(np.isnan(y))
+        assert x[broken - 1] < 3.3 <= 9.9 - 13.2 / 50 <= x[broken + 1]
+
+
+def rows_of(file: Path) -> list[dict[str, str]]:
+    with file.open() as text:
+        return list(csv.DictReader(text))
+
+
+def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tmp_path: Path) -> None:
+    told = story(ticks=40)
+    told.aside(0.003)
+    told.control_error[:, 2] = 0.0015
+    write_csv(series(Run(told.recording())), tmp_path / "m.csv")
+    rows = rows_of(tmp_path / "m.csv")
+    assert [row["robot"] for row in rows] == ["r1", "r2", "r3", "r4"] * 40
+    assert [float(row["t_s"]) for row in rows[::4]] == pytest.approx([k * 0.033 for k in range(40)], abs=1e-9)
+    assert [int(row["run_tick"]) for row in rows[::4]] == list(range(40))
+    assert {float(row["control_error_mm"]) for row in rows[2::4]} == {1.5}
+    assert [float(row["path_error_mm"]) for row in rows] == pytest.approx([3.0] * 160, abs=1e-3)
+    assert rows[0]["spacing_mm"] == "", "a leader has nobody before it"
+    at = told.centres[7, 1]
+    assert [float(rows[29][name]) for name in ("true_x_m", "true_y_m")] == pytest.approx(at.tolist(), rel=1e-5)
+    assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
+    units = ("_m", "_rad", "_s", "_mm", "_deg")
+    plain = {"tick", "run_tick", "robot", "reference_parameter", "saturated", "measured", "lost", "filtered", "blocked"}
+    assert all(name in plain or name.endswith(units) for name in rows[0])
+
+
+def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
+    write_csv(series(Run(story(ticks=3).recording(truth=False))), tmp_path / "m.csv")
+    unknown = {"true_x_m", "true_y_m", "true_psi_rad", "path_error_mm", "timed_error_mm", "pose_error_mm"}
+    for row in rows_of(tmp_path / "m.csv"):
+        empty = {name for name, cell in row.items() if cell == ""}
+        assert empty - {"spacing_mm"} == unknown | {"heading_error_deg"}
+        assert not any("nan" in cell for cell in row.values())
+
+
+def test_a_run_without_a_tick_has_no_row(story: Make, tmp_path: Path) -> None:
+    recording = story(ticks=1).recording()
+    recording.messages[key("platoon", TICK)].clear()
+    write_csv(series(Run(recording)), tmp_path / "m.csv")
+    assert rows_of(tmp_path / "m.csv") == []
+
+
+def test_times_are_instants_and_go_on_over_a_hold(story: Make) -> None:
+    told = story(ticks=60)
+    recording, full = told.recording(), key("platoon", TICK)
+    held = recording.messages[full]
+    del held[25:45]  # as a hold does, in which no tick is one of the run
+    t = series(Run(recording)).t
+    assert (t[0], t[-1]) == (0.0, pytest.approx(59 * 0.033))
+    assert math.isclose(np.diff(t).max(), 21 * 0.033)

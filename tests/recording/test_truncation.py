@@ -1,0 +1,140 @@
+"""A recording that is cut or damaged anywhere gives a valid beginning of its messages, and never an exception."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from robofleet.recording.log import FILE, LIBRARY, RunLog
+from robofleet.recording.reading import RecordingError, read
+from robofleet.recording.repair import repair
+from tests.recording import recorded
+from tests.recording.recorded import in_order
+
+SAID = 600  # messages: a second, at first
+CUTS, FLIPS = 500, 200
+
+
+@pytest.fixture(scope="module")
+def whole(said: recorded.Said, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the bytes of a run's first seconds."""
+    file = tmp_path_factory.mktemp("whole") / FILE
+    with RunLog(file, recorded.config()) as log:
+        recorded.write(log, said[:SAID])
+    return file.read_bytes()
+
+
+def survivors(file: Path) -> list[tuple[str, bytes]] | None:
+    """Return the messages of a file; None where it says in a line that it holds none."""
+    try:
+        return in_order(read(file))
+    except RecordingError as error:
+        assert "\n" not in str(error)
+        assert str(error).startswith(str(file))
+        return None
+
+
+def mended(file: Path) -> list[tuple[str, bytes]] | None:
+    """Return the messages of a file after its repair; None where there was nothing to be saved."""
+    try:
+        repair(file)
+    except RecordingError:
+        return None
+    recording = read(file)
+    assert recording.whole
+    file.with_name(f"{FILE}.damaged").unlink(missing_ok=True)
+    return in_order(recording)
+
+
+def test_a_file_cut_anywhere_gives_a_valid_beginning(said: recorded.Said, whole: bytes, tmp_path: Path) -> None:
+    told = [(full, payload) for full, payload, _ in said[:SAID]]
+    file, counts = tmp_path / FILE, {}
+    for cut in np.random.default_rng(1).choice(len(whole), CUTS, replace=False):
+        file.write_bytes(whole[:cut])
+        found = survivors(file)
+        counts[int(cut)] = 0 if found is None else len(found)
+        assert found is None or found == told[: len(found)]
+        assert mended(file) == found
+    ordered = [count for _, count in sorted(counts.items())]
+    assert ordered == sorted(ordered)  # a longer beginning never tells less
+    assert ordered[-1] == SAID
+    assert max(np.diff(ordered)) < 0.5 * SAID  # and a chunk is a quarter of a second
+
+
+def test_a_bit_that_flips_anywhere_ends_the_recording_there(said: recorded.Said, whole: bytes, tmp_path: Path) -> None:
+    told = [(full, payload) for full, payload, _ in said[:SAID]]
+    file, rng = tmp_path / FILE, np.random.default_rng(2)
+    for at, bit in zip(rng.choice(len(whole), FLIPS, replace=False), rng.integers(8, size=FLIPS), strict=True):
+        data = bytearray(whole)
+        data[at] ^= 1 << bit
+        file.write_bytes(data)
+        try:
+            recording = read(file)
+        except RecordingError:
+            assert mended(file) is None
+        else:
+            assert not recording.whole
+            found = in_order(recording)
+            assert found == told[: len(found)]
+            assert mended(file) == found
+
+
+@pytest.mark.parametrize("tail", [bytes(1000), b"\xff" * 1000, b"\x06" + bytes(500)])
+def test_garbage_behind_the_last_block_is_left_out(
+    tail: bytes, said: recorded.Said, whole: bytes, tmp_path: Path
+) -> None:
+    file = tmp_path / FILE
+    file.write_bytes(whole[: len(whole) // 2])
+    repair(file)
+    cut = in_order(read(file))
+    end = (tmp_path / FILE).read_bytes()
+    file.write_bytes(end + tail)
+    recording = read(file)
+    assert in_order(recording) == cut
+    assert not recording.whole
+
+
+def foreign(file: Path, profile: str, library: str) -> None:
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile, library)
+        channel = writer.register_channel("speed", "json", 0)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("profile", "library", "says"),
+    [
+        ("ros2", "libmcap 1.4.0", "no recording of robofleet's: it was made by libmcap 1.4.0"),
+        ("robofleet", "robofleet", "no recording of robofleet's"),
+        ("robofleet", LIBRARY.format("0.1.0", 2), "wire version 2 of robofleet 0.1.0; this one reads 3: install that"),
+        ("robofleet", LIBRARY.format("9.1.0", 4), "wire version 4 of robofleet 9.1.0; this one reads 3: install that"),
+    ],
+)
+def test_a_file_of_somebody_else_is_refused_in_a_line(profile: str, library: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / FILE
+    foreign(file, profile, library)
+    for refusing in (read, repair):
+        with pytest.raises(RecordingError) as error:
+            refusing(file)
+        assert says in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_an_empty_run_is_refused_in_a_line(tmp_path: Path) -> None:
+    RunLog(tmp_path / FILE, recorded.config()).close()
+    for refusing in (read, repair):
+        with pytest.raises(RecordingError, match="no message"):
+            refusing(tmp_path)
+
+
+def test_a_configuration_of_another_version_is_refused_in_a_line(tmp_path: Path) -> None:
+    config = recorded.config()
+    strange = config.model_copy(update={"arena": config.arena.model_copy(update={"size_m": (-1.0, 2.0)})})
+    with RunLog(tmp_path / FILE, strange) as log:
+        log.add("rf/platoon/tick", b"something", 0)
+    with pytest.raises(RecordingError, match=r"arena\.size_m") as error:
+        read(tmp_path)
+    assert "\n" not in str(error.value)
