@@ -21,13 +21,12 @@ from robofleet.comms.keys import STATE, STATUS, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.config.load import load_config, resolved_yaml
+from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes import controller, tracker
-from robofleet.processes.children import Children
 from robofleet.processes.estop import emergency_stop
 from robofleet.safety.supervisor import Phase
 from tests.processes.realrun import PLATOON
+from tests.processes.unlaunched import started
 
 _CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop
@@ -80,19 +79,9 @@ def measure(folder: Path, times: int) -> list[float]:
     """Return the time of every robot and try [ms]."""
     endpoint = bind_endpoint("tcp/127.0.0.1:0")
     config = load_config(PLATOON, ["tracker.source=truth", f"bus.endpoint={endpoint}"])
-    (folder / "config.yaml").write_text(resolved_yaml(config))
-    controller.compile_kernels(config)
-    tracker.compile_kernels(config)
-    fleet = Children(folder, folder / "config.yaml")
+    fleet = started(config, folder, _CLOCK)
     found: list[float] = []
     try:
-        fleet.start("router", "router")
-        fleet.wait_ready(_CLOCK, lambda: None)
-        for name in ("supervisor", "tracker", "controller"):
-            fleet.start(name, name)
-        for robot in config.platoon:
-            fleet.start(f"driver-{robot.id}", "driver", "--robots", robot.id)
-        fleet.wait_ready(_CLOCK, lambda: None)
         tries = Tries(config)
         try:
             for k in range(times):

@@ -9,8 +9,6 @@ their last command and their last permission echoed, to a target of zero and to 
 import argparse
 import os
 import signal
-import socket
-import subprocess
 import sys
 import tempfile
 from collections import defaultdict
@@ -27,8 +25,9 @@ from robofleet.comms.keys import STATE, STATUS
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.config.load import load_config, resolved_yaml
+from robofleet.config.load import load_config
 from robofleet.safety.supervisor import Phase
+from tests.processes.unlaunched import started, wait_ready
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 ROBOTS = ("r1", "r2")
@@ -56,39 +55,24 @@ class Fleet:
         robots = f"groups.0.robots=[{', '.join(ROBOTS)}]"
         config = load_config(PLATOON, [robots, f"bus.endpoint={endpoint}", "tracker.source=truth"])
         self.config = config.model_copy(update={"robots": tuple(config.robot(robot) for robot in ROBOTS)})
-        self._file = folder / "config.yaml"
-        self._file.write_text(resolved_yaml(self.config))
-        self._processes: dict[str, tuple[subprocess.Popen[bytes], socket.socket]] = {}
-        self.start("router")
-        for name in ("supervisor", "tracker", "controller", *(f"driver-{robot}" for robot in ROBOTS)):
-            self.start(name)
+        self._children = started(self.config, folder, CLOCK)
         self.bus = ZenohBus(config.arena.name, endpoint, "kills", CLOCK)
         self._state = Inbox(self.bus.newest(STATE), RUN_STATE)
         self._inboxes = {robot: Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS) for robot in ROBOTS}
         self.state: RunState | None = None
         self.statuses: dict[str, RobotStatus] = {}
 
-    def start(self, name: str) -> None:
-        """Start a process and wait until it does its work."""
-        kind, _, robot = name.partition("-")
-        ours, theirs = socket.socketpair()
-        command = [sys.executable, "-m", "robofleet", kind, str(self._file), *(["--robots", robot] if robot else [])]
-        with theirs, (self._folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(
-                [*command, "--lifeline", str(theirs.fileno())], pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
-        ours.settimeout(_WITHIN_S)
-        assert ours.recv(64), f"{name} did not start: {(self._folder / f'{name}.log').read_text()}"
-        self._processes[name] = process, ours
+    def start_again(self, name: str) -> None:
+        """Start a process that was killed, and wait until it does its work."""
+        self._children.start_again(name)
+        wait_ready(self._children, CLOCK)
 
-    def signal(self, name: str, number: int) -> None:
+    def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal; a killed process is gone when this returns."""
-        process, lifeline = self._processes[name]
-        process.send_signal(number)
         if number == signal.SIGKILL:
-            process.wait()
-            lifeline.close()
+            self._children.kill(name)
+        else:
+            self._children.signal(name, number)
 
     def listen(self) -> None:
         """Take what came."""
@@ -132,14 +116,8 @@ class Fleet:
 
     def close(self) -> None:
         """End every process."""
+        self._children.reap(CLOCK)
         self.bus.close()
-        for process, lifeline in reversed(self._processes.values()):
-            lifeline.close()
-            try:
-                process.wait(2)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
 
 
 def turns(status: RobotStatus) -> bool:
@@ -148,7 +126,7 @@ def turns(status: RobotStatus) -> bool:
 
 
 def strike(
-    fleet: Fleet, victim: str, number: int, rng: np.random.Generator, held_s: float
+    fleet: Fleet, victim: str, number: signal.Signals, rng: np.random.Generator, held_s: float
 ) -> list[tuple[float, float]]:
     """Kill or stop a process of a running fleet; return each robot's times to zero target and output [ms].
 
@@ -160,7 +138,7 @@ def strike(
     fleet.signal(victim, number)
     CLOCK.sleep_until(CLOCK.now_ns() + round(held_s * S))
     if number == signal.SIGKILL:
-        fleet.start(victim)
+        fleet.start_again(victim)
     else:
         fleet.signal(victim, signal.SIGCONT)
     after_ns = {robot: nonce + round(held_s * S) for robot, nonce in before.items()}
