@@ -318,7 +318,7 @@ def listening(run: RealRun) -> Iterator[Callable[[], dict[str, RobotStatus]]]:
     newest: dict[str, RobotStatus] = {}
 
     def heard() -> dict[str, RobotStatus]:
-        for full, *_, payload in said.drain():
+        for _, full, payload in said.drain():
             if (status := ROBOT_STATUS.decode(payload)) is not None:
                 newest[full] = status
         return newest
