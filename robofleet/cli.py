@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robofleet.clock import S, WallClock, utc_now
+from robofleet.clock import WallClock, utc_now
+from robofleet.experiments import trials
 from robofleet.processes import commands, run_commands
-from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
+from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra, new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,6 +29,7 @@ app = typer.Typer(
 
 for _afterwards in run_commands.app.registered_commands:
     _afterwards.rich_help_panel = "A run afterwards, from the file that it left"
+app.add_typer(trials.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
 
@@ -80,7 +82,7 @@ def run(
                 _refuse_unattended(tree)
                 tree = _settled(tree)
                 held.enter_context(_claimed(tree, folder))
-            _new_folder(folder)
+            new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": web}
         summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     try:
@@ -153,69 +155,6 @@ def schema(
     print(out)
 
 
-@app.command()
-def paper(
-    experiment: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME",
-            help="memoryless, stability, closed-curve, lane-change, platoon, comparison, or all.",
-        ),
-    ] = "all",
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-paper.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the results as one JSON object.")] = False,
-) -> None:
-    """Reproduce the paper's experiments: tables beside the paper's, figures and numbers in DIR.
-
-    $ robofleet paper lane-change
-    """
-    from robofleet.experiments import paper as experiments  # noqa: PLC0415
-
-    with bad_input():
-        try:
-            names = experiments.chosen(experiment)
-        except ValueError as error:
-            raise RefusedError(str(error)) from error
-        parameters = {name: experiments.parameters_of(name) for name in names}
-        folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-paper"
-        _new_folder(folder)
-    try:
-        contents = {name: experiments.report(name, parameters[name], folder, quiet=as_json) for name in names}
-    except experiments.ExperimentError as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(1) from error
-    if as_json:
-        print(json.dumps({"folder": str(folder), "experiments": contents}))
-    else:
-        print(folder)
-
-
-@app.command()
-def storm(
-    config: ConfigFile,
-    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
-    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
-    pixels: Annotated[bool, typer.Option("--pixels", help="Render the camera's images: slower.")] = False,
-) -> None:
-    """Hit a simulated fleet with random faults, in lockstep, and check what must always hold.
-
-    $ robofleet storm configs/platoon.yaml --seeds 50
-
-    A failure is printed with the command that plays its seed again.
-    """
-    source = "camera" if pixels else "truth"
-    with bad_input():
-        tree = _checked(config, [f"tracker.source={source}"], None, lockstep=True)
-    from robofleet.processes.storm import report, workers  # noqa: PLC0415
-
-    replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
-    started_ns = WallClock().now_ns()
-    with report.progress(seeds, replay) as watch:
-        tally = workers.storm(tree, range(first, first + seeds), watch)
-    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
-        raise typer.Exit(1)
-
-
 def main() -> None:
     """Run a command."""
     app()
@@ -280,15 +219,6 @@ def _settled(tree: "Config") -> "Config":
             "end the run that has it, or take port 0 for any free one"
         ) from error
     return tree.model_copy(update={"bus": tree.bus.model_copy(update={"endpoint": endpoint})})
-
-
-def _new_folder(folder: Path) -> None:
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise RefusedError(f"--out: {folder} is there already and not empty: name another folder")
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RefusedError(f"--out: {folder} cannot be made: {error.strerror}") from error
 
 
 def _summary(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: bool) -> dict[str, Any]:

@@ -188,10 +188,10 @@ def driver(
     child.driver(_for_one_process(config, names), Lifeline(lifeline), names)
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATOR)
 def web(
     config: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG]", help="A run's config.yaml; default: the running arena's.")
+        Path | None, typer.Argument(metavar="CONFIG", help="A run's config.yaml; default: the running arena's.")
     ] = None,
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Default: any free one.")] = 0,
     host: Annotated[str, typer.Option(metavar="NAME", help="Which of this machine's addresses.")] = _LOOPBACK,
@@ -199,9 +199,9 @@ def web(
 ) -> None:
     """The operator's page of a run, in a browser: see it, hold it, stop it. It prints the page's address.
 
-    robofleet web
+    $ robofleet web
 
-    robofleet web --host 192.168.1.5 --port 8080
+    $ robofleet web --host 192.168.1.5 --port 8080
     """
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 
 import typer
 
@@ -31,3 +32,13 @@ def need_extra(extra: str, *packages: str) -> None:
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         raise RefusedError(f"this needs {', '.join(missing)}: {sys.executable} -m pip install 'robofleet[{extra}]'")
+
+
+def new_folder(folder: Path) -> None:
+    """Make a folder for what a command leaves; one that holds something already is refused."""
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise RefusedError(f"--out: {folder} is there already and not empty: name another folder")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RefusedError(f"--out: {folder} cannot be made: {error.strerror}") from error

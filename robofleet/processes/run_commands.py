@@ -79,14 +79,14 @@ def repair(run: RunFolder) -> None:
 @app.command()
 def report(
     run: RunFolder,
-    other: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Another one, to set beside it.")] = None,
+    other: Annotated[Path | None, typer.Argument(metavar="RUN", help="Another one, to set beside it.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Of two: default RUN/compare-<other>.html.")] = None,
 ) -> None:
     """Write RUN/report.html and RUN/metrics.csv; of two runs, a page with both side by side.
 
     Exit 1 if the run did not meet one of its bounds.
 
-    robofleet report runs/20260102T030405Z-platoon
+    $ robofleet report runs/20260102T030405Z-platoon
     """
     from robofleet.recording import after  # noqa: PLC0415
     from robofleet.recording.reading import RecordingError  # noqa: PLC0415
