@@ -61,7 +61,9 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
             placed(0.1, 0.25, lost=1.0, measured=0.0),
             placed(-0.1, 0.25),
         ]
-        stand.say_tick(30, *robots, lateness_ns=42_000)
+        stand.say_tick(-1, *(robot._replace(lost=1.0) for robot in robots))  # overruns before the run are not the run's
+        page.next("tick", lambda tick: tick["health"]["overruns"] is not None)
+        stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10)
         tick = page.next("tick", lambda tick: tick["t_s"] is not None)
     assert (tick["t_s"], tick["cause"]) == (0.99, "every check passed")
     health = {"compute_us": 250, "late_us": 42, "overruns": 3, "latency_ms": 17.0, "tracker_hz": None, "seen_pct": None}
