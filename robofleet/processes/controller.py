@@ -6,17 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from robofleet.clock import Clock, S, TickGrid
-from robofleet.comms.bus import Answer, Bus, Inbox
-from robofleet.comms.keys import CAMERA, COMMAND, LEASE, POSES, STATE, TICK
+from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK
 from robofleet.comms.messages import (
     FLEET_POSES,
-    LEASE_REQUEST,
     RUN_STATE,
     TICK_RECORD,
     WHEEL_COMMAND,
     FleetPoses,
-    LeaseRequest,
-    RobotStatus,
     WheelCommand,
 )
 from robofleet.comms.statuses import HURRY_NS, Statuses
@@ -24,7 +21,7 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.platoon import INPUTS, WHEELS
 from robofleet.processes import fleet
-from robofleet.safety.gate import LeaseAction
+from robofleet.processes.leases import Leases
 from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
 from robofleet.tracking.estimator import CARRIED, UNUSED
@@ -32,7 +29,6 @@ from robofleet.vehicles.differential_drive import feasible_ratio
 
 _UNSEEN = [math.nan] * 3
 _PHASES = tuple(Phase)
-_ASK_AGAIN_TICKS = 10
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
@@ -230,35 +226,6 @@ class Controller:
             self._phase, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
         self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes()))
-
-
-class Leases:
-    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one.
-
-    ``take_over``: each is taken once also from a controller that is alive; who loses it then does not take it back.
-    """
-
-    def __init__(self, bus: Bus, robots: list[str], session: int, *, take_over: bool = False) -> None:
-        self._bus, self._robots, self.session = bus, robots, session
-        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(robots)
-        self._asked: list[Answer | None] = [None] * len(robots)
-        self._again = [0] * len(robots)
-        self.refused = False  # somebody else holds the lease of a robot
-
-    def update(self, newest: list[RobotStatus | None]) -> None:
-        """Ask every driver that is there and is not ours, every few ticks."""
-        self.refused = any(status is not None and status.session not in (0, self.session) for status in newest)
-        for row, status in enumerate(newest):
-            if status is None:
-                continue
-            if status.session == self.session:
-                self._actions[row] = LeaseAction.ACQUIRE
-                continue
-            self._again[row] -= 1
-            if self._again[row] < 0:
-                self._again[row] = _ASK_AGAIN_TICKS
-                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[row]))
-                self._asked[row] = self._bus.ask(LEASE, self._robots[row], request)
 
 
 def compile_kernels(config: Config) -> None:

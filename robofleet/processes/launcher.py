@@ -95,8 +95,7 @@ class Launcher:
                 return outcome
             finally:
                 fleet.reap(self._clock, but=_KEEPERS)
-                fleet.reap(self._clock, but=1, last_word=self.recording.ending())
-                fleet.reap(self._clock)
+                fleet.reap(self._clock, last_word=self.recording.ending())
 
     def _outcome_of(self, fleet: Children) -> Outcome:
         try:

@@ -43,6 +43,8 @@ def replay(run: RunFolder) -> None:
     lasted_s, took_s = verdict.ticks * recording.config.controller.tick_s, reading_s + driving_s
     speed = f"{lasted_s:.1f} s in {took_s:.2f} s, {lasted_s / took_s:.0f} x real time; kernels in {loading_s:.1f} s"
     print("\n".join(verdict.lines()), f"({speed})")
+    if recording.trouble is not None:
+        print(f"{run}: {recording.trouble}: it was replayed as far as it goes", file=sys.stderr)
     if not verdict.equal:
         raise typer.Exit(1)
 

@@ -60,7 +60,7 @@ class View:
     @property
     def span(self) -> tuple[float, float]:
         """From the run's first tick to its last [s]."""
-        return 0.0, max(float(self.series.t[-1]), self.config.controller.tick_s)
+        return 0.0, float(self.series.t.max(initial=self.config.controller.tick_s))
 
     def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""

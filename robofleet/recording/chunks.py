@@ -18,7 +18,7 @@ RECORD = Struct("<BQ")  # opcode, bytes that follow
 MESSAGE_OVERHEAD = 31  # [bytes] of a message beside its payload
 _MESSAGE = Struct("<HIQQ")  # channel, sequence, log time and publish time [ns]; the payload follows
 _RECORD_MESSAGE = Struct("<BQHIQQ")
-_INDEX = Struct("<BQHI")  # of a channel's messages in a chunk; log time and offset of each follow
+MESSAGE_INDEX = Struct("<HI")  # channel, bytes that follow: log time and offset of each of its messages in a chunk
 _OPCODE = int(Opcode.MESSAGE)
 _COMPRESSION = "zstd"
 _LEVEL = 3
@@ -64,8 +64,8 @@ def encode_chunk(definitions: Sequence[bytes], messages: Sequence[Waiting], at: 
     length, offsets = len(block), dict[int, int]()
     for channel, index in indexes.items():
         offsets[channel] = at + len(block)
-        block += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(index), channel, 8 * len(index))
-        block += pack(f"<{len(index)}Q", *index)
+        body = MESSAGE_INDEX.pack(channel, 8 * len(index)) + pack(f"<{len(index)}Q", *index)
+        block += RECORD.pack(Opcode.MESSAGE_INDEX, len(body)) + body
     index_length = len(block) - length
     entry = ChunkIndex(length, at, _COMPRESSION, len(packed), last, index_length, offsets, first, len(content))
     return bytes(block), entry

@@ -84,6 +84,16 @@ def check_maker(header: Header, file: Path) -> str:
     return f"robofleet {robofleet}"
 
 
+def own(contents: Iterator[Content], channels: dict[int, str]) -> Iterator[tuple[str, Message]]:
+    """Yield this project's own messages of a chunk with their keys; ``channels`` are those of the chunks so far."""
+    for content in contents:
+        if isinstance(content, Message):
+            if content.channel in channels:
+                yield channels[content.channel], content
+        elif isinstance(content, Channel) and content.message_encoding == ENCODING:
+            channels[content.id] = content.topic
+
+
 def _recording(scan: Scan, file: Path) -> Recording | None:
     recording: Recording | None = None
     channels: dict[int, str] = {}
@@ -99,7 +109,8 @@ def _recording(scan: Scan, file: Path) -> Recording | None:
             with suppress(KeyError, ValueError):  # metadata have no CRC; another version may say less
                 _note(recording, item)
         elif isinstance(item, Iterator):
-            _fill(recording, item, channels)
+            for full, message in own(item, channels):
+                recording.add(full, message.data)
     return recording
 
 
@@ -111,16 +122,6 @@ def _note(recording: Recording, told: Attachment | Metadata) -> None:
         recording.provenance = Provenance.of(told.metadata)
     elif told.name == DROPPED:
         recording.dropped += int(told.metadata[COUNT])
-
-
-def _fill(recording: Recording, contents: Iterator[Content], channels: dict[int, str]) -> None:
-    """Add the messages of a chunk that are this project's own."""
-    for content in contents:
-        if isinstance(content, Message):
-            if content.channel in channels:
-                recording.add(channels[content.channel], content.data)
-        elif isinstance(content, Channel) and content.message_encoding == ENCODING:
-            channels[content.id] = content.topic
 
 
 def _config(text: bytes, made_by: str, file: Path) -> Config:

@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from robofleet.recording.chunks import Content, Message
 from robofleet.recording.container import Container
-from robofleet.recording.reading import RecordingError, check_maker, file_of, nothing, opened, scanned
+from robofleet.recording.reading import RecordingError, check_maker, file_of, nothing, opened, own, scanned
 from robofleet.recording.scanning import Scan
 
 _NEW, _OLD = ".repairing", ".damaged"  # behind the file's name
@@ -24,7 +24,7 @@ class Repair:
 
     file: Path
     trouble: str | None  # what was wrong; None: nothing, and the file is as it was
-    messages: int  # that are in the file now
+    messages: int  # of this project's own that are in the file now
     span_ns: int  # from the first to the last of them
     lost: int  # [bytes] of the old file, behind the last good one
     kept: Path | None  # where the old file is, if more was wrong than a torn end
@@ -46,7 +46,7 @@ def repair(run: Path) -> Repair:
         except BlockingIOError as error:
             raise RecordingError(f"{file}: is still being recorded: end the run first") from error
         scan = scanned(stream)
-        times = [content.log_ns for content in _contents(scan, file) if isinstance(content, Message)]
+        times = [*_times(scan, file)]
         if not times:
             raise nothing(scan, file)
         kept = None if scan.trouble is None or scan.torn else file.with_name(file.name + _OLD)
@@ -56,12 +56,14 @@ def repair(run: Path) -> Repair:
         return Repair(file, scan.trouble, len(times), max(times) - min(times), scan.lost, kept)
 
 
-def _contents(scan: Scan, file: Path) -> Iterator[Content]:
+def _times(scan: Scan, file: Path) -> Iterator[int]:
+    """Yield when each message came [ns]; those that only viewers read are not counted."""
+    channels: dict[int, str] = {}
     for item in scan.items():
         if isinstance(item, Header):
             check_maker(item, file)
         elif isinstance(item, Iterator):
-            yield from item
+            yield from (message.log_ns for _, message in own(item, channels))
 
 
 def _replace(file: Path, old: BinaryIO, kept: Path | None) -> None:

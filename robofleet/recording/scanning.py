@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, DataEnd, Footer, Header, Metadata
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from robofleet.recording.chunks import RECORD, Content, DamageError, decode_chunk, stream
+from robofleet.recording.chunks import MESSAGE_INDEX, RECORD, Content, DamageError, decode_chunk, stream
 from robofleet.recording.container import FOOTER_CRC
 
 _ATTACHMENT_CRC = 4  # [bytes] at its end
@@ -105,8 +105,10 @@ def _decoded(opcode: int, body: bytes) -> Iterator[Item]:
             yield Metadata.read(stream(body))
         case Opcode.CHUNK:
             yield decode_chunk(body)
+        case Opcode.MESSAGE_INDEX:
+            _check(len(body), MESSAGE_INDEX.size + MESSAGE_INDEX.unpack_from(body)[1])  # else it was a chunk
 
 
-def _check(is_crc: int, should_be: int) -> None:
-    if is_crc != should_be:
+def _check(found: int, should_be: int) -> None:
+    if found != should_be:
         raise DamageError

@@ -55,8 +55,8 @@ class Stand:
             STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(1, 1, 0),) * 4)
         )
 
-    def status(self, robot: str, nonce: int) -> None:
-        held = *(1, 1, 1), self.session, *(5, nonce), *(0,) * 9, *(-1, -1)
+    def status(self, robot: str, nonce: int, session: int | None = None) -> None:
+        held = *(1, 1, 1), self.session if session is None else session, *(5, nonce), *(0,) * 9, *(-1, -1)
         message = RobotStatus(*held, *(0.0,) * 8, 1.0)
         self.bench.say(STATUS, message, robot)
 
@@ -245,3 +245,29 @@ def test_a_coasted_pose_is_no_measurement(stand: Stand) -> None:
     stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
     stand.next_tick()
     assert stand.newest.robots[0].measured == 0
+
+
+def test_who_is_refused_a_robot_says_nothing_and_begins_anew_with_a_record_that_took_nothing(stand: Stand) -> None:
+    stand.state(Phase.RUNNING)
+    stand.seen(5)
+    before = stand.newest
+    assert (before.phase, before.run_tick, before.robots[0].measured) == (Phase.RUNNING, 4, 1.0)
+    stand.status("r2", 1, session=stand.session + 1)
+    stand.state(Phase.RUNNING)
+    stand.seen(3)
+    assert stand.newest == before
+    stand.status("r2", 2, session=0)
+    stand.seen(1)
+    first = stand.newest
+    assert (first.epoch, first.tick) == (before.epoch, before.tick + 4)
+    assert (first.poses_epoch, first.state_epoch, first.phase, first.run_tick) == (0, 0, Phase.IDLE, -1)
+    assert {(robot.measured, robot.lost) for robot in first.robots} == {(0.0, 1.0)}
+    stand.seen(1)
+    assert (stand.newest.phase, stand.newest.run_tick, stand.newest.robots[0].measured) == (Phase.RUNNING, 0, 1.0)
+
+
+def test_a_commands_session_tells_whose_it_is(stand: Stand) -> None:
+    stand.status("r1", 1)
+    stand.seen(1)
+    (command,) = stand.bench.heard(COMMAND, "r1")
+    assert command.session >> 32 == stand.newest.epoch

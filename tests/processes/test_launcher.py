@@ -81,11 +81,11 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
     run.wait_until_running()
     run.kill(*victim)
     assert run.nothing_is_left()
-    assert run.ended(5) == 1
+    assert run.ended(20) == 1
     cause = f"the {'-'.join(victim)} was killed by SIGKILL"
     assert (run.summary["outcome"], run.summary["cause"]) == ("fault", cause)
     assert cause in run.said
-    assert run.summary["ticks"] > 0, "it is made from what was recorded until then"
+    assert run.summary["recording"]["messages"] > 500, "it is made from what was recorded until then"
 
 
 def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
@@ -102,7 +102,7 @@ def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRu
     run.wait_for(run.children)
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
-    assert run.ended(5) == 1
+    assert run.ended(20) == 1
     assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
     assert run.summary["ticks"] == 0
     assert "running" not in run.said

@@ -6,7 +6,7 @@ from robofleet.clock import SimulatedClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import LEASE
 from robofleet.comms.messages import LEASE_REQUEST, RobotStatus
-from robofleet.processes.controller import Leases
+from robofleet.processes.leases import Leases
 from robofleet.safety.gate import LeaseAction
 
 OURS, THEIRS = 5, 9

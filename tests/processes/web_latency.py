@@ -30,21 +30,18 @@ from robofleet.comms.keys import STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
-from robofleet.config import slices
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.control.path import Path as ControlPath
 from robofleet.processes import controller, tracker
 from robofleet.processes.children import Children
 from robofleet.processes.node import Lifeline
 from robofleet.processes.web import feed, server
 from robofleet.safety.supervisor import Event, Phase
+from tests.processes.longfleet import fleet_of
 from tests.processes.realrun import PLATOON, own_folders
 from tests.processes.webstand import WebStand
 
 CLOCK = WallClock()
-_SPACING_M = 0.25
-_SHARE = 0.9  # of the path, that a long platoon takes
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
 
 
@@ -66,47 +63,6 @@ def measured_server(file: Path, descriptor: int) -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     server.web(load_config(file), file.parent, Lifeline(descriptor), listening, "127.0.0.1", of_run=True)
     (file.parent / "took_ms.json").write_text(json.dumps(MeasuredPage.took_ms))
-
-
-def fleet_of(robots: int) -> list[str]:
-    """Return what makes the platoon's configuration one of so many robots, on a path and in an arena that hold them."""
-    if robots == 4:  # as it is shipped
-        return ["tracker.source=truth"]
-    shipped = load_config(PLATOON)
-    path = ControlPath.hermite(*slices.knots(shipped.groups[0]))
-    scale = max(1.0, robots * _SPACING_M / (_SHARE * path.length()))
-    knots = [
-        {
-            "at_m": [round(scale * x, 4) for x in knot.at_m],
-            "derivative_m": [round(scale * d, 4) for d in knot.derivative_m],
-        }
-        for knot in shipped.groups[0].path.knots
-    ]
-    path = ControlPath.hermite(*(scale * part for part in slices.knots(shipped.groups[0])))
-    fine = np.linspace(path.sides, 0.0, 200_000)
-    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.position(fine), axis=0), axis=1))])
-    here = np.interp(_SPACING_M * np.arange(robots), walked, fine)
-    places = np.hstack([path.position(here), np.degrees(np.arctan2(*path.tangent(here).T[::-1]))[:, None]]).round(4)
-    fleet = [
-        {
-            "id": f"r{k}",
-            "tag": k,
-            "vehicle": "gternal",
-            "start": dict(zip(("x_m", "y_m", "heading_deg"), place, strict=True)),
-        }
-        for k, place in enumerate(places.tolist(), 1)
-    ]
-    changes = {
-        "arena.size_m": [round(3.2 * scale, 2), round(2.0 * scale, 2)],
-        "robots": fleet,
-        "groups.0.robots": [robot["id"] for robot in fleet],
-        "groups.0.path": {"knots": knots},
-        "groups.0.path_rate": round(shipped.groups[0].path_rate / scale, 6),
-        "drivers.robots_per_process": max(1, robots // 2),
-        "tracker.source": "truth",
-        "run.duration_s": 600,
-    }
-    return [f"{name}={json.dumps(value)}" for name, value in changes.items()]
 
 
 @contextmanager
@@ -136,12 +92,12 @@ def start(bus: ZenohBus, robots: int) -> str:
     """Start the run and wait until it drives; returns the phase that it came to."""
     print(asked(bus, CLOCK, "supervisor", b"start").decode(), file=sys.stderr)
     state, deadline_ns = Inbox(bus.newest(STATE), RUN_STATE), CLOCK.now_ns() + round(_ARMED_WITHIN_S * (1 + robots) * S)
-    phase = Phase.ARMED
+    phase, newest = Phase.ARMED, None
     while phase is Phase.ARMED and CLOCK.now_ns() < deadline_ns:
         CLOCK.sleep_until(CLOCK.now_ns() + 20 * MS)
         if (newest := state.take()) is not None and newest.cause != Event.NOTHING:
             phase = Phase(newest.phase)
-    return phase.name if phase is Phase.RUNNING else f"{phase.name}: {newest}"
+    return phase.name if newest is None else f"{phase.name} ({Event(newest.cause).name})"
 
 
 @contextmanager

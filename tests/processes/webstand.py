@@ -60,10 +60,11 @@ class WebStand:
         token = how.pop("token", self.token)
         return OpenPage(lambda: connect(f"ws://{self.authority}/live?token={token}", **how))
 
-    def say_tick(self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0) -> None:
+    def say_tick(self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0, overruns: int = 7) -> None:
         self._seq += 1
         items = robots or tuple(placed(0.1 * row, 0.0) for row in range(len(self.robots)))
-        head = (7, 0, self._seq, run_tick, CLOCK.now_ns(), 0, 0, 0, 0, 0, 0, Phase.RUNNING, 3, lateness_ns, 250_000)
+        timing = overruns, lateness_ns, 250_000
+        head = (7, 0, self._seq, run_tick, CLOCK.now_ns(), 0, 0, 0, 0, 0, 0, Phase.RUNNING, *timing)
         self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items)))
 
     def say_state(

@@ -134,7 +134,7 @@ def _health(hearing: Hearing) -> Frame:
     return {
         "compute_us": None if record is None else record.compute_ns // 1000,
         "late_us": None if record is None else record.lateness_ns // 1000,
-        "overruns": None if record is None else record.overruns,
+        "overruns": None if record is None else hearing.overruns,
         "latency_ms": _latency_ms(hearing),
         "tracker_hz": rate,
         "seen_pct": seen,

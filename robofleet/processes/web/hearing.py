@@ -51,6 +51,8 @@ class Hearing:
         self._pending: tuple[int, Picture] | None = None  # and when it came
         self.record: TickRecord | None = None
         self.record_ns = 0  # its arrival; 0: none yet
+        self.overruns = 0  # in this run: what the start of all processes cost does not count
+        self._overruns_before = 0
         self.state: RunState | None = None
         self.state_ns = 0
         self.heard_ns = [0] * len(robots)  # newest status of each
@@ -90,6 +92,9 @@ class Hearing:
         return not self.record_ns or self._clock.now_ns() - self.record_ns > _SILENT_NS
 
     def _take(self, record: TickRecord) -> None:
+        if record.run_tick < 0 or self.record is None:
+            self._overruns_before = record.overruns
+        self.overruns = record.overruns - self._overruns_before
         self.record, self.record_ns = record, self._ticks.arrival_ns
         self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
         if record.run_tick >= 0:

@@ -7,7 +7,7 @@ import { arrow, circle, line } from "./shapes.js";
 import { View } from "./view.js";
 
 const TRAIL_EVERY = 3; // ticks
-const TRAIL_POINTS = 40; // 4 s
+const TRAIL_MS = 4000;
 const TRAIL_BANDS = 4; // of one opacity each: one stroke a band, however many robots
 
 export class Arena {
@@ -45,11 +45,11 @@ export class Arena {
   }
 
   #remember(robots) {
+    const now = performance.now();
     for (const { row, x_m, y_m } of robots) {
-      if (x_m === null) continue;
       const trail = this.#trails[row];
-      trail.push([x_m, y_m]);
-      if (trail.length > TRAIL_POINTS) trail.shift();
+      if (x_m !== null) trail.push([x_m, y_m, now]);
+      while (trail.length > 0 && trail[0][2] < now - TRAIL_MS) trail.shift();
     }
   }
 
@@ -80,11 +80,11 @@ export class Arena {
 function drawTrails(g, view, trails) {
   g.strokeStyle = view.colour.accent;
   g.lineWidth = 2;
-  const points = TRAIL_POINTS / TRAIL_BANDS;
   for (let band = 0; band < TRAIL_BANDS; band++) {
     g.globalAlpha = 0.45 * (1 - band / TRAIL_BANDS);
     g.beginPath();
     for (const trail of trails) {
+      const points = Math.ceil(trail.length / TRAIL_BANDS);
       const end = trail.length - 1 - band * points;
       for (let k = end, first = true; k >= 0 && k >= end - points; k--, first = false) {
         const [x, y] = trail[k];

@@ -40,26 +40,26 @@ export class Camera {
     this.#canvas.height = height;
     const g = this.#canvas.getContext("2d");
     g.drawImage(image, 0, 0, width, height);
-    const line = Math.max(2, width / 400);
-    for (const tag of tags) drawTag(g, tag, line);
+    const px = width / Math.max(1, this.#canvas.clientWidth); // of the screen
+    for (const tag of tags) drawTag(g, tag, px);
   }
 }
 
-function drawTag(g, { id, robot, corners }, line) {
+function drawTag(g, { id, robot, corners }, px) {
   g.beginPath();
   corners.forEach(([u, v], k) => (k ? g.lineTo(u, v) : g.moveTo(u, v)));
   g.closePath();
   g.lineJoin = "round";
-  for (const [colour, width] of [["black", 3 * line], ["white", line]]) {
+  for (const [colour, width] of [["black", 2.5 * px], ["white", px]]) {
     g.strokeStyle = colour;
     g.lineWidth = width;
     g.stroke();
   }
   const [u, v] = [Math.max(...corners.map((corner) => corner[0])), Math.min(...corners.map((corner) => corner[1]))];
-  g.font = `600 ${7 * line}px system-ui, sans-serif`;
-  g.lineWidth = 2 * line;
+  g.font = `600 ${11 * px}px system-ui, sans-serif`;
+  g.lineWidth = 2 * px;
   g.strokeStyle = "black";
   g.fillStyle = "white";
-  g.strokeText(robot ?? `tag ${id}`, u + 2 * line, v);
-  g.fillText(robot ?? `tag ${id}`, u + 2 * line, v);
+  g.strokeText(robot ?? `tag ${id}`, u + 2 * px, v);
+  g.fillText(robot ?? `tag ${id}`, u + 2 * px, v);
 }

@@ -21,10 +21,11 @@ export class Labels {
       const words = bad ? `${robot.id} ${WORDS[robot.trouble]}` : robot.id;
       g.font = `${bad ? 700 : 600} 12px system-ui, sans-serif`;
       const half = this.#halfWidth(g, words);
-      const free = places(view, robot, half);
-      const place = free.find(([x, y]) => taken.every(([u, v, w, h]) => apart(x - u, half + w, y - v, 7 + h)));
+      const around = places(view, robot, half);
+      const isFree = ([x, y]) => taken.every(([u, v, w, h]) => apart(x - u, half + w, y - v, 7 + h));
+      const place = around.find((at) => at[0] > half && at[0] < view.width - half && isFree(at));
       if (!place && !bad) continue;
-      const [x, y] = place ?? free[0];
+      const [x, y] = place ?? around[0];
       taken.push([x, y, half, 7]);
       g.strokeStyle = view.colour.floor;
       g.strokeText(words, x, y);
