@@ -9,6 +9,8 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import LEASE
+from robofleet.comms.layouts import VERSION
+from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.processes.keeping import FileKeeping, Kept, MemoryKeeping
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 from robofleet.vehicles.interface import STOP, WheelSpeeds
@@ -16,6 +18,7 @@ from robofleet.vehicles.interface import STOP, WheelSpeeds
 Make = Callable[..., Any]
 FORWARD = WheelSpeeds(3.0, 4.0)
 OTHER = 55
+THIS = bytes([VERSION])  # of the wire
 
 
 class Disk(MemoryKeeping):
@@ -93,7 +96,7 @@ def test_a_released_robot_comes_to_rest_and_is_free(stand: Any) -> None:
     assert stand.ask("r1", session=OTHER).granted == 1
 
 
-@pytest.mark.parametrize("payload", [b"", b"\2rubbish", b"\2" + bytes(8) + b"\7", b"\2" + bytes(8) + b"\1"])
+@pytest.mark.parametrize("payload", [b"", THIS + b"rubbish", THIS + bytes(8) + b"\7", THIS + bytes(8) + b"\1"])
 def test_a_request_that_says_nothing_gets_nothing(stand: Any, payload: bytes) -> None:
     stand.bench.bus.ask(LEASE, "r1", payload)
     stand.bench.run(stand.node, 25 * MS)
