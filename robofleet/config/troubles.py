@@ -88,43 +88,40 @@ class PoseDelay(Timed):
     """How late."""
 
 
-class MessageFault(Timed):
+class OfMessages(Timed):
+    """Something that is done to messages."""
+
+    topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
+    """Which messages."""
+    robot: Name | None = None
+    """Those to and from this one; null: everybody's."""
+
+
+class MessageFault(OfMessages):
     """Messages arrive twice, behind the next one, with a NaN, or cut short. ``robot``: those to and from this one."""
 
     kind: Literal["duplicated", "reordered", "not_a_number", "malformed"]
     """``reordered``: behind the next one; ``malformed``: cut short."""
-    topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
-    """Which messages."""
-    robot: Name | None = None
-    """Those to and from this one; null: everybody's."""
     share: Share = 1.0
     """Of the messages."""
 
 
-class Lost(Timed):
+class Lost(OfMessages):
     """Messages do not arrive, one by one, or all of a robot's together in bursts of up to ``burst_s``."""
 
     kind: Literal["lost"]
     """What goes wrong."""
-    topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
-    """Which messages."""
-    robot: Name | None = None
-    """Those to and from this one; null: everybody's."""
     share: Share = 1.0
     """Of the messages; with bursts, of the time."""
     burst_s: NonNegative = 0.0
     """The longest burst; 0: one message at a time."""
 
 
-class Late(Timed):
+class Late(OfMessages):
     """Messages arrive late by a log-normal time, each by its own: one may overtake another."""
 
     kind: Literal["late"]
     """What goes wrong."""
-    topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
-    """Which messages."""
-    robot: Name | None = None
-    """Those to and from this one; null: everybody's."""
     median_s: Positive = 0.002
     """Half of them are later."""
     p99_s: Positive = 0.06

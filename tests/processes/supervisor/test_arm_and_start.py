@@ -22,17 +22,6 @@ from tests.processes.stand import Stand, proved
 Make = Callable[..., Any]
 
 
-@pytest.fixture
-def stand_of(bench_of: Make, platoon_of: Make, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Stand]:
-    monkeypatch.setattr(arming, "step", arming.step)  # put back at the end
-    return lambda **keys: Stand(bench_of(platoon_of()), **keys)
-
-
-@pytest.fixture
-def stand(stand_of: Callable[..., Stand]) -> Stand:
-    return stand_of()
-
-
 def armed(stand: Stand) -> None:
     stand.run(S // 5)
     assert stand.ask("arm") == "ok"
