@@ -97,6 +97,17 @@ def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., Rea
     assert run.ended(1) == -signal.SIGKILL
 
 
+def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    run.launcher.send_signal(signal.SIGINT)
+    assert run.nothing_is_left()
+    assert run.ended(20) == 1
+    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
+    assert run.summary["ticks"] > 0
+    assert "stopped: the operator interrupted" in run.said
+
+
 def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_for(run.children)
