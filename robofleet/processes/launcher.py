@@ -1,5 +1,6 @@
 """Runs a platoon in real time: starts the processes, arms, runs, stops, and leaves nothing behind."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -88,19 +89,19 @@ class Launcher:
         logs = self._folder / "log"
         logs.mkdir()
         fleet = Children(logs, config_file)
-        with interrupts() as self._counted:
+        with interrupts() as self._counted, ExitStack() as held:
             try:
-                outcome = self._outcome_of(fleet)
+                outcome = self._outcome_of(fleet, held)
                 self.recording.outcome, self.recording.cause = outcome
                 return outcome
             finally:
                 fleet.reap(self._clock, but=_KEEPERS)
                 fleet.reap(self._clock, last_word=self.recording.ending())
 
-    def _outcome_of(self, fleet: Children) -> Outcome:
+    def _outcome_of(self, fleet: Children, held: ExitStack) -> Outcome:
         try:
             self._start(fleet)
-            return self._drive(fleet)
+            return self._drive(fleet, held)
         except RunError as error:
             return "fault", str(error)
         except (InterruptedRunError, EmergencyError) as why:
@@ -108,11 +109,11 @@ class Launcher:
 
     def _start(self, fleet: Children) -> None:
         self._watch(self.recording, "compiling")
+        for name in ("router", "recorder"):  # they have no kernels
+            fleet.start(name, name)
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
-        for name in ("router", "recorder"):
-            fleet.start(name, name)
         fleet.wait_ready(self._clock, self._heed)
         if self._web:
             self._page = fleet.start("web", "web", needed=False)
@@ -123,8 +124,9 @@ class Launcher:
             fleet.start(name, "driver", "--robots", ",".join(robots))
         fleet.wait_ready(self._clock, self._heed)
 
-    def _drive(self, fleet: Children) -> Outcome:
+    def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
+        held.callback(bus.close)  # after the router has ended: leaving one that is stopped takes many seconds
         self._bus, self._fleet = bus, fleet
         self._faults = ChildFaults(self._config, self._clock, fleet)
         try:
@@ -136,9 +138,6 @@ class Launcher:
                 return self._ended("stopped", str(why))
         except EmergencyError as why:
             return self._emergency(str(why))
-        finally:
-            fleet.reap(self._clock, but=_KEEPERS)  # leaving the bus may take seconds when the router is stopped
-            bus.close()
 
     def _follow(self) -> Outcome:
         """See the run through its checks and its laps; returns how it ended."""
