@@ -87,6 +87,7 @@ class GatedRobot:
         self._applied = (0, 0)  # the newest one that has: its exposure, and when
         self._unreadable = 0  # lease requests
         self._seq = 0
+        self._opened = False  # the gate was open: before, late messages are those of processes that start
         self._hurry_until_ns = 0
         self._closed = False
         self.look()
@@ -113,7 +114,9 @@ class GatedRobot:
         due = self.deadline_ns is not None and now_ns >= self.deadline_ns
         if quiet and not due and now_ns >= self._gate.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
-        if _BAD_LINK_NS < now_ns - min(self._gate.command_nonce, self._gate.enabled[0]) < _NO_LINK_NS:
+        self._opened = self._opened or self._status is GateStatus.OPEN
+        age_ns = now_ns - min(self._gate.command_nonce, self._gate.enabled[0])
+        if self._opened and _BAD_LINK_NS < age_ns < _NO_LINK_NS:
             self._hurry_until_ns = now_ns + _HURRY_NS
         seq = self._gate.seq
         inputs = self._inputs(
