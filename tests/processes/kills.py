@@ -62,9 +62,12 @@ class Fleet:
         self.state: RunState | None = None
         self.statuses: dict[str, RobotStatus] = {}
 
-    def start_again(self, name: str) -> None:
-        """Start a process that was killed, and wait until it does its work."""
-        self._children.start_again(name)
+    def start(self, name: str) -> None:
+        """Start a process that was killed, or was not there yet, and wait until it does its work."""
+        if any(child.name == name for child in self._children.children):
+            self._children.start_again(name)
+        else:
+            self._children.start(name, name)
         wait_ready(self._children, CLOCK)
 
     def signal(self, name: str, number: signal.Signals) -> None:
@@ -138,7 +141,7 @@ def strike(
     fleet.signal(victim, number)
     CLOCK.sleep_until(CLOCK.now_ns() + round(held_s * S))
     if number == signal.SIGKILL:
-        fleet.start_again(victim)
+        fleet.start(victim)
     else:
         fleet.signal(victim, signal.SIGCONT)
     after_ns = {robot: nonce + round(held_s * S) for robot, nonce in before.items()}
