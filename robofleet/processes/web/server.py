@@ -5,6 +5,7 @@ import json
 import os
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +37,7 @@ _CONNECTIONS = 64
 _PING_S, _PONG_WITHIN_S = 5.0, 10.0  # then a page that sleeps is forgotten; it comes back by itself
 _POLL_S = 0.05
 _LEAVE_WITHIN_S = 0.5  # of the end
+_LEAVING_S = 0.005
 _POLICY_VIOLATION, _TRY_LATER, _GOING_AWAY = 1008, 1013, 1001
 
 
@@ -91,8 +93,13 @@ async def serve(
         last = frames.ended(feed.hearing, config) if of_run else None
         for page in feed.pages:
             page.leave(last)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_LEAVE_WITHIN_S):
+                while feed.pages:  # a server that exits cuts off what is on its way to them
+                    await asyncio.sleep(_LEAVING_S)
+                server.should_exit = True
+                await asyncio.shield(serving)
         server.should_exit = True
-        await asyncio.wait({serving}, timeout=_LEAVE_WITHIN_S)
         feeding.cancel()
         controls.close()
 
