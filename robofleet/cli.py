@@ -12,7 +12,15 @@ import typer
 from robofleet.clock import WallClock, utc_now
 from robofleet.experiments import trials
 from robofleet.processes import commands, run_commands
-from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra, new_folder
+from robofleet.processes.refusal import (
+    LAB_MODULES,
+    WEB_PACKAGES,
+    RefusedError,
+    bad_input,
+    how_to_install,
+    need_extra,
+    new_folder,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -156,8 +164,14 @@ def schema(
 
 
 def main() -> None:
-    """Run a command."""
-    app()
+    """Run a command; one whose packages are not installed says which extra has them."""
+    try:
+        app()
+    except ModuleNotFoundError as error:
+        if (package := (error.name or "").partition(".")[0]) not in LAB_MODULES:
+            raise
+        print(f"this needs {package}: {how_to_install('lab')}", file=sys.stderr)
+        raise SystemExit(2) from error
 
 
 def _report(folder: Path, summary: dict[str, Any], *, quiet: bool) -> None:

@@ -3,6 +3,8 @@
 import json
 import re
 import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -247,3 +249,14 @@ def test_check_refuses_with_exit_code_2(folder: Path) -> None:
     assert (result.exit_code, result.stdout) == (2, "")
     assert "--set groups.0.path_rate=0.075: groups.0.path_rate: the fastest wheel" in result.stderr
     assert robofleet("check", file).exit_code == 0, place
+
+
+@pytest.mark.parametrize("arguments", [["check", "configs/platoon.yaml"], ["replay", "runs"], ["report", "runs"]])
+def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(arguments: list[str]) -> None:
+    hidden = "import sys; sys.modules.update(numba=None, mcap=None)"
+    code = f"{hidden}; sys.argv[1:] = {arguments}; from robofleet.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(
+        r"this needs (numba|mcap): \S+ -m pip install -e '\.\[lab\]' in robofleet's folder\n", done.stderr
+    )

@@ -9,6 +9,17 @@ from pathlib import Path
 import typer
 
 WEB_PACKAGES = ("starlette", "uvicorn", "websockets")  # of the extra ``web``
+# of the extra ``lab``, as they are imported
+LAB_MODULES = (
+    "cv2",
+    "foxglove_schemas_protobuf",
+    "google",
+    "matplotlib",
+    "mcap",
+    "mcap_protobuf",
+    "numba",
+    "zstandard",
+)
 
 
 class RefusedError(Exception):
@@ -31,7 +42,12 @@ def need_extra(extra: str, *packages: str) -> None:
     """Refuse a command whose packages are not installed."""
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
-        raise RefusedError(f"this needs {', '.join(missing)}: {sys.executable} -m pip install 'robofleet[{extra}]'")
+        raise RefusedError(f"this needs {', '.join(missing)}: {how_to_install(extra)}")
+
+
+def how_to_install(extra: str) -> str:
+    """Return the command that brings an extra."""
+    return f"{sys.executable} -m pip install -e '.[{extra}]' in robofleet's folder"
 
 
 def new_folder(folder: Path) -> None:

@@ -113,7 +113,9 @@ def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> Non
 
 def test_what_is_not_installed_is_named_with_the_way_to_it() -> None:
     need_extra("web", *WEB_PACKAGES)
-    with pytest.raises(RefusedError, match=r"this needs no_such_one: \S+ -m pip install 'robofleet\[web\]'$"):
+    with pytest.raises(
+        RefusedError, match=r"this needs no_such_one: \S+ -m pip install -e '\.\[web\]' in robofleet's folder$"
+    ):
         need_extra("web", "starlette", "no_such_one")
 
 
