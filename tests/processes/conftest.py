@@ -1,5 +1,6 @@
 """Configurations, lockstep runs, and a bench: one process alone on a bus without delay."""
 
+import fcntl
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -242,7 +243,16 @@ def stand(
 
 
 @pytest.fixture
-def real_run(tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Wait until no other worker has a fleet of real processes: two on two cores keep each other from their ticks."""
+    shared = tmp_path_factory.getbasetemp().parent / "fleet.lock"
+    with shared.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture
+def real_run(alone: None, tmp_path: Path) -> Iterator[Callable[..., RealRun]]:
     """Return what starts a run with real processes; nothing of it is left afterwards."""
     runs: list[RealRun] = []
 
