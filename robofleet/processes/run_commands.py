@@ -29,18 +29,15 @@ def replay(run: RunFolder) -> None:
     """
     from robofleet.processes import replay as replaying  # noqa: PLC0415
     from robofleet.processes.controller import compile_kernels  # noqa: PLC0415
-    from robofleet.recording.reading import RecordingError, read  # noqa: PLC0415
+    from robofleet.recording.reading import read  # noqa: PLC0415
 
     times_ns = [stopwatch_ns()]
-    with bad_input():
-        try:
-            recording = read(run)
-            times_ns.append(stopwatch_ns())
-            compile_kernels(recording.config)
-            times_ns.append(stopwatch_ns())
-            verdict = replaying.replay(recording, replaying.tolerance(recording))
-        except RecordingError as error:
-            raise RefusedError(str(error)) from error
+    with _readable():
+        recording = read(run)
+        times_ns.append(stopwatch_ns())
+        compile_kernels(recording.config)
+        times_ns.append(stopwatch_ns())
+        verdict = replaying.replay(recording, replaying.tolerance(recording))
     times_ns.append(stopwatch_ns())
     reading_s, loading_s, driving_s = ((after - before) / S for before, after in pairwise(times_ns))
     lasted_s, took_s = verdict.ticks * recording.config.controller.tick_s, reading_s + driving_s
@@ -58,14 +55,11 @@ def repair(run: RunFolder) -> None:
 
     $ robofleet repair runs/20260102T030405Z-platoon
     """
-    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
     from robofleet.recording.repair import repair as mend  # noqa: PLC0415
 
-    with bad_input():
+    with _readable():
         try:
             done = mend(run)
-        except RecordingError as error:
-            raise RefusedError(str(error)) from error
         except OSError as error:
             print(f"{run}: {error.strerror}: make room; the recording is as it was", file=sys.stderr)
             raise typer.Exit(1) from error
@@ -91,17 +85,13 @@ def report(
 
     $ robofleet report runs/20260102T030405Z-platoon
     """
-    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
-
-    with _keeping_garbage(), bad_input():
+    with _keeping_garbage(), _readable():
         from robofleet.recording import after  # noqa: PLC0415
 
         if out is not None and other is None:
             raise RefusedError("--out: one run's report stands in its folder; name two runs to compare them")
         try:
             page, missed = after.report(run) if other is None else after.compare(run, other, out)
-        except RecordingError as error:
-            raise RefusedError(str(error)) from error
         except OSError as error:
             raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
     print(page)
@@ -119,3 +109,15 @@ def _keeping_garbage() -> Iterator[None]:
         yield
     finally:
         gc.enable()
+
+
+@contextmanager
+def _readable() -> Iterator[None]:
+    """Refuse a recording that cannot be read."""
+    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
+
+    with bad_input():
+        try:
+            yield
+        except RecordingError as error:
+            raise RefusedError(str(error)) from error

@@ -96,7 +96,7 @@ def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run:
     assert stopped.returncode == 1
     assert "does not answer: the launcher was told to end every process" in stopped.stderr
     assert wait(lambda: not run.children("driver"), GONE_WITHIN_S)
-    assert run.ended(20) == 1
+    assert run.ended(10) == 1
     assert run.children() == []
 
 
