@@ -120,7 +120,7 @@ def _default(node: Node, required: bool) -> str:
     if required:
         return "**required**"
     default = node["default"]
-    return "its own" if isinstance(default, dict) else f"`{json.dumps(default)}`"
+    return "its own" if isinstance(default, dict) and default else f"`{json.dumps(default)}`"
 
 
 def _range(node: Node) -> str:

@@ -1,9 +1,9 @@
 """The robots of a configuration: what the controller believes of a kind of robot, and what a simulated one is like."""
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.model import LAST_TAG, Finite, Fraction, Model, Name, NonNegative, Positive
@@ -91,6 +91,14 @@ class Robot(Model):
     """Of its tag above the floor; null: ``tracker.tag_height_m``."""
     driver: Annotated[str, Field(min_length=1)] = "simulated"
     """What moves it: an entry point of ``robofleet.drivers``, or a class, ``module:Class``."""
+    settings: dict[str, JsonValue] = Field(default={})
+    """Of its driver, as ``drivers/README.md`` lists them: its serial port, for example."""
+    twin: Annotated[str, Field(min_length=1)] | None = None
+    """What answers on its serial port in the robot's place: an entry point of ``robofleet.twins``, or a class,
+    ``module:Class``; the port is made then. null: a robot that exists, or a ``simulated`` one."""
+    reality: Literal["real", "simulated"] = "real"
+    """``real``: the camera sees it; ``simulated``: it stands in no arena, and its pose is merged with what the camera
+    sees of the others."""
     vehicle: Vehicle
     """The kind of robot that it is."""
     calibration: RobotCalibration | None = None

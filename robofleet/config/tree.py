@@ -181,7 +181,13 @@ class Config(Model):
     @property
     def processes(self) -> tuple[str, ...]:
         """The processes of a run, by name."""
-        return "router", "supervisor", "tracker", "controller", *self.driven
+        twins = ("twins",) if self.twins else ()
+        return "router", "supervisor", "tracker", "controller", *twins, *self.driven
+
+    @property
+    def twins(self) -> tuple[Robot, ...]:
+        """The robots in whose place a twin answers."""
+        return tuple(robot for robot in self.robots if robot.twin is not None)
 
     @property
     def driven(self) -> dict[str, tuple[str, ...]]:

@@ -41,6 +41,37 @@ class ReadingFault(Timed):
     """Whose."""
 
 
+class TouchFault(Timed):
+    """A twin's robot is touched: what it feels, and says."""
+
+    kind: Literal["bumper_hit", "wheel_lifted", "cliff"]
+    """What it feels."""
+    robot: Name
+    """Whose."""
+
+
+class LinkFault(Timed):
+    """A twin's serial line is pulled out and plugged in again at the end, or its firmware hangs until then."""
+
+    kind: Literal["unplugged", "firmware_hangs"]
+    """``unplugged``: the port is gone; ``firmware_hangs``: nothing is read, answered or changed, motors go on."""
+    robot: Name
+    """Whose."""
+
+
+class LineFault(Timed):
+    """Lines between a driver and a twin, both ways, lose their end, get bytes that nobody sent, or come late."""
+
+    kind: Literal["line_cut", "line_garbage", "line_late"]
+    """``line_cut``: from some byte on; ``line_garbage``: some bytes are others; ``line_late``: by ``delay_s``."""
+    robot: Name | None = None
+    """Whose; null: every twin's."""
+    share: Share = 0.01
+    """Of the lines."""
+    delay_s: Positive = 0.05
+    """How late."""
+
+
 class PoseFault(Timed):
     """The tracker does not see a robot's tag, or sees it twice and believes neither."""
 
@@ -169,6 +200,9 @@ class WholeFault(Timed):
 Fault = Annotated[
     BodyFault
     | ReadingFault
+    | TouchFault
+    | LinkFault
+    | LineFault
     | PoseFault
     | PoseNoise
     | IdSwap

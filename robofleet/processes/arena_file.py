@@ -77,6 +77,11 @@ def running() -> list[ArenaFile]:
     return found
 
 
+def twin_port(arena: str, robot: str) -> Path:
+    """Return where a robot's twin leaves its serial port: a link to a pseudo-terminal."""
+    return _folder() / f"{arena}-{robot}.tty"
+
+
 def _folder() -> Path:
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(runtime) / "robofleet" if runtime else Path(f"/tmp/robofleet-{os.getuid()}")

@@ -10,6 +10,7 @@ from robofleet.comms.bus import Bus, Wake
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
+from robofleet.processes import driver_settings
 from robofleet.processes.gated_robot import GatedRobot, Witness
 from robofleet.processes.keeping import Keeping
 from robofleet.simulation.faults import Schedule
@@ -59,6 +60,7 @@ class DriverProcess:
                     slices.generator(config.run.seed, "plant", robot_id),
                 ),
                 self._clock.now_ns if faults is None else faults.now_ns,
+                driver_settings.of(config, robot),
             )
             make: Callable[[], Driver] = partial(load("robofleet.drivers", robot.driver), context)
             driver = make() if faults is None else faults.driver(robot_id, make)

@@ -5,7 +5,8 @@ A driver knows its robot and nothing of the bus; the process around it knows the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
+from enum import IntFlag
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -23,7 +24,22 @@ class WheelSpeeds(NamedTuple):
 
 
 STOP = WheelSpeeds(0.0, 0.0)
-WIRED_STOP = 1  # bit of DriverReading.faults: the robot's own e-stop input is pressed
+
+
+class RobotFault(IntFlag):
+    """What a robot says is wrong with it; its gate closes and latches while one of these is there."""
+
+    WIRED_STOP = 1  # its own e-stop input is pressed
+    BUMPED = 2  # a bumper is pressed
+    CLIFF = 4  # there is no floor before it
+    WHEEL_DROPPED = 8  # a wheel has lost the floor: the robot is lifted
+    OVERCURRENT = 16  # a motor draws too much: a wheel is blocked
+    CHARGING = 32  # it is at its charger
+    UNREACHABLE = 64  # nobody can tell: its driver has lost it (the driver's process says this, no driver does)
+    OWN = 1 << 16  # from this bit on: what only its own driver's README knows
+
+
+WIRED_STOP = RobotFault.WIRED_STOP
 
 
 class DriverReading(NamedTuple):
@@ -34,7 +50,7 @@ class DriverReading(NamedTuple):
     left_speed: float  # [rad/s; as measured]
     right_speed: float  # [rad/s]
     battery: float  # charge [0..1]; NaN where the robot cannot tell
-    faults: int  # bit set, 0 when healthy; WIRED_STOP is the same for all, the others are the driver's own
+    faults: int  # of RobotFault; 0 when healthy
 
 
 class TruePose(NamedTuple):
@@ -93,13 +109,23 @@ class DriverContext:
     drive: DifferentialDrive  # as believed
     simulation: Simulation
     now_ns: Callable[[], int]  # the process's clock
+    settings: Any = None  # robots[].settings as the driver's own ``Settings``; None where its class has none
+
+
+class DriverError(Exception):
+    """A robot that cannot be driven as it is asked to; the message says what is wrong and how to mend it."""
 
 
 class Driver(Protocol):
     """One robot. Found by the entry-point group ``robofleet.drivers``, or as ``module:Class`` in the config.
 
-    The class is called with one :class:`DriverContext`. Whatever it raises afterwards stops and latches this robot
-    alone; it is then told and asked again every 10 ms.
+    The class is called with one :class:`DriverContext`, and returns when the robot has answered and stands; it may
+    take some seconds for that, and raises :class:`DriverError` where it cannot. Whatever is raised afterwards stops
+    and latches this robot alone: the driver is closed, and made again ever more patiently.
+
+    Its class may have ``Settings``, a pydantic model of what ``robots[].settings`` may say, and a static method
+    ``refusals(settings, drive)`` that returns what cannot work as (dotted path below the robot, what is wrong and how
+    to mend it): ``robofleet check`` asks it before anything is opened.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:

@@ -1,0 +1,64 @@
+"""A robot's serial port: opened with plain words, read and written without ever waiting for the robot."""
+
+import errno
+import os
+import select
+
+import serial
+
+from robofleet.vehicles.interface import DriverError
+
+_MOST = 65536  # bytes taken at once
+_WHY = {
+    errno.ENOENT: "there is no such port: plug the robot in, switch it on, or mend settings.port",
+    errno.EACCES: "this user may not open it: join the group dialout, or install the udev rules of tools/deploy",
+    errno.EAGAIN: "another program has it open: end that one",
+    errno.EBUSY: "another program has it open: end that one",
+    errno.ENOTTY: "this is no serial port: mend settings.port",
+    errno.EISDIR: "this is no serial port: mend settings.port",
+}
+
+
+class SerialPort:
+    """One robot's line, 8N1. Every method raises DriverError with the port's name once the line is gone."""
+
+    def __init__(self, path: str, baud: int) -> None:
+        self._path = path
+        try:
+            self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            number = getattr(error, "errno", None) or 0
+            raise DriverError(f"{path}: {_WHY.get(number, str(error))}") from error
+        self._descriptor = self._serial.fileno()
+
+    def read(self) -> bytes:
+        """Return what has come since the last call."""
+        try:
+            return bytes(self._serial.read(_MOST))
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._gone() from error
+
+    def write(self, data: bytes) -> None:
+        """Hand the bytes to the kernel, all of them; pyserial's own write would spin where it takes none."""
+        try:
+            taken = os.write(self._descriptor, data)
+        except BlockingIOError:
+            taken = 0
+        except (OSError, TypeError) as error:
+            raise self._gone() from error
+        if taken < len(data):
+            raise DriverError(f"{self._path}: the robot takes no more bytes: look at its firmware and its cable")
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until something has come, so long at most; only while a driver is being made."""
+        try:
+            return bool(select.select([self._descriptor], [], [], max(0.0, seconds))[0])
+        except (OSError, TypeError) as error:
+            raise self._gone() from error
+
+    def close(self) -> None:
+        """Let the last bytes go out, and close. Idempotent."""
+        self._serial.close()
+
+    def _gone(self) -> DriverError:
+        return DriverError(f"{self._path}: the line is gone: plug it in again")

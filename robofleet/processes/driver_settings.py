@@ -1,0 +1,41 @@
+"""What ``robots[].settings`` says, as the driver's own model."""
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from robofleet.config.faults import Complaint, plain_words
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
+from robofleet.plugins import load
+from robofleet.processes.arena_file import twin_port
+
+
+def of(config: Config, robot: Robot) -> Any:
+    """Return a robot's settings, with its twin's port where it has one; None where its driver takes none.
+
+    Raises:
+        PluginError: there is no such driver.
+        ValidationError: the settings are wrong.
+    """
+    kind = getattr(load("robofleet.drivers", robot.driver), "Settings", None)
+    if kind is None:
+        return None
+    port = {} if robot.twin is None else {"port": str(twin_port(config.arena.name, robot.id))}
+    return kind.model_validate(robot.settings | port)
+
+
+def complaints(config: Config, index: int) -> list[Complaint]:
+    """Return what is wrong with the settings of a robot whose driver can be loaded."""
+    robot, path = config.robots[index], f"robots.{index}.settings"
+    kind = getattr(load("robofleet.drivers", robot.driver), "Settings", None)
+    if kind is None:
+        return [(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else []
+    if robot.twin is not None and "port" in robot.settings:
+        return [(f"{path}.port", f"the twin of {robot.id} makes one: remove it, or the twin")]
+    try:
+        of(config, robot)
+    except ValidationError as invalid:
+        errors = invalid.errors(include_url=False)
+        return [(".".join([path, *map(str, error["loc"])]), plain_words(error, kind)) for error in errors]
+    return []
