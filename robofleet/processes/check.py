@@ -256,6 +256,11 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
         (f"robots.{i}.driver", "robofleet.drivers", robot.driver, SimulatedDriver)
         for i, robot in enumerate(config.robots)
     ]
+    named += [
+        (f"robots.{i}.twin", "robofleet.twins", robot.twin, object)
+        for i, robot in enumerate(config.robots)
+        if robot.twin is not None
+    ]
     if config.tracker.source == "camera":
         named.append(("camera.source", "robofleet.cameras", config.camera.source, ScheduledCamera))
     for path, group, name, simulated in named:
