@@ -17,6 +17,7 @@ from robofleet.config.tree import Config, Group
 from robofleet.config.troubles import BodyFault
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
+from robofleet.processes import reality
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
@@ -80,7 +81,7 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
 
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
-    complaints = [*_plugins(config, lockstep), *_troubles(config, lockstep)]
+    complaints = [*_plugins(config, lockstep), *reality.complaints(config), *_troubles(config, lockstep)]
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
