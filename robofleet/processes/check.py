@@ -16,7 +16,7 @@ from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
-from robofleet.processes import check_faults
+from robofleet.processes import check_faults, reality
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
@@ -80,7 +80,8 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
 
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
-    complaints = [*_plugins(config, lockstep), *check_faults.complaints(config, lockstep=lockstep)]
+    faults = check_faults.complaints(config, lockstep=lockstep)
+    complaints = [*_plugins(config, lockstep), *reality.complaints(config), *faults]
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
