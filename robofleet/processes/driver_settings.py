@@ -1,14 +1,17 @@
-"""What ``robots[].settings`` says, as the driver's own model."""
+"""What ``robots[].settings`` says, as the driver's own model, and what else a driver is made from."""
 
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
 
+from robofleet.config import slices
 from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.arena_file import twin_port
+from robofleet.vehicles.interface import BodyTrouble, DriverContext, Simulation
 
 
 def of(config: Config, robot: Robot) -> Any:
@@ -23,6 +26,24 @@ def of(config: Config, robot: Robot) -> Any:
         return None
     port = {} if robot.twin is None else {"port": str(twin_port(config.arena.name, robot.id))}
     return kind.model_validate(robot.settings | port)
+
+
+def context(
+    config: Config, robot: Robot, now_ns: Callable[[], int], trouble: Callable[[], BodyTrouble] | None = None
+) -> DriverContext:
+    """Return what a robot's driver is made from; raises as ``of`` does."""
+    vehicle = robot.vehicle
+    simulation = Simulation(
+        slices.vehicle_drive(vehicle), slices.imperfections(vehicle), slices.start_pose(robot), trouble,
+        slices.generator(config.run.seed, "plant", robot.id),
+    )  # fmt: skip
+    return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot))
+
+
+def place(config: Config, robot: Robot) -> str:
+    """Return the dotted path at which it is said that a robot cannot be opened."""
+    port = hasattr(of(config, robot), "port") and robot.twin is None
+    return f"robots.{config.robots.index(robot)}.{'settings.port' if port else 'driver'}"
 
 
 def complaints(config: Config, index: int) -> list[Complaint]:
