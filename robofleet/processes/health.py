@@ -7,6 +7,7 @@ from robofleet.processes.attached import in_words, sound
 from robofleet.safety.gate import Latch
 from robofleet.vehicles.interface import Driver, DriverReading, RobotFault
 
+_PRESSED = int(RobotFault.WIRED_STOP)  # a plain number: the complement of a flag knows its own class's bits only
 _UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
 
 
@@ -60,5 +61,5 @@ class Health:
 
         Its e-stop has a latch of its own, which says that it was pressed.
         """
-        felt = self._felt & ~RobotFault.WIRED_STOP if latch else 0
+        felt = self._felt & ~_PRESSED if latch else 0
         return self.reading.faults | felt | (RobotFault.UNREACHABLE if self.failed else 0)

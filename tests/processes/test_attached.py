@@ -16,7 +16,7 @@ FORWARD = WheelSpeeds(3.0, 4.0)
 CLOCK = WallClock()
 
 
-class Lost(Exception):
+class LostError(Exception):
     pass
 
 
@@ -48,7 +48,7 @@ class Cable:
 
     def _heard(self) -> None:
         if not self.plugged:
-            raise Lost
+            raise LostError
 
 
 def back(driver: Attached) -> bool:
@@ -73,7 +73,7 @@ def attached(cable: Cable) -> Any:
 
 def test_a_driver_that_fails_is_closed_and_sought_ever_more_patiently(cable: Cable, attached: Attached) -> None:
     cable.plugged = False
-    with pytest.raises(Lost):
+    with pytest.raises(LostError):
         attached.read()
     assert wait(lambda: len(cable.attempts_ns) == 4, 3.0)
     assert cable.events == ["made", "closed"]
@@ -95,12 +95,12 @@ def test_while_it_is_away_every_call_raises_at_once_and_says_why(cable: Cable) -
 
     attached = Attached(make, CLOCK.now_ns)
     cable.plugged = False
-    with pytest.raises(Lost):
+    with pytest.raises(LostError):
         attached.write(FORWARD)
     assert wait(lambda: len(calls) == 2, 1.0)
     before_ns = CLOCK.now_ns()
     for ask in (attached.read, lambda: attached.write(FORWARD), lambda: attached.write(STOP)):
-        with pytest.raises(DriverError, match=r"Lost\(\)"):
+        with pytest.raises(DriverError, match=r"LostError\(\)"):
             ask()
     attached.close()
     assert CLOCK.now_ns() - before_ns < 100 * MS
@@ -110,7 +110,7 @@ def test_while_it_is_away_every_call_raises_at_once_and_says_why(cable: Cable) -
 
 def test_nothing_that_was_on_its_way_moves_a_robot_that_is_back(cable: Cable, attached: Attached) -> None:
     cable.plugged = False
-    with pytest.raises(Lost):
+    with pytest.raises(LostError):
         attached.write(FORWARD)
     cable.plugged = True
     assert wait(lambda: cable.events.count("made") == 2, 1.0)
@@ -125,7 +125,7 @@ def test_angles_go_on_where_they_were_when_it_was_lost(cable: Cable, attached: A
     cable.angles = 5.0, -6.0
     attached.read()
     cable.plugged = False
-    with pytest.raises(Lost):
+    with pytest.raises(LostError):
         attached.read()
     cable.plugged, cable.angles = True, (0.0, 0.0)
     assert wait(lambda: back(attached), 1.0)
@@ -144,7 +144,7 @@ def test_what_was_closed_is_told_nothing_more(cable: Cable, attached: Attached) 
 
 def test_a_driver_that_fails_as_its_process_ends_is_closed_all_the_same(cable: Cable, attached: Attached) -> None:
     cable.plugged = False
-    with pytest.raises(Lost):
+    with pytest.raises(LostError):
         attached.write(STOP)
     attached.close()
     assert cable.events == ["made", "closed"]
@@ -168,7 +168,7 @@ def test_a_lost_robot_is_named_in_its_next_status_and_drives_again_after_a_reset
     assert wait(lambda: said_after(stand, capsys, "its driver has it again"), 3.0)
     assert stand.made["r1"] is not old
     stand.run(S // 5)
-    assert set(wheels for _, wheels in stand.made["r1"].writes) == {STOP}
+    assert {wheels for _, wheels in stand.made["r1"].writes} == {STOP}
     assert (stand.newest("r1").gate, stand.newest("r1").faults) == (GateStatus.LATCHED, 0)
     stand.enable("r1", clear=stand.newest("r1").latch_id)
     stand.run(S // 5)

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from robofleet.clock import MS, S
+from robofleet.comms.keys import STATUS
 from robofleet.safety.gate import GateStatus, Latch
-from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, WheelSpeeds
+from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, RobotFault, WheelSpeeds
 from tests.processes.realrun import wait
 
 Make = Callable[..., Any]
@@ -103,6 +104,29 @@ def test_a_wired_stop_acts_within_a_loop_and_holds(stand: Any) -> None:
     assert stand.newest("r1").gate == GateStatus.LATCHED
     stand.enable("r1", clear=status.latch_id)
     stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.OPEN
+
+
+@pytest.mark.parametrize("fault", [*set(RobotFault) - {RobotFault.WIRED_STOP}, RobotFault.OWN << 3])
+def test_a_fault_stops_its_robot_within_a_loop_and_is_said_until_a_reset(stand: Any, fault: RobotFault) -> None:
+    for name in ("r1", "r2"):
+        stand.run(S // 5, robot=name)
+    stand.made["r1"].faults, felt_ns = fault, stand.bench.now_ns
+    stand.bench.run(
+        stand.node, 10 * MS, (33 * MS, partial(stand.command, "r1")), (40 * MS, partial(stand.enable, "r1"))
+    )
+    stand.made["r1"].faults = 0  # shorter than a status takes
+    drive_both(stand, S // 5)
+    falls = [at for at, wheels in stand.made["r1"].writes if at > felt_ns and wheels != FORWARD]
+    assert falls[0] - felt_ns <= 10 * MS
+    assert stand.made["r1"].target == STOP
+    status = stand.newest("r1")
+    assert (status.gate, status.latch, status.faults) == (GateStatus.LATCHED, Latch.ROBOT_FAULT, fault)
+    assert (stand.newest("r2").gate, stand.newest("r2").faults) == (GateStatus.OPEN, 0)
+    stand.enable("r1", clear=status.latch_id)
+    stand.run(S // 5)
+    told = [(its.latch, its.faults) for its in stand.bench.heard(STATUS, "r1") if its.nonce > felt_ns]
+    assert set(told[1:]) == {(Latch.ROBOT_FAULT, fault), (Latch.NONE, 0)}  # never the one without the other
     assert stand.newest("r1").gate == GateStatus.OPEN
 
 
