@@ -272,7 +272,8 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
         else:
             if lockstep and not issubclass(found, simulated):
                 yield path, f"{name!r} keeps real time, and lockstep does not: run without --lockstep"
-            yield from getattr(found, "refusals", _none)(config)
+            if group == "robofleet.cameras":
+                yield from getattr(found, "refusals", _none)(config)
 
 
 def _none(_config: Config) -> tuple[Complaint, ...]:
