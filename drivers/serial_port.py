@@ -58,6 +58,7 @@ class SerialPort:
 
     def close(self) -> None:
         """Let the last bytes go out, and close. Idempotent."""
+        self.descriptor = -1  # the number is somebody else's soon
         self._serial.close()
 
     def _gone(self) -> DriverError:
