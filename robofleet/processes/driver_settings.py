@@ -11,7 +11,7 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.arena_file import twin_port
-from robofleet.vehicles.interface import BodyTrouble, DriverContext, Simulation
+from robofleet.vehicles.interface import BodyTrouble, DriverContext
 
 
 def of(config: Config, robot: Robot) -> Any:
@@ -32,11 +32,7 @@ def context(
     config: Config, robot: Robot, now_ns: Callable[[], int], trouble: Callable[[], BodyTrouble] | None = None
 ) -> DriverContext:
     """Return what a robot's driver is made from; raises as ``of`` does."""
-    vehicle = robot.vehicle
-    simulation = Simulation(
-        slices.vehicle_drive(vehicle), slices.imperfections(vehicle), slices.start_pose(robot), trouble,
-        slices.generator(config.run.seed, "plant", robot.id),
-    )  # fmt: skip
+    simulation = slices.simulation(config, robot, trouble)
     return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot))
 
 
