@@ -14,7 +14,7 @@ from robofleet.processes import driver_settings
 from robofleet.processes.gated_robot import GatedRobot, Witness
 from robofleet.processes.keeping import Keeping
 from robofleet.simulation.faults import Schedule
-from robofleet.vehicles.interface import Driver, DriverContext, Simulation
+from robofleet.vehicles.interface import Driver, DriverContext
 
 _LOOP_NS = 10 * MS
 
@@ -52,13 +52,7 @@ class DriverProcess:
             context = DriverContext(
                 robot_id,
                 slices.drive(robot),
-                Simulation(
-                    slices.vehicle_drive(robot.vehicle),
-                    slices.imperfections(robot.vehicle),
-                    slices.start_pose(robot),
-                    None if faults is None else faults.body_trouble(robot_id),
-                    slices.generator(config.run.seed, "plant", robot_id),
-                ),
+                slices.simulation(config, robot, None if faults is None else faults.body_trouble(robot_id)),
                 self._clock.now_ns if faults is None else faults.now_ns,
                 driver_settings.of(config, robot),
             )
