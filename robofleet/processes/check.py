@@ -14,9 +14,9 @@ from robofleet.config import barrier, slices
 from robofleet.config.faults import Complaint
 from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
-from robofleet.config.troubles import BodyFault
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
+from robofleet.processes import check_faults, reality
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
@@ -80,7 +80,8 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
 
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
-    complaints = [*_plugins(config, lockstep), *_troubles(config, lockstep)]
+    faults = check_faults.complaints(config, lockstep=lockstep)
+    complaints = [*_plugins(config, lockstep), *reality.complaints(config), *faults]
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
@@ -256,6 +257,11 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
         (f"robots.{i}.driver", "robofleet.drivers", robot.driver, SimulatedDriver)
         for i, robot in enumerate(config.robots)
     ]
+    named += [
+        (f"robots.{i}.twin", "robofleet.twins", robot.twin, object)
+        for i, robot in enumerate(config.robots)
+        if robot.twin is not None
+    ]
     if config.tracker.source == "camera":
         named.append(("camera.source", "robofleet.cameras", config.camera.source, ScheduledCamera))
     for path, group, name, simulated in named:
@@ -265,23 +271,8 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
             yield path, str(error)
         else:
             if lockstep and not issubclass(found, simulated):
-                yield path, f"{name!r} is real, and lockstep's time is not: run without --lockstep"
+                yield path, f"{name!r} keeps real time, and lockstep does not: run without --lockstep"
             yield from getattr(found, "refusals", _none)(config)
-
-
-def _troubles(config: Config, lockstep: bool) -> Iterator[Complaint]:
-    """Timed faults that only a simulation can have."""
-    for i, fault in enumerate(config.faults):
-        if not lockstep and fault.kind in ("clock_step", "second_controller"):
-            yield f"faults.{i}.kind", f"{fault.kind} is for lockstep alone: add --lockstep, or remove it"
-        if isinstance(fault, BodyFault):
-            driver = config.robot(fault.robot).driver
-            try:
-                simulated = issubclass(load("robofleet.drivers", driver), SimulatedDriver)
-            except PluginError:
-                continue  # said already
-            if not simulated:
-                yield f"faults.{i}.robot", f"{fault.robot} is real: {fault.kind} is for a simulated robot"
 
 
 def _none(_config: Config) -> tuple[Complaint, ...]:

@@ -94,10 +94,10 @@ class Wire:
         if not data:
             return
         self._free_ns = max(self._free_ns, now_ns) + len(data) * self._byte_ns
-        at_ns = round(self._free_ns) if self._free_ns - now_ns >= MS else now_ns
+        at_ns = late_ns + (round(self._free_ns) if self._free_ns - now_ns >= MS else now_ns)
         if self._chunks:
             at_ns = max(at_ns, self._chunks[-1][0])
-        self._chunks.append((at_ns + late_ns, data))
+        self._chunks.append((at_ns, data))
 
     def take(self, now_ns: int) -> bytes:
         """Return what has arrived since the last call."""

@@ -1,4 +1,7 @@
-"""The least firmware: ``left,right`` in hundredths of a rad/s and a line's end; it answers its encoders' counts."""
+"""The least firmware: ``left,right`` in hundredths of a rad/s and a line's end.
+
+It answers its encoders' counts, and to nonsense what it feels.
+"""
 
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
@@ -25,14 +28,16 @@ class FakeFirmware:
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Take lines."""
         *lines, self._line = (self._line + data).split(b"\n")
-        for line in lines:
-            try:
-                left, right = map(int, line.split(b","))
-            except ValueError:
-                return b"?\n"
-            self.hardware.command = WheelSpeeds(left / 100, right / 100)
-            self._off_ns = now_ns + round(_WATCHDOG_S * 1e9)
-        return b"%d,%d\n" % self.hardware.counts if lines else b""
+        return b"".join(self._obeyed(line, now_ns) for line in lines)
+
+    def _obeyed(self, line: bytes, now_ns: int) -> bytes:
+        try:
+            left, right = map(int, line.split(b","))
+        except ValueError:
+            return b"?%d\n" % self.hardware.feels
+        self.hardware.command = WheelSpeeds(left / 100, right / 100)
+        self._off_ns = now_ns + round(_WATCHDOG_S * 1e9)
+        return b"%d,%d\n" % self.hardware.counts
 
     def loop(self, now_ns: int) -> bytes:
         """Stop when nothing has come for too long."""
