@@ -72,6 +72,8 @@ class Settings(BaseModel):
 class Create2:
     """One Create 2. Its angles count from its opening on."""
 
+    Settings = Settings
+
     def __init__(self, context: DriverContext) -> None:
         settings: Settings = context.settings
         self._now_ns, self._name = context.now_ns, settings.port
