@@ -53,9 +53,9 @@ def complaints(config: Config, index: int) -> list[Complaint]:
     robot, path = config.robots[index], f"robots.{index}.settings"
     kind = getattr(load("robofleet.drivers", robot.driver), "Settings", None)
     if kind is None:
-        if robot.twin is not None:
-            return [(f"robots.{index}.twin", f"{robot.driver!r} has no port that it could answer on: remove it")]
-        return [(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else []
+        without_port = f"{robot.driver!r} opens no serial port: name another driver, or remove the twin"
+        twin = [(f"robots.{index}.twin", without_port)] if robot.twin is not None else []
+        return twin + ([(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else [])
     if robot.twin is not None and "port" in robot.settings:
         return [(f"{path}.port", f"the twin of {robot.id} makes one: remove it, or the twin")]
     try:
