@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from drivers.create2 import MODE_LOST, Create2, Settings
+from drivers.create2 import MODE_LOST, MOTORS_OFF, Create2, Settings
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, DriverError, RobotFault, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
@@ -167,6 +167,16 @@ def test_after_its_end_the_robot_rests_and_is_told_nothing_more(bench: Bench) ->
     with pytest.raises(DriverError):
         bench.driver.write(FORWARD)
     assert bench.heard(0.05) == b""
+
+
+def test_a_command_from_before_a_hang_moves_nothing_after_its_dead_man_s_stop(bench: Bench) -> None:
+    bench.pass_time(0.2, FORWARD)
+    old = bytes((0, 0, 0, 0, 145, 0, 100, 0, 100))
+    bench.firmware.receive(MOTORS_OFF + old, bench.now_ns)
+    assert bench.hardware.command == STOP
+    assert not any(reading.faults for reading in bench.pass_time(0.1, STOP))
+    bench.write(*FORWARD)
+    assert bench.hardware.command != STOP
 
 
 def test_a_line_that_is_pulled_out_is_an_error_at_once_and_closing_is_none(bench: Bench) -> None:

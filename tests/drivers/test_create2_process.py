@@ -1,4 +1,4 @@
-"""A Create 2 whose driver's process is killed or stopped: its dead man stops it, and nothing old moves it afterwards."""
+"""A Create 2 whose driver's process is killed or stopped: its dead man stops it; nothing old moves it later."""
 
 import select
 import signal
