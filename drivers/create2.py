@@ -54,7 +54,7 @@ _FASTEST_RAD_S = 30.0  # twice what its motors do: pushed by hand
 _LATE_S = 0.1  # a frame may be so much older than it seems
 
 
-class Settings(BaseModel):
+class Create2Settings(BaseModel):
     """What ``robots[].settings`` may say."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
@@ -72,8 +72,10 @@ class Settings(BaseModel):
 class Create2:
     """One Create 2. Its angles count from its opening on."""
 
+    Settings = Create2Settings
+
     def __init__(self, context: DriverContext) -> None:
-        settings: Settings = context.settings
+        settings: Create2Settings = context.settings
         self._now_ns, self._name = context.now_ns, settings.port
         self._mm_per_rad = 500.0 * settings.wheel_diameter_m
         self._rad_per_count = math.tau / settings.counts_per_turn
@@ -97,7 +99,7 @@ class Create2:
             raise
 
     @staticmethod
-    def refusals(settings: Settings, drive: DifferentialDrive) -> list[tuple[str, str]]:
+    def refusals(settings: Create2Settings, drive: DifferentialDrive) -> list[tuple[str, str]]:
         """Return what cannot work."""
         most = _FASTEST_MM_S / (500.0 * settings.wheel_diameter_m)
         if drive.max_wheel_speed <= most:

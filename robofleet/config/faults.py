@@ -9,6 +9,7 @@ from typing import get_args
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
+from robofleet.config import bodies
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.model import ENDPOINT_PATTERN, NAME_PATTERN
 from robofleet.config.tree import Config
@@ -83,6 +84,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_camera_model(config),
         *_tag_sizes(config),
         *_calibrations(config),
+        *bodies.complaints(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
     for key, taken, calibrated in sizes:
@@ -218,7 +220,10 @@ def _members(config: Config) -> Iterator[Complaint]:
             named.append((f"groups.{i}.robots.{k}", robot))
             if robot in group.robots[:k]:
                 yield f"groups.{i}.robots.{k}", f"{robot} is in the group already: remove one"
+    unseen = [robot.id for robot in config.virtual]
     for path, robot in named:
+        if robot in unseen and path.startswith("camera."):
+            yield path, f"{robot} is in no image, its reality is simulated: name another robot"
         if robot not in known:
             yield path, f"there is no robot '{robot}': {did_you_mean(robot, known)}"
 
@@ -266,3 +271,5 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
         yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
     if int(port) > 65535:
         yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
+    if int(port) == 0 and config.drivers.started_by == "systemd":
+        yield "bus.endpoint", "drivers that are there before the run cannot know a free port: name one, as 7447"

@@ -65,7 +65,8 @@ class Group(Model):
 
 
 class TruthSettings(Model):
-    """Poses without pixels (``tracker.source: truth``)."""
+    """Poses without pixels: everybody's, with ``tracker.source: truth``; else those of the robots that are in no image
+    (``reality: simulated``), which have the delay of the image they are merged with."""
 
     position_noise_m: NonNegative = 0.0
     """Standard deviation, along each axis."""
@@ -83,7 +84,7 @@ class TrackerSettings(Model):
     """Where poses come from."""
 
     source: Literal["camera", "truth"]
-    """``camera``: the detector reads its images; ``truth``: simulated robots say where they are."""
+    """``camera``: the detector reads its images; ``truth``: all robots are simulated and say where they are."""
     tag_side_m: Positive
     """Of the black square of a robot's tag."""
     tag_height_m: NonNegative
@@ -99,6 +100,8 @@ class DriverSettings(Model):
 
     robots_per_process: Annotated[int, Field(ge=1)] = 1
     """At most, in the order of ``robots``."""
+    started_by: Literal["run", "systemd"] = "run"
+    """``systemd``: units of ``tools/deploy`` start them, and ``robofleet run`` starts everything else."""
 
 
 class LockstepSettings(Model):
@@ -188,6 +191,16 @@ class Config(Model):
     def twins(self) -> tuple[Robot, ...]:
         """The robots in whose place a twin answers."""
         return tuple(robot for robot in self.robots if robot.twin is not None)
+
+    @property
+    def seen(self) -> tuple[Robot, ...]:
+        """The robots that stand in the arena: those that a camera can see."""
+        return tuple(robot for robot in self.robots if robot.reality == "real")
+
+    @property
+    def virtual(self) -> tuple[Robot, ...]:
+        """The robots that stand in no arena: their poses are merged with what the camera sees of the others."""
+        return tuple(robot for robot in self.robots if robot.reality == "simulated")
 
     @property
     def driven(self) -> dict[str, tuple[str, ...]]:

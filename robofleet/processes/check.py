@@ -16,7 +16,7 @@ from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
-from robofleet.processes import check_faults
+from robofleet.processes import check_faults, reality
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
@@ -80,7 +80,8 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
 
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
-    complaints = [*_plugins(config, lockstep), *check_faults.complaints(config, lockstep=lockstep)]
+    faults = check_faults.complaints(config, lockstep=lockstep)
+    complaints = [*_plugins(config, lockstep), *reality.complaints(config), *faults]
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
@@ -256,6 +257,11 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
         (f"robots.{i}.driver", "robofleet.drivers", robot.driver, SimulatedDriver)
         for i, robot in enumerate(config.robots)
     ]
+    named += [
+        (f"robots.{i}.twin", "robofleet.twins", robot.twin, object)
+        for i, robot in enumerate(config.robots)
+        if robot.twin is not None
+    ]
     if config.tracker.source == "camera":
         named.append(("camera.source", "robofleet.cameras", config.camera.source, ScheduledCamera))
     for path, group, name, simulated in named:
@@ -266,7 +272,8 @@ def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
         else:
             if lockstep and not issubclass(found, simulated):
                 yield path, f"{name!r} keeps real time, and lockstep does not: run without --lockstep"
-            yield from getattr(found, "refusals", _none)(config)
+            if group == "robofleet.cameras":
+                yield from getattr(found, "refusals", _none)(config)
 
 
 def _none(_config: Config) -> tuple[Complaint, ...]:

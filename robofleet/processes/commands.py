@@ -156,6 +156,20 @@ def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 
 @app.command(rich_help_panel=PROCESSES)
+def twins(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    """The firmware twins of a run: what answers on the serial ports of robots that do not exist.
+
+    $ robofleet twins lab.yaml
+    """
+    from robofleet.processes import child  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    tree = _for_one_process(config)
+    with bad_input():
+        child.twins(tree, Lifeline(lifeline))
+
+
+@app.command(rich_help_panel=PROCESSES)
 def controller(
     config: ConfigFile,
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,

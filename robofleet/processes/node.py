@@ -2,6 +2,7 @@
 
 import gc
 import os
+import select
 import signal
 import socket
 import sys
@@ -40,6 +41,18 @@ class Waker:
         if remaining_s > 0:
             self._event.wait(remaining_s)
         self._event.clear()
+
+
+class LineWaker(Waker):
+    """Ends a process's wait when bytes come on one of its ``descriptors``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.descriptors: list[int] = []
+
+    def wait_until(self, clock: Clock, instant_ns: int) -> None:
+        """Return at the instant, or when something can be read."""
+        select.select(self.descriptors, [], [], max(0.0, (instant_ns - clock.now_ns()) / S))
 
 
 class Lifeline:

@@ -16,7 +16,7 @@ from robofleet.plugins import load
 from robofleet.processes.pictures import Pictures
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses
-from robofleet.simulation.sources import TruthSource
+from robofleet.simulation.sources import TruthSource, VirtualPoses
 from robofleet.tracking.events import Happening
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.sources import (
@@ -128,7 +128,8 @@ def compile_kernels(config: Config) -> None:
 
 
 class _CameraPoses:
-    """A camera's images through the detector, those that can be believed."""
+    """A camera's images through the detector, those that can be believed, and beside each the robots that stand in no
+    arena: without an image they are gone too."""
 
     def __init__(self, context: CameraContext, wake: Wake, faults: Schedule | None) -> None:
         config, camera = context.config, context.config.camera
@@ -148,6 +149,7 @@ class _CameraPoses:
         self._why = ""
         self._seen: list[Happening] = []
         self._sight = FleetSight(config)
+        self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
 
     def next_ns(self) -> int | None:
         times = [at_ns for at_ns in (self._feed.next_ns(), self._watch.deadline_ns) if at_ns is not None]
@@ -170,6 +172,7 @@ class _CameraPoses:
         sight = self._sight.see(taken.image, taken.exposure_ns)
         self._seen += sight.happenings
         poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi) for r in sight.robots)
+        poses += self._virtual.at(taken.exposure_ns)
         return Observation(taken.exposure_ns, poses, sight.refused, taken.image)
 
     def news(self) -> tuple[Happening, ...]:
@@ -200,8 +203,7 @@ class _TruthPoses:
         ready_ns = self._source.ready_ns()
         if ready_ns is None or ready_ns > now_ns:
             return None
-        exposure_ns, poses = self._source.read()
-        return Observation(exposure_ns, tuple(TagPose(tag, 0, 0, *pose) for tag, *pose in poses), 0)
+        return self._source.read()
 
     def news(self) -> tuple[Happening, ...]:
         return ()

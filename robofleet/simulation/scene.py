@@ -22,7 +22,7 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
     lying = [*config.tracker.floor_tags, *simulated.posters]
     true = {offset.robot: offset for offset in simulated.tag_offsets}
     calibrated = {robot.id: robot.calibration.tag_offset for robot in config.robots if robot.calibration is not None}
-    offsets = [true.get(robot.id) or calibrated.get(robot.id) or TagOffset() for robot in config.robots]
+    offsets = [true.get(robot.id) or calibrated.get(robot.id) or TagOffset() for robot in config.seen]
     return SceneRenderer(
         CameraGeometry.from_model(camera.model),
         (camera.width, camera.height),
@@ -41,7 +41,7 @@ class ScenePlay:
 
     def __init__(self, config: Config) -> None:
         self._settings = config.camera.simulated
-        self._rows = {robot.id: row for row, robot in enumerate(config.robots)}
+        self._rows = {robot.id: row for row, robot in enumerate(config.seen)}
         self._calibrated = CameraGeometry.from_model(config.camera.model)
         self._progress = [0.0] * len(self._settings.knocks)
 

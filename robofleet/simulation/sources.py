@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +10,14 @@ from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Stream
 from robofleet.comms.keys import TRUTH, key
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import TagPose
+from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.simulation.arena import TruthHistory
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.simulation.trigger import Ticks, Trigger
-from robofleet.tracking.sources import CameraContext, Frame
+from robofleet.tracking.sources import CameraContext, Frame, Observation
 
 Array = NDArray[np.float64]
 
@@ -28,11 +29,9 @@ _POLL_NS = S // 1000
 class World:
     """The true poses that the simulated drivers publish: all that a simulated source knows."""
 
-    def __init__(self, config: Config, bus: Bus) -> None:
-        self.tags = [robot.tag for robot in config.robots]
-        self._streams: list[Stream] = [
-            bus.stream(key(config.arena.name, TRUTH, robot.id), _HISTORY) for robot in config.robots
-        ]
+    def __init__(self, arena: str, robots: Sequence[Robot], bus: Bus) -> None:
+        self.tags = [robot.tag for robot in robots]
+        self._streams: list[Stream] = [bus.stream(key(arena, TRUTH, robot.id), _HISTORY) for robot in robots]
         self._histories = [TruthHistory(_HISTORY) for _ in self._streams]
 
     def update(self) -> None:
@@ -55,7 +54,7 @@ class SimulatedCamera:
         config, camera = context.config, context.config.camera
         self.identity = camera.model.camera or "simulated"  # it is the camera that is configured
         self._clock, self._ticks = context.clock, context.ticks
-        self._world = World(config, context.bus)
+        self._world = World(config.arena.name, config.seen, context.bus)
         self._trigger = Trigger(config, context.ticks, context.clock)
         self._line_ns, self._middle = camera.model.line_time_s * S, (camera.height - 1) / 2
         half_ns = self._line_ns * self._middle  # from the first row to the middle one, and on to the last
@@ -130,25 +129,36 @@ class SimulatedCamera:
         return middle, velocities
 
 
-class TruePoses(NamedTuple):
-    """One image's worth of poses that were never an image."""
+class VirtualPoses:
+    """Poses of robots that no image shows: the truth with noise and dropout, as ``tracker.truth`` has them."""
 
-    exposure_ns: int
-    poses: list[tuple[int, float, float, float]]  # tag, x, y [m], psi [rad]
+    def __init__(self, config: Config, robots: Sequence[Robot], bus: Bus, rng: np.random.Generator) -> None:
+        self._world, self._rng = World(config.arena.name, robots, bus), rng
+        p = config.tracker.truth
+        self._sigma, self._dropout = np.array([p.position_noise_m, p.position_noise_m, p.heading_noise_rad]), p.dropout
+
+    def at(self, exposure_ns: int) -> tuple[TagPose, ...]:
+        """Return what an image of that instant would have told; nothing of a robot that has not spoken yet."""
+        self._world.update()
+        n = len(self._world.tags)
+        noise = (self._sigma * self._rng.standard_normal((n, 3))).tolist()
+        dropped = (self._rng.random(n) < self._dropout).tolist()
+        true = self._world.poses_at([exposure_ns] * n)
+        return tuple(
+            TagPose(tag, 0, 0, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2])
+            for tag, pose, error, drop in zip(self._world.tags, true, noise, dropped, strict=True)
+            if pose is not None and not drop
+        )
 
 
 class TruthSource:
-    """Poses without pixels: the truth with noise, delay, jitter and dropout."""
+    """Poses without pixels of a whole fleet, with a delay and its jitter."""
 
     def __init__(self, config: Config, bus: Bus, ticks: Ticks, clock: Clock, rng: np.random.Generator) -> None:
         self._settings = config.tracker.truth
         self._clock, self._rng = clock, rng
-        self._world = World(config, bus)
+        self._poses = VirtualPoses(config, config.robots, bus, rng)
         self._trigger = Trigger(config, ticks, clock)
-        n = len(self._world.tags)
-        p = self._settings
-        self._sigma = np.array([p.position_noise_m, p.position_noise_m, p.heading_noise_rad])
-        self._shape = (n, 3)
         self._delay_ns = self._draw_delay()
 
     def ready_ns(self) -> int | None:
@@ -156,22 +166,13 @@ class TruthSource:
         exposure_ns = self._trigger.next_ns()
         return None if exposure_ns is None else exposure_ns + self._delay_ns
 
-    def read(self) -> TruePoses:
+    def read(self) -> Observation:
         """Return the poses that are due."""
         exposure_ns = self._trigger.next_ns()
         assert exposure_ns is not None
         self._trigger.fire(self._clock.now_ns())
         self._delay_ns = self._draw_delay()
-        self._world.update()
-        noise = (self._sigma * self._rng.standard_normal(self._shape)).tolist()
-        dropped = (self._rng.random(self._shape[0]) < self._settings.dropout).tolist()
-        poses = []
-        for tag, pose, error, drop in zip(
-            self._world.tags, self._world.poses_at([exposure_ns] * len(noise)), noise, dropped, strict=True
-        ):
-            if pose is not None and not drop:
-                poses.append((tag, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2]))
-        return TruePoses(exposure_ns, poses)
+        return Observation(exposure_ns, self._poses.at(exposure_ns), 0)
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -21,7 +21,7 @@ class TagOutlines:
     def __init__(self, config: Config) -> None:
         self._geometry = CameraGeometry.from_model(config.camera.model)
         self._targets = {target.tag: target for target in robot_targets(config)}
-        measured = {robot.tag: robot.calibration for robot in config.robots}
+        measured = {robot.tag: robot.calibration for robot in config.seen}
         self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in measured.items()}
 
     def of(self, poses: Iterable[TagPose]) -> dict[int, NDArray[np.float64]]:

@@ -45,7 +45,7 @@ class FleetSight:
         geometry = CameraGeometry.from_model(model)
         targets = [*robot_targets(config), *floor_targets(config)]
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
-        calibrated = {robot.tag: robot.calibration for robot in config.robots}
+        calibrated = {robot.tag: robot.calibration for robot in config.seen}
         self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in calibrated.items()}
         landmarks = [
             Landmark(floor.tag, floor.x_m, floor.y_m, math.radians(floor.heading_deg), floor.height_m)

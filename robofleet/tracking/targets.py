@@ -15,7 +15,7 @@ class Target(NamedTuple):
 
 
 def robot_targets(config: Config) -> list[Target]:
-    """Return the tags of all robots, in the configuration's order."""
+    """Return the tags of the robots that a camera can see, in the configuration's order."""
     t = config.tracker
     return [
         Target(
@@ -24,7 +24,7 @@ def robot_targets(config: Config) -> list[Target]:
             t.tag_height_m if robot.tag_height_m is None else robot.tag_height_m,
             robot.vehicle.max_speed_m_s,
         )
-        for robot in config.robots
+        for robot in config.seen
     ]
 
 
