@@ -54,28 +54,25 @@ _FASTEST_RAD_S = 30.0  # twice what its motors do: pushed by hand
 _LATE_S = 0.1  # a frame may be so much older than it seems
 
 
-class Create2Settings(BaseModel):
-    """What ``robots[].settings`` may say."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
-
-    port: Annotated[str, Field(min_length=1)]
-    """Its serial line, such as /dev/serial/by-id/usb-FTDI_..."""
-    mode: Literal["safe", "full"] = "safe"
-    """``safe``: at a cliff, lifted, or at its charger it stops by itself; ``full``: it does not."""
-    wheel_diameter_m: Annotated[float, Field(gt=0.03, lt=0.3)] = 0.072
-    """By which its firmware makes turning of mm/s; the published one. What was calibrated is not meant."""
-    counts_per_turn: Annotated[float, Field(gt=1, lt=1e6)] = 508.8
-    """Encoder counts of a wheel's turn; the published number."""
-
-
 class Create2:
     """One Create 2. Its angles count from its opening on."""
 
-    Settings = Create2Settings
+    class Settings(BaseModel):
+        """What ``robots[].settings`` may say."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+
+        port: Annotated[str, Field(min_length=1)]
+        """Its serial line, such as /dev/serial/by-id/usb-FTDI_..."""
+        mode: Literal["safe", "full"] = "safe"
+        """``safe``: at a cliff, lifted, or at its charger it stops by itself; ``full``: it does not."""
+        wheel_diameter_m: Annotated[float, Field(gt=0.03, lt=0.3)] = 0.072
+        """By which its firmware makes turning of mm/s; the published one. What was calibrated is not meant."""
+        counts_per_turn: Annotated[float, Field(gt=1, lt=1e6)] = 508.8
+        """Encoder counts of a wheel's turn; the published number."""
 
     def __init__(self, context: DriverContext) -> None:
-        settings: Create2Settings = context.settings
+        settings: Create2.Settings = context.settings
         self._now_ns, self._name = context.now_ns, settings.port
         self._mm_per_rad = 500.0 * settings.wheel_diameter_m
         self._rad_per_count = math.tau / settings.counts_per_turn
@@ -99,7 +96,7 @@ class Create2:
             raise
 
     @staticmethod
-    def refusals(settings: Create2Settings, drive: DifferentialDrive) -> list[tuple[str, str]]:
+    def refusals(settings: Settings, drive: DifferentialDrive) -> list[tuple[str, str]]:
         """Return what cannot work."""
         most = _FASTEST_MM_S / (500.0 * settings.wheel_diameter_m)
         if drive.max_wheel_speed <= most:

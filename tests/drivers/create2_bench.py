@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.create2 import Create2, Settings
+from drivers.create2 import Create2
 from robofleet.clock import MS
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.create2 import Create2Firmware
@@ -51,7 +51,7 @@ class Bench:
     def open(self, **settings: Any) -> Create2:
         """Make the driver; while it waits for its robot, time passes."""
         simulation = Simulation(CREATE2, CREATE2_IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
-        made = Settings.model_validate({"port": self.port, **settings})
+        made = Create2.Settings.model_validate({"port": self.port, **settings})
         self._opening = True
         try:
             self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))

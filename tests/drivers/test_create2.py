@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from drivers.create2 import MODE_LOST, MOTORS_OFF, Create2, Settings
+from drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, DriverError, RobotFault, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
@@ -208,11 +208,11 @@ def test_what_is_no_create_2_is_named_and_its_port_is_free_again(answer: bytes) 
 )
 def test_impossible_settings_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
-        Settings.model_validate(wrong)
+        Create2.Settings.model_validate(wrong)
 
 
 def test_wheels_that_are_asked_for_more_than_it_can_are_refused() -> None:
-    assert Create2.refusals(Settings(port="x"), CREATE2) == []
-    ((key, words),) = Create2.refusals(Settings(port="x", wheel_diameter_m=0.08), CREATE2)
+    assert Create2.refusals(Create2.Settings(port="x"), CREATE2) == []
+    ((key, words),) = Create2.refusals(Create2.Settings(port="x", wheel_diameter_m=0.08), CREATE2)
     assert key == "vehicle.max_wheel_speed_rad_s"
     assert "12.5 rad/s at most" in words

@@ -16,12 +16,12 @@ from tests.twins import TwinStand, config_of
 ASKED_S, PATIENCE_S = 0.3, 10.0
 DRIVER = """
 import select, sys
-from drivers.create2 import Create2, Settings
+from drivers.create2 import Create2
 from robofleet.clock import WallClock
 from robofleet.vehicles.interface import DriverContext, WheelSpeeds
 from tests.robots import CREATE2
 clock = WallClock()
-robot = Create2(DriverContext("r1", CREATE2, None, clock.now_ns, Settings(port=sys.argv[1])))
+robot = Create2(DriverContext("r1", CREATE2, None, clock.now_ns, Create2.Settings(port=sys.argv[1])))
 last_ns = clock.now_ns()
 while True:
     now_ns = clock.now_ns()
