@@ -95,7 +95,7 @@ def test_a_wrong_speed_is_answered_within_a_frame_and_a_loop(bench: Bench) -> No
 def test_an_opcode_that_swallows_what_follows_is_fed_until_it_hears_again(bench: Bench) -> None:
     bench.pass_time(0.2, WheelSpeeds(4.0, 4.0))
     bench.firmware.receive(bytes((140, 0, 255)), bench.now_ns)  # a song of 255 notes
-    bench.pass_time(0.35, STOP)
+    bench.pass_time(0.2, STOP)
     assert bench.hardware.command == STOP
     assert bench.firmware.mode is Mode.SAFE
 
@@ -132,6 +132,14 @@ def test_a_line_that_spoils_every_tenth_frame_never_makes_angles_jump() -> None:
             assert readings[-1][side] == pytest.approx(true[side], abs=0.3)
     finally:
         bench.close()
+
+
+def test_garbage_that_adds_up_is_no_angle(bench: Bench) -> None:
+    bench.pass_time(0.2, WheelSpeeds(4.0, 4.0))
+    before = bench.read()
+    bench.say(FRAME)  # whole, but 4900 counts from where the wheel is
+    assert bench.read() == before
+    assert bench.pass_time(0.1, WheelSpeeds(4.0, 4.0))[-1].left_angle == pytest.approx(before.left_angle + 0.4, abs=0.1)
 
 
 FRAME = bytes.fromhex("13 22 07 00 09 00 0a 00 0b 00 0c 00 0e 00 22 00 23 02")
