@@ -171,6 +171,16 @@ def test_garbage_from_the_robot_is_no_news(steady: tuple[Desk, GTernal], chunks:
     assert reads_battery(desk, driver, 1.0)
 
 
+def test_an_answer_may_come_in_pieces(steady: tuple[Desk, GTernal]) -> None:
+    desk, driver = steady
+    for piece in (b'{"sta', b'tus":[1,1],"bo', b'dy":[{},{"batt_volt":3.', b"75}]}"):
+        desk.line.write(piece)
+        for _ in range(3):
+            desk.hear(0.005)
+            driver.read()
+    assert reads_battery(desk, driver, 0.5)
+
+
 def reads_battery(desk: Desk, driver: GTernal, charge: float) -> bool:
     """Return whether it comes to say so; a pseudo-terminal takes a moment."""
     for _ in range(1000):
