@@ -17,7 +17,9 @@ class TestGTernal(Motion):
 
 
 class TestArduinoBridge(Motion):
-    subject = Subject("arduino_bridge", twin="arduino_bridge", vehicle="arduino")
+    subject = Subject(
+        "arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248}
+    )
 
 
 class TestCreate2(Motion):
