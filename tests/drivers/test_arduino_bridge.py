@@ -222,11 +222,11 @@ def test_rounding_leaves_nothing_behind(bench: Bench) -> None:
 
 
 def test_a_wheel_that_is_told_zero_gets_zero(bench: Bench) -> None:
-    for _ in range(7):
-        bench.write(3.4, 8.4)
-    bench.write(3.4, 0.0)
-    bench.robot.let_pass(FRAME_S)
-    assert bench.robot.wheels.target[1] == 0
+    for tenths in range(5, 500):
+        bench.write(tenths / 10, 8.0)
+        bench.write(0.0, 8.0)
+        bench.robot.let_pass(0.001)
+        assert bench.robot.wheels.target == (0, 8)
 
 
 def test_at_rest_the_line_is_left_free(bench: Bench) -> None:
@@ -276,13 +276,20 @@ def test_of_counts_cut_anywhere_nothing_wrong_is_read(bench: Bench) -> None:
 
 
 def test_a_wrong_digit_is_believed_only_where_the_wheel_can_have_turned_so_far(bench: Bench) -> None:
-    reach = 2.0 * GTERNAL.max_wheel_speed * 0.06  # twice what it may do, in the time of two polls and a bit
-    for place, digit in itertools.product(range(len(b"0 0")), b"0123456789"):
-        bench.robot.on_the_way_back = lambda answer, p=place, d=digit: answer[:p] + bytes([d]) + answer[p + 1 :]  # type: ignore[misc]
-        reading = bench.poll()
-        assert max(map(abs, reading[:2])) <= reach
+    bench.write(120, 34)
+    for _ in range(20):
+        bench.poll()
+    bench.write(0, 0)
+    said = b"%d %d\r\n" % bench.robot.wheels.counts
+    truth = bench.poll()[:2]
+    reach = 2.0 * GTERNAL.max_wheel_speed * 0.04  # twice what it may do, in the time of two polls
+    for place, digit in itertools.product(range(len(said) - 2), b"0123456789"):
+        spoilt = said[:place] + bytes([digit]) + said[place + 1 :]
+        bench.robot.on_the_way_back = lambda _, spoilt=spoilt: spoilt  # type: ignore[misc]
+        read = bench.poll()[:2]
+        assert max(abs(a - b) for a, b in zip(read, truth, strict=True)) <= reach
         bench.robot.on_the_way_back = bytes
-        assert bench.poll()[:2] == (0.0, 0.0)
+        assert bench.poll()[:2] == truth
 
 
 def test_late_counts_are_not_taken_for_later_ones(bench: Bench) -> None:
@@ -348,20 +355,36 @@ def test_gains_are_told_at_opening(tmp_path: Path) -> None:
     bench.close()
 
 
+def driver_in_a_hurry(robot: Robot, port: Path) -> ArduinoBridge:
+    """Return a driver whose clock does not wait for answers that do not come."""
+
+    def hurrying() -> int:
+        robot.clock.advance_to(robot.clock.now_ns() + 250 * MS)
+        return robot.clock.now_ns()
+
+    settings = ArduinoBridge.Settings(port=str(port), counts_per_turn=COUNTS_PER_TURN)
+    with robot.answering():
+        return ArduinoBridge(DriverContext("r1", GTERNAL, NOBODY, hurrying, settings))
+
+
 @pytest.mark.parametrize(
     ("answer", "why"), [(b"", "nothing answers"), (b"hello\r\n", "does not speak ros_arduino_bridge")]
 )
 def test_what_does_not_speak_the_protocol_is_refused(tmp_path: Path, answer: bytes, why: str) -> None:
     robot = Robot(tmp_path / "r1.tty", 0)
     robot.on_the_way_back = lambda _: answer
+    with pytest.raises(DriverError, match=why):
+        driver_in_a_hurry(robot, tmp_path / "r1.tty")
+    robot.line.unplug()
 
-    def hurrying() -> int:
-        robot.clock.advance_to(robot.clock.now_ns() + 250 * MS)
-        return robot.clock.now_ns()
 
-    settings = ArduinoBridge.Settings(port=str(tmp_path / "r1.tty"), counts_per_turn=COUNTS_PER_TURN)
-    with robot.answering(), pytest.raises(DriverError, match=why):
-        ArduinoBridge(DriverContext("r1", GTERNAL, NOBODY, hurrying, settings))
+def test_a_board_that_starts_is_waited_for(tmp_path: Path) -> None:
+    robot = Robot(tmp_path / "r1.tty", 0)
+    deaf = iter(range(4))
+    robot.on_the_way = lambda said: b"" if next(deaf, None) is not None else said
+    driver = driver_in_a_hurry(robot, tmp_path / "r1.tty")
+    with robot.answering():
+        driver.close()
     robot.line.unplug()
 
 
