@@ -124,7 +124,8 @@ class Launcher:
         for name in ("supervisor", "tracker"):
             fleet.start(name, name)
         fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
-        for name, robots in self._config.driven.items():
+        ours = self._config.driven if self._config.drivers.started_by == "run" else {}
+        for name, robots in ours.items():
             fleet.start(name, "driver", "--robots", ",".join(robots))
         fleet.wait_ready(self._clock, self._heed)
 

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -64,6 +64,7 @@ class Moment(NamedTuple):
     speeds: WheelSpeeds  # the wheels' true ones, mean over the loop [rad/s]
     angles: WheelSpeeds  # that the wheels have truly turned [rad]
     reading: DriverReading | None  # None: there was no driver, or it failed
+    made: int  # how many drivers have been made
 
 
 class Bench:
@@ -136,8 +137,11 @@ class Bench:
         """Read in every loop and command the wheels as the kit does (None: not at all); what is raised goes up."""
         return [self._loop(wheels, k) for k in range(round(seconds * S / LOOP_NS))]
 
-    def drive_on(self, wheels: WheelSpeeds, seconds: float) -> list[Moment]:
-        """Do the same through failures: a driver that failed is closed and made again, and told to stand from then."""
+    def drive_on(self, wheels: WheelSpeeds, seconds: float, *, hold: bool = False) -> list[Moment]:
+        """Do the same through failures: a driver that failed is closed and made again, and told to stand from then.
+
+        ``hold`` goes on with the wheels.
+        """
         moments: list[Moment] = []
         again_ns = 0
         for k in range(round(seconds * S / LOOP_NS)):
@@ -148,10 +152,17 @@ class Bench:
             try:
                 moments.append(self._loop(wheels, k))
             except (DriverError, OSError):
-                again_ns, wheels = self.now_ns + _AGAIN_NS, STOP
+                again_ns, wheels = self.now_ns + _AGAIN_NS, wheels if hold else STOP
                 self.give_up()
                 moments.append(self._moment(None))
         return moments
+
+    def run(self, step: Callable[[int], int], seconds: float) -> None:
+        """Step a process whenever it asks to be."""
+        end_ns = self.now_ns + round(seconds * S)
+        while self.now_ns < end_ns:
+            next_ns = step(self.now_ns)
+            self.let_pass((min(end_ns, next_ns) - self.now_ns) / S)
 
     def unheard(self) -> int:
         """Return how many bytes wait at the robot's end."""
@@ -175,7 +186,7 @@ class Bench:
         before = self.angles
         self.let_pass(LOOP_NS / S)
         speeds = WheelSpeeds(*((b - a) * S / LOOP_NS for a, b in zip(before, self.angles, strict=True)))
-        return Moment(self.now_ns, speeds, self.angles, reading)
+        return Moment(self.now_ns, speeds, self.angles, reading, len(self._made))
 
     def _pass_while_waiting(self, deadline_ns: int) -> None:
         before_ns = self.now_ns

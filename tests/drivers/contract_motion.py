@@ -27,23 +27,31 @@ def travel(moments: list[Moment]) -> float:
     return max(abs(b - a) for a, b in zip(moments[0].angles, moments[-1].angles, strict=True))
 
 
+def cruise(subject: Subject, left: float, right: float) -> WheelSpeeds:
+    """Return wheels at shares of a speed that every robot can do."""
+    speed = CRUISE * subject.drive.max_wheel_speed
+    return WheelSpeeds(left * speed, right * speed)
+
+
+def run_out(subject: Subject, wheels: WheelSpeeds) -> float:
+    """Return how far a wheel may turn after the word to stand [rad]."""
+    return max(map(abs, wheels)) * (subject.drive.motor_lag + STOP_S)
+
+
+def on_the_line(subject: Subject) -> None:
+    """Skip a check of the line where there is none."""
+    if subject.twin is None:
+        pytest.skip("its driver simulates it: there is no line")
+
+
 class Motion:
     """``subject`` is what is tried."""
 
     subject: Subject
 
-    def cruise(self, left: float, right: float) -> WheelSpeeds:
-        """Return wheels at a share of a speed that every robot can do."""
-        speed = CRUISE * self.subject.drive.max_wheel_speed
-        return WheelSpeeds(left * speed, right * speed)
-
-    def run_out(self, wheels: WheelSpeeds) -> float:
-        """Return how far a wheel may turn after the word to stand [rad]."""
-        return max(map(abs, wheels)) * (self.subject.drive.motor_lag + STOP_S)
-
     @pytest.mark.parametrize("turn", TURNS)
     def test_each_wheel_turns_as_it_is_told(self, turn: str) -> None:
-        asked = self.cruise(*TURNS[turn])
+        asked = cruise(self.subject, *TURNS[turn])
         with Bench(self.subject) as bench:
             bench.make()
             bench.drive(asked, SETTLE_S)
@@ -51,7 +59,7 @@ class Motion:
         assert done == pytest.approx(asked, rel=OFF, abs=OFF_RAD_S)
 
     def test_the_angles_that_it_reads_are_those_that_the_wheels_turned(self) -> None:
-        asked = self.cruise(1.0, -0.6)
+        asked = cruise(self.subject, 1.0, -0.6)
         with Bench(self.subject) as bench:
             bench.make()
             bench.drive(asked, SETTLE_S)
@@ -63,7 +71,7 @@ class Motion:
             assert last.reading[side] - first.reading[side] == pytest.approx(turned, rel=0.05)
 
     def test_the_speeds_that_it_reads_are_those_of_the_wheels(self) -> None:
-        asked = self.cruise(1.0, -0.6)
+        asked = cruise(self.subject, 1.0, -0.6)
         with Bench(self.subject) as bench:
             bench.make()
             bench.drive(asked, SETTLE_S)
@@ -76,7 +84,7 @@ class Motion:
     def test_a_robot_in_health_says_so(self) -> None:
         with Bench(self.subject) as bench:
             bench.make()
-            readings = [moment.reading for moment in bench.drive(self.cruise(1.0, 1.0), 1.0)]
+            readings = [moment.reading for moment in bench.drive(cruise(self.subject, 1.0, 1.0), 1.0)]
         for reading in readings:
             assert reading is not None
             assert all(map(math.isfinite, reading[:4]))
@@ -111,16 +119,16 @@ class Motion:
         silence_s = self.subject.stops_after_s
         if silence_s is None:
             pytest.skip("this robot does not stop by itself: drivers/dead_man.py does it for a process that is dead")
-        asked = self.cruise(1.0, 1.0)
+        asked = cruise(self.subject, 1.0, 1.0)
         with Bench(self.subject) as bench:
             bench.make()
             bench.drive(asked, SETTLE_S)
             moments = bench.drive(None, silence_s + 1.0)
-        assert travel(moments) <= self.run_out(asked) + silence_s * max(asked)
+        assert travel(moments) <= run_out(self.subject, asked) + silence_s * max(asked)
         assert max(map(abs, moments[-1].speeds)) < OFF_RAD_S
 
     def test_it_stands_when_it_was_closed(self) -> None:
-        asked = self.cruise(1.0, -0.6)
+        asked = cruise(self.subject, 1.0, -0.6)
         with Bench(self.subject) as bench:
             driver = bench.make()
             bench.drive(asked, SETTLE_S)
@@ -129,21 +137,20 @@ class Motion:
             bench.let_pass(1.0)
             rest = bench.angles
             bench.let_pass(0.5)
-            assert max(abs(b - a) for a, b in zip(before, rest, strict=True)) <= self.run_out(asked)
+            assert max(abs(b - a) for a, b in zip(before, rest, strict=True)) <= run_out(self.subject, asked)
             assert bench.angles == pytest.approx(rest, abs=1e-3)
 
     def test_nothing_is_written_after_it_was_closed(self) -> None:
-        if self.subject.twin is None:
-            pytest.skip("there is no line to write to; a robot in lockstep outlives its driver's process")
+        on_the_line(self.subject)  # and a robot of lockstep outlives its driver's process
         with Bench(self.subject) as bench:
             driver = bench.make()
-            bench.drive(self.cruise(1.0, 1.0), SETTLE_S)
+            bench.drive(cruise(self.subject, 1.0, 1.0), SETTLE_S)
             bench.give_up()
             bench.let_pass(0.5)
             rest = bench.angles
             for _ in range(30):
                 with suppress(DriverError, OSError):
-                    driver.write(self.cruise(1.0, 1.0))
+                    driver.write(cruise(self.subject, 1.0, 1.0))
                 with suppress(DriverError, OSError):
                     driver.read()
                 assert bench.unheard() == 0

@@ -6,6 +6,7 @@ every loop: encoders' counts, and the charge in per cent.
 
 import math
 import zlib
+from contextlib import suppress
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -74,10 +75,8 @@ class LineRobot:
 
     def close(self) -> None:
         if not self._closed:
-            try:
+            with suppress(DriverError):
                 self.write(STOP)
-            except DriverError:
-                pass
             self._closed = True
             self._port.close()
 

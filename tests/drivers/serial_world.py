@@ -66,7 +66,7 @@ def unread(port: Path) -> int:
 
 def open_descriptors() -> list[int]:
     """Return what this process has open."""
-    return [int(name) for name in os.listdir("/proc/self/fd")]
+    return [int(entry.name) for entry in Path("/proc/self/fd").iterdir()]
 
 
 def _write_and_arrive(descriptor: int, data: Any, /) -> int:
