@@ -27,9 +27,10 @@ class SerialPort:
         try:
             self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            number = getattr(error, "errno", None) or 0
+            first = error if getattr(error, "errno", None) else error.__context__  # pyserial drops a number or two
+            number = getattr(first, "errno", None) or getattr(first, "args", (0,))[0]
             raise DriverError(f"{path}: {_WHY.get(number, str(error))}") from error
-        self._descriptor = self._serial.fileno()
+        self.descriptor = self._serial.fileno()
 
     def read(self) -> bytes:
         """Return what has come since the last call."""
@@ -41,7 +42,7 @@ class SerialPort:
     def write(self, data: bytes) -> None:
         """Hand the bytes to the kernel, all of them; pyserial's own write would spin where it takes none."""
         try:
-            taken = os.write(self._descriptor, data)
+            taken = os.write(self.descriptor, data)
         except BlockingIOError:
             taken = 0
         except (OSError, TypeError) as error:
@@ -52,12 +53,13 @@ class SerialPort:
     def wait(self, seconds: float) -> bool:
         """Wait until something has come, so long at most; only while a driver is being made."""
         try:
-            return bool(select.select([self._descriptor], [], [], max(0.0, seconds))[0])
+            return bool(select.select([self.descriptor], [], [], max(0.0, seconds))[0])
         except (OSError, TypeError) as error:
             raise self._gone() from error
 
     def close(self) -> None:
         """Let the last bytes go out, and close. Idempotent."""
+        self.descriptor = -1  # the number is somebody else's soon
         self._serial.close()
 
     def _gone(self) -> DriverError:

@@ -8,6 +8,7 @@ long it was held; ``acceleration_rad_s2`` (): with which its gate lets the wheel
 controller's clock, counted from the drive's first tick [s].
 """
 
+import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
@@ -29,6 +30,7 @@ from robofleet.processes.arena_file import ArenaBusyError, claimed
 from robofleet.processes.check import load_checked
 from robofleet.processes.fleet import excitation
 from robofleet.processes.launcher import Launcher
+from robofleet.processes.live_state import WAITING
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.reading import RecordingError, read
@@ -71,6 +73,8 @@ def configure(file: Path, robots: Sequence[str], *, lockstep: bool) -> tuple[Con
         CalibrationError: an unknown robot.
     """
     config = load_checked(file, ["groups.0.behaviour=excitation"], lockstep=lockstep)
+    if config.run.attended and not lockstep and not sys.stdin.isatty():
+        raise CalibrationError("run.attended: stdin is no terminal: start the drive in one, or set it to false")
     group = config.groups[0]
     driving = tuple(dict.fromkeys(robots)) or group.robots
     for unknown in (name for name in driving if name not in group.robots):
@@ -255,7 +259,7 @@ def _cut(
 
 
 class _Watch:
-    """Says which robot drives."""
+    """Says which robot drives, or what is waited for."""
 
     def __init__(self, config: Config, say: Callable[[str], None]) -> None:
         self._config, self._say, self._said = config, say, ""
@@ -263,7 +267,7 @@ class _Watch:
         self._count = int(np.searchsorted(self._ends, config.run.duration_s))
 
     def __call__(self, recording: Recording, phase: str) -> None:
-        text = phase
+        text = WAITING.get(phase, phase)
         ticks = recording.messages.get(key(self._config.arena.name, TICK))
         head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None
         if head is not None and head[3] >= 0:

@@ -35,7 +35,7 @@ class RobotStatus(NamedTuple):
     latch: int  # safety.gate.Latch: what holds the gate closed until it is cleared
     latch_id: int  # counts the latches of this robot; who clears one names it
     hurry: int  # 1: its link was bad a short while ago: what is said to it should be said often
-    faults: int  # the robot's own bits; vehicles.interface.WIRED_STOP is the same for all
+    faults: int  # vehicles.interface.RobotFault: what lasts, and what was felt since the gate was latched
     target_after_ns: int  # last stop: from the issue of the newest nonce echoed to a target of zero; -1: none yet
     output_after_ns: int  # and to an output of zero
     left_angle_rad: float

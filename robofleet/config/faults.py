@@ -271,3 +271,5 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
         yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
     if int(port) > 65535:
         yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
+    if int(port) == 0 and config.drivers.started_by == "systemd":
+        yield "bus.endpoint", "drivers that are there before the run cannot know a free port: name one, as 7447"

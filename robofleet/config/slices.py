@@ -2,6 +2,7 @@
 
 import secrets
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 
@@ -11,7 +12,7 @@ from robofleet.clock import S
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.tree import Config, Group
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import Imperfections
+from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation
 
 
 def drive(robot: Robot) -> DifferentialDrive:
@@ -69,6 +70,17 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
 def build(config: Config) -> int:
     """Return a number that is the same in every process of a run: of one version and one configuration."""
     return zlib.crc32(f"{version('robofleet')}\n{config.model_dump_json()}".encode())
+
+
+def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] | None) -> Simulation:
+    """Return what a simulated robot is made from; the same robot of the same seed is the same one."""
+    return Simulation(
+        vehicle_drive(robot.vehicle),
+        imperfections(robot.vehicle),
+        start_pose(robot),
+        trouble,
+        generator(config.run.seed, "plant", robot.id),
+    )
 
 
 def start_pose(robot: Robot) -> tuple[float, float, float]:

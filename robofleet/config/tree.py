@@ -100,6 +100,8 @@ class DriverSettings(Model):
 
     robots_per_process: Annotated[int, Field(ge=1)] = 1
     """At most, in the order of ``robots``."""
+    started_by: Literal["run", "systemd"] = "run"
+    """``systemd``: units of ``tools/deploy`` start them, and ``robofleet run`` starts everything else."""
 
 
 class LockstepSettings(Model):

@@ -14,12 +14,14 @@ from robofleet.comms.bus import Bus
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
-from robofleet.processes.node import Lifeline, Node, Waker, ahead_of_others, realtime_priority, run
+from robofleet.processes.node import Lifeline, LineWaker, Node, Waker, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
+from robofleet.vehicles.interface import DriverError
 
 _CONTROLLER_PRIORITY = 20
+_TWINS_PRIORITY = 18  # a robot's own processor waits for nobody
 _DRIVER_PRIORITY = 15
 _SUPERVISOR_PRIORITY = 12
 _TRACKER_PRIORITY = 10
@@ -69,7 +71,7 @@ def tracker(config: Config, lifeline: Lifeline) -> None:
 
 
 def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
-    """The drivers of some robots."""
+    """The drivers of some robots; RefusedError where one does not answer."""
     from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
     from robofleet.processes.keeping import FaultyKeeping, FileKeeping, Keeping  # noqa: PLC0415
 
@@ -78,9 +80,29 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
         if faults is not None:
             keeping = FaultyKeeping(keeping, faults)
         rng = entropy(config.run.seed, *robots)
-        return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
+        try:
+            return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
+        except DriverError as error:
+            raise RefusedError(str(error)) from error
 
     _run(f"driver-{robots[0]}", config, lifeline, make, _DRIVER_PRIORITY)
+
+
+def twins(config: Config, lifeline: Lifeline) -> None:
+    """The firmware twins; RefusedError where there is none, or no place for their ports."""
+    from robofleet.processes.twins import Twins  # noqa: PLC0415
+
+    if not config.twins:
+        raise RefusedError("no robot has a twin: name one in robots[].twin")
+    waker = LineWaker()
+
+    def make(config: Config, bus: Bus, clock: Clock, _: Waker, faults: Schedule | None) -> Twins:
+        try:
+            return Twins(config, bus, clock, waker, faults)
+        except OSError as error:
+            raise RefusedError(f"{error.filename or 'a pseudo-terminal'}: {error.strerror or error}") from error
+
+    _run("twins", config, lifeline, make, _TWINS_PRIORITY, waker=waker)
 
 
 def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:
@@ -117,8 +139,17 @@ def recorder(config: Config, lifeline: Lifeline, folder: Path) -> None:
         bus.close()
 
 
-def _run(name: str, config: Config, lifeline: Lifeline, make: Make, priority: int, *, precise: bool = False) -> None:
-    clock, waker = WallClock(), Waker()
+def _run(
+    name: str,
+    config: Config,
+    lifeline: Lifeline,
+    make: Make,
+    priority: int,
+    *,
+    precise: bool = False,
+    waker: Waker | None = None,
+) -> None:
+    clock, waker = WallClock(), waker or Waker()
     ahead_of_others()
     bus = ZenohBus(config.arena.name, config.bus.endpoint, name, clock)
     try:

@@ -11,10 +11,11 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes import driver_settings
+from robofleet.processes.attached import Attached
 from robofleet.processes.gated_robot import GatedRobot, Witness
 from robofleet.processes.keeping import Keeping
 from robofleet.simulation.faults import Schedule
-from robofleet.vehicles.interface import Driver, DriverContext, Simulation
+from robofleet.vehicles.interface import Driver, DriverError, SimulatedDriver
 
 _LOOP_NS = 10 * MS
 
@@ -49,21 +50,17 @@ class DriverProcess:
         faults = self._faults
         for robot_id in robot_ids:
             robot = config.robot(robot_id)
-            context = DriverContext(
-                robot_id,
-                slices.drive(robot),
-                Simulation(
-                    slices.vehicle_drive(robot.vehicle),
-                    slices.imperfections(robot.vehicle),
-                    slices.start_pose(robot),
-                    None if faults is None else faults.body_trouble(robot_id),
-                    slices.generator(config.run.seed, "plant", robot_id),
-                ),
-                self._clock.now_ns if faults is None else faults.now_ns,
-                driver_settings.of(config, robot),
-            )
-            make: Callable[[], Driver] = partial(load("robofleet.drivers", robot.driver), context)
-            driver = make() if faults is None else faults.driver(robot_id, make)
+            now_ns = self._clock.now_ns if faults is None else faults.now_ns
+            trouble = None if faults is None else faults.body_trouble(robot_id)
+            kind = load("robofleet.drivers", robot.driver)
+            context = driver_settings.context(config, robot, now_ns, trouble)
+            make: Callable[[], Driver] = partial(kind, context)
+            if not issubclass(kind, SimulatedDriver):
+                make = partial(Attached, make, now_ns)
+            try:
+                driver = make() if faults is None else faults.driver(robot_id, make)
+            except DriverError as error:
+                raise DriverError(f"{driver_settings.place(config, robot)}: {error}") from error
             boot_id, build = slices.drawn_id(rng, 64), slices.build(config)
             try:
                 gated = GatedRobot(context, driver, boot_id, build, bus, wake, self._keeping, self._witness)

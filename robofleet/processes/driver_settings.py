@@ -1,14 +1,17 @@
-"""What ``robots[].settings`` says, as the driver's own model."""
+"""What ``robots[].settings`` says, as the driver's own model, and what else a driver is made from."""
 
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
 
+from robofleet.config import slices
 from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.arena_file import twin_port
+from robofleet.vehicles.interface import BodyTrouble, DriverContext
 
 
 def of(config: Config, robot: Robot) -> Any:
@@ -25,12 +28,34 @@ def of(config: Config, robot: Robot) -> Any:
     return kind.model_validate(robot.settings | port)
 
 
+def context(
+    config: Config, robot: Robot, now_ns: Callable[[], int], trouble: Callable[[], BodyTrouble] | None = None
+) -> DriverContext:
+    """Return what a robot's driver is made from; raises as ``of`` does."""
+    simulation = slices.simulation(config, robot, trouble)
+    return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot))
+
+
+def port(config: Config, robot: Robot) -> str | None:
+    """Return the port that a robot is connected to, its twin's or its own; None where its driver needs none."""
+    named: str | None = getattr(of(config, robot), "port", None)
+    return named
+
+
+def place(config: Config, robot: Robot) -> str:
+    """Return the dotted path at which it is said that a robot cannot be opened."""
+    own_port = robot.twin is None and port(config, robot) is not None
+    return f"robots.{config.robots.index(robot)}.{'settings.port' if own_port else 'driver'}"
+
+
 def complaints(config: Config, index: int) -> list[Complaint]:
     """Return what is wrong with the settings of a robot whose driver can be loaded."""
     robot, path = config.robots[index], f"robots.{index}.settings"
     kind = getattr(load("robofleet.drivers", robot.driver), "Settings", None)
     if kind is None:
-        return [(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else []
+        without_port = f"{robot.driver!r} opens no serial port: name another driver, or remove the twin"
+        twin = [(f"robots.{index}.twin", without_port)] if robot.twin is not None else []
+        return twin + ([(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else [])
     if robot.twin is not None and "port" in robot.settings:
         return [(f"{path}.port", f"the twin of {robot.id} makes one: remove it, or the twin")]
     try:

@@ -1,7 +1,6 @@
 """One robot behind its gate: what arrives, what is written to the wheels, what is measured, what is kept."""
 
 import math
-import sys
 from collections.abc import Callable
 
 from robofleet.clock import MS, S
@@ -24,18 +23,11 @@ from robofleet.comms.messages import (
 from robofleet.comms.messages import (
     TRUTH as TRUTH_LAYOUT,
 )
+from robofleet.processes.health import Health
 from robofleet.processes.keeping import Keeping, Kept, kept
 from robofleet.safety import gate
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
-from robofleet.vehicles.interface import (
-    STOP,
-    WIRED_STOP,
-    Driver,
-    DriverContext,
-    DriverReading,
-    SimulatedDriver,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
 
 _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
 # In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
@@ -44,7 +36,6 @@ _NO_LINK_NS = S // 2  # it is not a bad one
 _HURRY_NS = 60 * S
 _LATCHES = tuple(Latch)
 _ACTIONS = tuple(LeaseAction)
-_UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
 _U32 = 1 << 32
 
 Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
@@ -76,9 +67,7 @@ class GatedRobot:
         self._publish_truth: Publish | None = None
         if isinstance(driver, SimulatedDriver):
             self._publish_truth, self._truth = bus.publisher(TRUTH, context.robot), driver.truth
-        self._reading = _UNREAD
-        self._failed = False  # the robot could not be written to or read from, in this loop or since
-        self._complaint = ""
+        self._health = Health(context.robot)
         self._written: WheelSpeeds | None = None
         self._told, self._told_ns, self._telling = (0.0, 0.0), 0, STOP
         self._status = GateStatus.NO_LEASE
@@ -99,18 +88,14 @@ class GatedRobot:
 
     def look(self) -> None:
         """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
-        failed, self._failed = self._failed, False
-        try:
-            self._reading = _sound(self._driver.read())
-        except Exception as error:  # noqa: BLE001 - whatever a driver does, it is its own robot that stops
-            self._fail(error)
+        failed = self._health.look(self._driver, self._gate.latch)
         if failed or (self._status is not GateStatus.OPEN and self._gate.output == STOP):
             self._write(self._gate.output)
 
     def pass_on(self, now_ns: int) -> None:
         """Let the gate decide on what arrived, and write the wheels."""
         command, enable = self._commands.take(), self._enables.take()
-        quiet = command is None and enable is None and self._trouble <= self._gate.latch
+        quiet = command is None and enable is None and self._health.latch <= self._gate.latch
         due = self.deadline_ns is not None and now_ns >= self.deadline_ns
         if quiet and not due and now_ns >= self._gate.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
@@ -145,7 +130,7 @@ class GatedRobot:
         if self._publish_truth is not None:
             self._publish_truth(TRUTH_LAYOUT.encode(Truth(self._gate.epoch, self._seq, now_ns, *self._truth())))
         if status:
-            self._publish_status(ROBOT_STATUS.encode(self._message(self._reading, now_ns)))
+            self._publish_status(ROBOT_STATUS.encode(self._message(now_ns)))
 
     def close(self) -> None:
         """Motors off at once, driver closed. Idempotent."""
@@ -153,15 +138,10 @@ class GatedRobot:
             self._closed = True
             try:
                 self._driver.write(STOP)
+            except DriverError as error:
+                self._health.complain(f"its wheels were not told to stop in the end: {error}")
             finally:
                 self._driver.close()
-
-    @property
-    def _trouble(self) -> Latch:
-        """The robot's own reason to stop."""
-        if self._failed:
-            return Latch.DRIVER_FAILED
-        return Latch.WIRED_STOP if self._reading.faults & WIRED_STOP else Latch.NONE
 
     def _inputs(
         self,
@@ -169,8 +149,9 @@ class GatedRobot:
         permission: gate.Permission | None = None,
         lease: tuple[int, LeaseAction] | None = None,
     ) -> Inputs:
-        turning = max(abs(self._reading.left_speed), abs(self._reading.right_speed)) > _TURNING_RAD_S
-        return Inputs(command, permission, lease, self._trouble, turning)
+        reading = self._health.reading
+        turning = max(abs(reading.left_speed), abs(reading.right_speed)) > _TURNING_RAD_S
+        return Inputs(command, permission, lease, self._health.latch, turning)
 
     def _adopt(self, inputs: Inputs, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
         """Do what the gate decided; ``again`` tells the robot also what it was told before."""
@@ -180,7 +161,7 @@ class GatedRobot:
         if again or output.output != self._written:
             self._told, self._told_ns, self._telling = self._told_until(now_ns), now_ns, output.output
             self._write(output.output)
-        if self._trouble > state.latch:  # just now
+        if self._health.latch > state.latch:  # just now
             inputs = self._inputs()
             self._adopt(inputs, *gate.step(state, self._drive, inputs, now_ns), now_ns)
 
@@ -193,18 +174,9 @@ class GatedRobot:
         try:
             self._driver.write(wheels)
             self._written = wheels
-        except Exception as error:  # noqa: BLE001 - as above
-            self._fail(error)
+        except Exception as error:  # noqa: BLE001 - whatever a driver does, it is its own robot that stops
+            self._health.fail(error)
             self._written = None
-
-    def _fail(self, error: Exception) -> None:
-        self._failed = True
-        self._complain(f"its driver failed: {error!r}")
-
-    def _complain(self, complaint: str) -> None:
-        if complaint != self._complaint:
-            self._complaint = complaint
-            print(f"{self._robot}: {complaint}", file=sys.stderr)
 
     def _answer(self, request: Request, now_ns: int) -> None:
         asked = LEASE_REQUEST.decode(request.payload)
@@ -226,29 +198,22 @@ class GatedRobot:
             self._keeping.save(self._robot, memory)
         except OSError as error:
             self._unsaved = memory
-            self._complain(f"its lease and its latch cannot be kept: {error}")
+            self._health.complain(f"its lease and its latch cannot be kept: {error}")
             return False
         self._kept, self._unsaved = memory, None
         return True
 
-    def _message(self, reading: DriverReading, now_ns: int) -> RobotStatus:
-        state = self._gate
+    def _message(self, now_ns: int) -> RobotStatus:
+        state, reading = self._gate, self._health.reading
         rejected = state.refused + self._commands.rejected + self._enables.rejected + self._unreadable
         battery = reading.battery if math.isfinite(reading.battery) else -1.0
         return RobotStatus(
             state.epoch, self._seq, self._build, state.session, state.boot_id, now_ns, now_ns,
             *self._applied, rejected % _U32, self._status, state.latch, state.latch_id,
-            int(self.hurries), reading.faults, state.target_after_ns, state.output_after_ns,
+            int(self.hurries), self._health.faults(state.latch), state.target_after_ns, state.output_after_ns,
             reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output,
             *self._told_until(now_ns), battery,
         )  # fmt: skip
-
-
-def _sound(reading: DriverReading) -> DriverReading:
-    """Return the reading; ValueError if it says nothing."""
-    if not (math.isfinite(sum(reading[:4])) and 0 <= reading.faults < _U32):
-        raise ValueError(f"impossible: {reading}")
-    return reading
 
 
 def _command(message: WheelCommand) -> gate.Command:

@@ -13,6 +13,7 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import controller, tracker
+from robofleet.processes.arena_file import twin_port
 from robofleet.processes.child_faults import ChildFaults
 from robofleet.processes.children import Child, Children, RunError
 from robofleet.processes.estop import emergency_stop
@@ -30,7 +31,6 @@ _POLL_NS = 50 * MS
 _ATTENDED_NS = 200 * MS
 _STREAM = 65536  # messages; half a minute of a fleet of four
 _SHOWN = 512  # messages of a key, for the live view
-_KEEPERS = 2  # the first processes: the router, and the recorder, which keeps how the others end
 _AT_REST_RAD_S = 0.01
 _PHASES = {Phase.ARMED: "arming", Phase.RUNNING: "running", Phase.HOLD: "held"}
 _EMERGENCY = "emergency stop"
@@ -74,6 +74,8 @@ class Launcher:
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
         self._picture_key = key(self._arena, PICTURE, CAMERA)
         self._status_keys = [key(self._arena, STATUS, robot) for robot in self._robots]
+        # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
+        self._first = ("router", "recorder", *(("twins",) if config.twins else ()))
         self._phase = "starting"
         self._ending = False
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
@@ -95,8 +97,10 @@ class Launcher:
                 self.recording.outcome, self.recording.cause = outcome
                 return outcome
             finally:
-                fleet.reap(self._clock, but=_KEEPERS)
+                fleet.reap(self._clock, but=len(self._first))
                 fleet.reap(self._clock, last_word=self.recording.ending())
+                for robot in self._config.twins:  # one that was killed has left its port
+                    twin_port(self._arena, robot.id).unlink(missing_ok=True)
 
     def _outcome_of(self, fleet: Children, held: ExitStack) -> Outcome:
         try:
@@ -109,7 +113,7 @@ class Launcher:
 
     def _start(self, fleet: Children) -> None:
         self._watch(self.recording, "compiling")
-        for name in ("router", "recorder"):  # they have no kernels
+        for name in self._first:  # they have no kernels
             fleet.start(name, name)
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
@@ -120,7 +124,8 @@ class Launcher:
         for name in ("supervisor", "tracker"):
             fleet.start(name, name)
         fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
-        for name, robots in self._config.driven.items():
+        ours = self._config.driven if self._config.drivers.started_by == "run" else {}
+        for name, robots in ours.items():
             fleet.start(name, "driver", "--robots", ",".join(robots))
         fleet.wait_ready(self._clock, self._heed)
 

@@ -2,10 +2,12 @@
 
 import gc
 import os
+import select
 import signal
 import socket
 import sys
 import threading
+from contextlib import closing, suppress
 from typing import Protocol
 
 from robofleet.clock import MS, Clock, S
@@ -40,6 +42,18 @@ class Waker:
         if remaining_s > 0:
             self._event.wait(remaining_s)
         self._event.clear()
+
+
+class LineWaker(Waker):
+    """Ends a process's wait when bytes come on one of its ``descriptors``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.descriptors: list[int] = []
+
+    def wait_until(self, clock: Clock, instant_ns: int) -> None:
+        """Return at the instant, or when something can be read."""
+        select.select(self.descriptors, [], [], max(0.0, (instant_ns - clock.now_ns()) / S))
 
 
 class Lifeline:
@@ -84,21 +98,44 @@ class Lifeline:
         os._exit(1)
 
 
+class _Systemd:
+    """Says to systemd that a service is ready and alive (Type=notify, WatchdogSec=); without systemd to nobody."""
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if address else None
+
+    def tell(self, state: bytes) -> None:
+        if self._socket is not None:
+            with suppress(OSError):  # systemd is too busy, or gone: the wheels go first
+                self._socket.sendto(state, socket.MSG_DONTWAIT, self._address)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+
+
 def run(node: Node, clock: Clock, lifeline: Lifeline, waker: Waker, *, precise: bool = False) -> None:
     """Step a process in real time until its lifeline is cut; it is closed whatever happens.
 
     ``precise`` meets every instant within microseconds and is not woken by messages: the controller's tick.
+    A loop that hangs gives systemd no more signs of life.
     """
-    try:
-        lifeline.ready()
-        while not lifeline.cut:
-            next_ns = min(node.step(clock.now_ns()), clock.now_ns() + 100 * MS)
-            if precise:
-                clock.sleep_until(next_ns, precise=True)
-            else:
-                waker.wait_until(clock, next_ns)
-    finally:
-        node.close()
+    with closing(_Systemd()) as systemd:
+        try:
+            lifeline.ready()
+            systemd.tell(b"READY=1")
+            while not lifeline.cut:
+                systemd.tell(b"WATCHDOG=1")
+                next_ns = min(node.step(clock.now_ns()), clock.now_ns() + 100 * MS)
+                if precise:
+                    clock.sleep_until(next_ns, precise=True)
+                else:
+                    waker.wait_until(clock, next_ns)
+        finally:
+            systemd.tell(b"STOPPING=1")
+            node.close()
 
 
 def ahead_of_others() -> None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from robofleet.safety import wiggle
 from robofleet.safety.gate import Latch
+from robofleet.safety.monitor import faults_told
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.safety.wiggle import Wiggle
@@ -116,8 +117,8 @@ def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
         fault: tuple[Event, float] | None = (Event.OTHER_BUILD, 0.0)
     elif robot.faults & WIRED_STOP:
         fault = Event.WIRED_STOP, 0.0
-    elif robot.faults:
-        fault = Event.ROBOT_FAULT, robot.faults
+    elif told := faults_told(robot.faults):
+        fault = told[0]
     elif robot.latch > Latch.DRILL:
         fault = Event.GATE_LATCHED, robot.latch
     elif 0.0 <= robot.battery < _CHARGE:

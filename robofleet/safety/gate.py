@@ -44,6 +44,7 @@ class Latch(IntEnum):
     WIRED_STOP = 3  # the robot's own e-stop input
     DRIVER_FAILED = 4  # the robot could not be written to or read from
     MEMORY_LOST = 5  # nobody knows what held it before its driver was started again
+    ROBOT_FAULT = 6  # the robot says what is wrong with it
 
 
 class LeaseAction(IntEnum):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
-from robofleet.vehicles.interface import WIRED_STOP
+from robofleet.vehicles.interface import RobotFault
 
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -30,6 +30,16 @@ LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must ke
 OPERATOR_NS = _S  # 5 signs of life: the terminal is gone, or its machine sleeps
 ARMED_NS, ARMED_ROBOT_NS = 30 * _S, 3 * _S  # twice what the slowest checks take, and each robot's trial
 HELD_NS = 60 * _S  # whoever held the run has forgotten it: it must not be resumed by chance later
+
+_FAULTS = {
+    RobotFault.UNREACHABLE: Event.UNREACHABLE,  # first: all else was true when it was lost
+    RobotFault.BUMPED: Event.BUMPED,
+    RobotFault.CLIFF: Event.CLIFF,
+    RobotFault.WHEEL_DROPPED: Event.WHEEL_DROPPED,
+    RobotFault.OVERCURRENT: Event.OVERCURRENT,
+    RobotFault.CHARGING: Event.CHARGING,
+}
+_NAMED = sum(_FAULTS) + int(RobotFault.WIRED_STOP)
 
 
 class MonitorSettings(NamedTuple):
@@ -149,14 +159,22 @@ def _driver(
 def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
     """Look at what a robot says of itself."""
     # A short press is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
-    if robot.faults & WIRED_STOP or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE):
+    pressed = robot.faults & RobotFault.WIRED_STOP or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
+    if pressed:
         yield Happening(Event.WIRED_STOP, row)
-    elif robot.latch and not (robot.latch == Latch.DRILL and phase is Phase.ARMED):
+    causes = faults_told(robot.faults)
+    yield from (Happening(event, row, detail) for event, detail in causes)
+    if robot.latch and not (pressed or causes or (robot.latch == Latch.DRILL and phase is Phase.ARMED)):
         yield Happening(Event.GATE_LATCHED, row, robot.latch)
-    if faults := robot.faults & ~WIRED_STOP:
-        yield Happening(Event.ROBOT_FAULT, row, faults)
     if 0.0 <= robot.battery < LOWEST_BATTERY:
         yield Happening(Event.BATTERY_LOW, row, robot.battery)
+
+
+def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
+    """Return a robot's fault bits as events with their details; not its e-stop, which is no fault."""
+    told = tuple((event, 0.0) for fault, event in _FAULTS.items() if faults & fault)
+    own = faults & ~_NAMED
+    return (*told, (Event.ROBOT_FAULT, own)) if own else told
 
 
 def _jump(row: int, before: RobotView, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:

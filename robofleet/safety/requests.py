@@ -4,7 +4,7 @@ from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import SILENT_NS
 from robofleet.safety.supervisor import TRANSITIONS, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, RobotView
-from robofleet.vehicles.interface import WIRED_STOP
+from robofleet.vehicles.interface import RobotFault
 
 # Where a wish changes no phase: it was met already, and whoever heard no answer asks again; or it is a start that
 # checks are under way for, or waiting for.
@@ -59,9 +59,11 @@ def refusal(
 
 def _unsettled(robot: str, seen: RobotView, phase: Phase) -> str | None:
     """Return why a robot keeps a reset from being granted."""
+    if seen.faults & RobotFault.UNREACHABLE:
+        return f"{robot}: its driver has lost it: plug it in, switch it on, then reset"
     if not seen.at_rest:
         return f"{robot} is not at rest: wait until it stands"
-    if seen.faults & WIRED_STOP:
+    if seen.faults & RobotFault.WIRED_STOP:
         return f"{robot}: its own e-stop is pressed: release it, then reset"
     if phase is Phase.ESTOP and not acknowledged(seen):
         return f"{robot} has not acknowledged the emergency stop: look at its driver"

@@ -55,7 +55,7 @@ class Event(IntEnum):
     # a robot
     WIRED_STOP = 30
     GATE_LATCHED = 31  # safety.gate.Latch
-    ROBOT_FAULT = 32  # the robot's own bits
+    ROBOT_FAULT = 32  # bits that only its own driver knows
     BATTERY_LOW = 33  # charge
     TAG_LATE = 34  # not seen for 100 ms: this robot stands still
     TAG_LOST = 35  # not seen for 2 s
@@ -65,6 +65,12 @@ class Event(IntEnum):
     TOO_CLOSE = 39  # to another robot: its index
     FILTER_INFEASIBLE = 40
     DEADLOCKED = 41
+    BUMPED = 42  # this and the next: vehicles.interface.RobotFault, by the same names
+    CLIFF = 43
+    WHEEL_DROPPED = 44
+    OVERCURRENT = 45
+    CHARGING = 46
+    UNREACHABLE = 47
     # the checks before a start
     NOT_AT_REST = 50
     ESTOP_UNANSWERED = 51
@@ -111,6 +117,12 @@ CAUSES = {
     Event.WIRED_STOP: "the robot's own e-stop",
     Event.GATE_LATCHED: "its gate is latched: look at the robot, then reset",
     Event.ROBOT_FAULT: "the robot reports a fault ({detail:.0f})",
+    Event.BUMPED: "a bumper is hit",
+    Event.CLIFF: "there is no floor before it",
+    Event.WHEEL_DROPPED: "a wheel is off the floor",
+    Event.OVERCURRENT: "a motor draws too much: a wheel is blocked",
+    Event.CHARGING: "it is at its charger",
+    Event.UNREACHABLE: "its driver has lost it (unplugged?)",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
     Event.TAG_LATE: "its tag is not seen",
     Event.TAG_LOST: "the tracker lost the robot",
@@ -169,6 +181,12 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.WIRED_STOP:           (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.GATE_LATCHED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.ROBOT_FAULT:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.BUMPED:               (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CLIFF:                (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.WHEEL_DROPPED:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.OVERCURRENT:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CHARGING:             (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.UNREACHABLE:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.BATTERY_LOW:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.TAG_LATE:             (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.TAG_LOST:             (_SAME, _F,    _F,    _SAME, _SAME, _SAME),

@@ -16,7 +16,7 @@ class RobotView(NamedTuple):
     boot_id: int = 0
     latch: int = 0  # safety.gate.Latch
     latch_id: int = 0
-    faults: int = 0  # the robot's own bits
+    faults: int = 0  # vehicles.interface.RobotFault
     battery: float = -1.0  # charge [0..1]; -1 where unknown
     left_angle: float = 0.0
     right_angle: float = 0.0

@@ -15,7 +15,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
-from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns
+from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns, unmeasured
 
 _NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"
 _TIMEOUT_MS = 500  # of one wait for an image: then it is asked whether the camera is still there
@@ -55,10 +55,11 @@ class BaslerCamera:
             self._trigger = SoftwareTrigger(context.config, context.ticks, context.clock)
 
     @staticmethod
-    def refusals(_config: Config) -> Iterator[Complaint]:
-        """Return what cannot work on this machine."""
+    def refusals(config: Config) -> Iterator[Complaint]:
+        """Return what cannot work with this configuration on this machine."""
         if not _installed():
             yield "camera.source", _NO_PYPYLON
+        yield from unmeasured(config)
 
     def read(self) -> Frame:
         """Return the next image; one that did not arrive whole is passed over."""

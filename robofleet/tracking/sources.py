@@ -6,7 +6,7 @@ by a thread where reading waits (``CameraReader``), between two steps where it d
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -19,6 +19,7 @@ from robofleet.comms.bus import Bus, Wake
 from robofleet.comms.messages import TagPose
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
+from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
 from robofleet.tracking.events import Happening, TrackerEvent
 
@@ -85,6 +86,16 @@ def start_to_middle_ns(camera: CameraSettings) -> int:
     """Return the time from the start of the first row's exposure to the middle row's mid-exposure [ns]."""
     rolling_s = camera.model.line_time_s * (camera.height - 1)
     return round((camera.exposure_s + rolling_s) / 2 * S)
+
+
+def unmeasured(config: Config) -> Iterator[Complaint]:
+    """Refuse a real camera with a lens that nobody measured: the shipped one's numbers are of no camera at all."""
+    model = config.camera.model
+    if model.intrinsics is None and not model.camera:
+        yield "camera.model", (
+            "nobody has measured this lens: `python tools/calibrate.py intrinsics` does; "
+            "where it was measured by other means, name the device there as its `camera`"
+        )
 
 
 class ReopenedCamera:

@@ -15,7 +15,7 @@ from robofleet.clock import MS, S, from_monotonic
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
-from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns
+from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns, unmeasured
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
 _EXPOSURE_UNIT_S = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE
@@ -58,6 +58,7 @@ class V4L2Camera:
             yield "camera.v4l2.device", f"{device} may not be opened: add this user to the device's group (video)"
         if config.camera.trigger == "tick":
             yield "camera.trigger", "a V4L2 camera keeps its own time: set it to free"
+        yield from unmeasured(config)
 
     def read(self) -> Frame:
         """Return the next image; one that did not arrive whole is passed over."""

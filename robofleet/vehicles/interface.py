@@ -121,7 +121,8 @@ class Driver(Protocol):
 
     The class is called with one :class:`DriverContext`, and returns when the robot has answered and stands; it may
     take some seconds for that, and raises :class:`DriverError` where it cannot. Whatever is raised afterwards stops
-    and latches this robot alone: the driver is closed, and made again ever more patiently.
+    and latches this robot alone: the driver is closed, and made again ever more patiently. A new one's angles begin
+    at zero again; the process adds what was turned before, so that what it publishes goes on without a jump.
 
     Its class may have ``Settings``, a pydantic model of what ``robots[].settings`` may say, and a static method
     ``refusals(settings, drive)`` that returns what cannot work as (dotted path below the robot, what is wrong and how

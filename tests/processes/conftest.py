@@ -2,6 +2,7 @@
 
 import fcntl
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,7 +22,7 @@ from robofleet.processes.node import Node
 from robofleet.recording.metrics import summary
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
-from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.processes.realrun import RealRun
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
@@ -114,15 +115,19 @@ def bench_of() -> Callable[[Config], Bench]:
 class RecordingDriver:
     """A robot that keeps what it was told. It exists, so it knows no truth."""
 
-    made: ClassVar[dict[str, "RecordingDriver"]] = {}
+    made: ClassVar[dict[str, "RecordingDriver"]] = {}  # the newest of each robot
     stuck: ClassVar[set[str]] = set()  # robots whose driver can no longer be written to
     mute: ClassVar[set[str]] = set()  # ... or read from
+    absent: ClassVar[set[str]] = set()  # ... or made
 
     def __init__(self, context: DriverContext) -> None:
+        if context.robot in self.absent:
+            raise DriverError(f"{context.robot} is not there")
         self.made[context.robot] = self
         self._robot, self._now_ns = context.robot, context.now_ns
         self.writes: list[tuple[int, WheelSpeeds]] = []
         self.faults = 0
+        self.angles = 0.0, 0.0
         self.closed = 0
 
     @property
@@ -137,7 +142,7 @@ class RecordingDriver:
     def read(self) -> DriverReading:
         if self._robot in self.mute:
             raise OSError(f"{self._robot} does not answer")
-        return DriverReading(0.0, 0.0, *self.target, float("nan"), self.faults)
+        return DriverReading(*self.angles, *self.target, float("nan"), self.faults)
 
     def close(self) -> None:
         self.closed += 1
@@ -145,11 +150,12 @@ class RecordingDriver:
 
 @pytest.fixture
 def recording_driver() -> Iterator[type[RecordingDriver]]:
-    """Return the class; ``made`` finds the driver of a robot, ``stuck`` and ``mute`` let one fail."""
-    for names in (RecordingDriver.made, RecordingDriver.stuck, RecordingDriver.mute):
+    """Return the class; ``made`` finds the driver of a robot, ``stuck``, ``mute`` and ``absent`` let one fail."""
+    broken = RecordingDriver.stuck, RecordingDriver.mute, RecordingDriver.absent
+    for names in (RecordingDriver.made, *broken):
         names.clear()
     yield RecordingDriver
-    for names in (RecordingDriver.stuck, RecordingDriver.mute):
+    for names in broken:
         names.clear()
 
 
@@ -236,10 +242,13 @@ def stand(
     recorded: Callable[..., list[str]],
     recording_driver: type[RecordingDriver],
     driver_of: Callable[..., DriverProcess],
-) -> Stand:
+) -> Iterator[Stand]:
     """Return two robots of one driver process, r1 and r2."""
     bench = Bench(platoon_of(*recorded(0, 1)))
-    return Stand(bench, driver_of(bench, "r1", "r2"), recording_driver.made)
+    node = driver_of(bench, "r1", "r2")
+    yield Stand(bench, node, recording_driver.made)
+    with suppress(ExceptionGroup):  # of robots that a test broke; nobody seeks them any more
+        node.close()
 
 
 @pytest.fixture

@@ -5,12 +5,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
+from robofleet.comms.keys import STATUS
 from robofleet.safety.gate import GateStatus, Latch
-from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, WheelSpeeds
+from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, RobotFault, WheelSpeeds
+from tests.processes.realrun import wait
 
 Make = Callable[..., Any]
 FORWARD = WheelSpeeds(3.0, 4.0)
@@ -35,7 +36,7 @@ def test_a_slow_robot_gives_its_neighbour_no_time(stand: Any, monkeypatch: pytes
 def test_a_robot_that_cannot_be_opened_leaves_none_open(
     bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
 ) -> None:
-    bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:open'"))
+    bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:int'"))
     with pytest.raises(TypeError):
         driver_of(bench, "r1", "r2")
     assert recording_driver.made["r1"].closed == 1
@@ -65,44 +66,6 @@ def test_a_robot_that_fails_is_latched_alone(stand: Any, recording_driver: Any, 
     assert stand.made["r2"].target == FORWARD
 
 
-def test_a_robot_that_failed_is_told_to_stop_until_it_hears(
-    stand: Any, recording_driver: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stand.run(S // 5)
-    robot, tried = stand.made["r1"], list[int]()
-
-    def unplugged(_: Any) -> None:
-        tried.append(stand.bench.now_ns)
-        raise OSError("unplugged")
-
-    with monkeypatch.context() as context:
-        context.setattr(robot, "write", unplugged)
-        stand.run(S // 5)
-    assert max(np.diff(tried)) <= 10 * MS
-    assert robot.target == FORWARD
-    stand.run(15 * MS)
-    assert robot.target == STOP
-    stand.run(S // 5)
-    assert robot.target == STOP
-    assert stand.newest("r1").latch == Latch.DRIVER_FAILED
-
-
-def test_a_robot_that_failed_drives_again_only_after_a_reset(stand: Any, recording_driver: Any) -> None:
-    stand.run(S // 5)
-    recording_driver.mute.add("r1")
-    stand.run(S // 2)
-    stand.enable("r1", clear=stand.newest("r1").latch_id)
-    stand.run(S // 5)
-    assert stand.newest("r1").latch == Latch.DRIVER_FAILED  # it still fails
-    recording_driver.mute.clear()
-    stand.run(S // 5)
-    assert stand.newest("r1").gate == GateStatus.LATCHED
-    stand.enable("r1", clear=stand.newest("r1").latch_id)
-    stand.run(S // 5)
-    assert stand.newest("r1").gate == GateStatus.OPEN
-    assert stand.made["r1"].target == FORWARD
-
-
 @pytest.mark.parametrize(
     "reading",
     [
@@ -117,10 +80,11 @@ def test_a_reading_that_says_nothing_is_a_failure(
     stand: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reading: Any
 ) -> None:
     stand.run(S // 5)
-    monkeypatch.setattr(stand.made["r1"], "read", lambda: reading)
+    robot = stand.made["r1"]
+    monkeypatch.setattr(robot, "read", lambda: reading)
     stand.run(S // 5)
     assert stand.newest("r1").latch == Latch.DRIVER_FAILED  # and its status can be read
-    assert stand.made["r1"].target == STOP
+    assert wait(lambda: robot.closed, 1.0)
     assert capsys.readouterr().err.count("r1: its driver failed") == 1
 
 
@@ -140,6 +104,29 @@ def test_a_wired_stop_acts_within_a_loop_and_holds(stand: Any) -> None:
     assert stand.newest("r1").gate == GateStatus.LATCHED
     stand.enable("r1", clear=status.latch_id)
     stand.run(S // 5)
+    assert stand.newest("r1").gate == GateStatus.OPEN
+
+
+@pytest.mark.parametrize("fault", [*set(RobotFault) - {RobotFault.WIRED_STOP}, RobotFault.OWN << 3])
+def test_a_fault_stops_its_robot_within_a_loop_and_is_said_until_a_reset(stand: Any, fault: RobotFault) -> None:
+    for name in ("r1", "r2"):
+        stand.run(S // 5, robot=name)
+    stand.made["r1"].faults, felt_ns = fault, stand.bench.now_ns
+    stand.bench.run(
+        stand.node, 10 * MS, (33 * MS, partial(stand.command, "r1")), (40 * MS, partial(stand.enable, "r1"))
+    )
+    stand.made["r1"].faults = 0  # shorter than a status takes
+    drive_both(stand, S // 5)
+    falls = [at for at, wheels in stand.made["r1"].writes if at > felt_ns and wheels != FORWARD]
+    assert falls[0] - felt_ns <= 10 * MS
+    assert stand.made["r1"].target == STOP
+    status = stand.newest("r1")
+    assert (status.gate, status.latch, status.faults) == (GateStatus.LATCHED, Latch.ROBOT_FAULT, fault)
+    assert (stand.newest("r2").gate, stand.newest("r2").faults) == (GateStatus.OPEN, 0)
+    stand.enable("r1", clear=status.latch_id)
+    stand.run(S // 5)
+    told = [(its.latch, its.faults) for its in stand.bench.heard(STATUS, "r1") if its.nonce > felt_ns]
+    assert set(told[1:]) == {(Latch.ROBOT_FAULT, fault), (Latch.NONE, 0)}  # never the one without the other
     assert stand.newest("r1").gate == GateStatus.OPEN
 
 

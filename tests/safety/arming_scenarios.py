@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event
 from robofleet.safety.view import NEVER, FleetView
+from robofleet.vehicles.interface import RobotFault
 from tests.safety.arming_lab import BODY_M, MS, SESSION, Alter, Lab, one
 
 _AT_ONCE, _AFTER_5_S, _ANY = (0.0, 0.1), (5.0, 5.0), (0.0, 100.0)
@@ -100,7 +101,8 @@ _WRONG = {
     "tracker of another build": (seen(lambda v: v._replace(tracker_build=1)), Event.OTHER_BUILD),
     "driver of another build": (seen(one(1, build=1)), Event.OTHER_BUILD, 1),
     "wired stop pressed": (seen(one(1, faults=3)), Event.WIRED_STOP, 1),
-    "robot's own fault": (seen(one(1, faults=4)), Event.ROBOT_FAULT, 1, 4.0),
+    "robot's own fault": (seen(one(1, faults=RobotFault.OWN)), Event.ROBOT_FAULT, 1, 65536.0),
+    "robot's bumper and more": (seen(one(1, faults=RobotFault.BUMPED | RobotFault.OWN)), Event.BUMPED, 1),
     "latched by an e-stop": (seen(one(1, latch=Latch.EMERGENCY_STOP)), Event.GATE_LATCHED, 1, 2.0),
     "battery low": (seen(one(1, battery=0.19)), Event.BATTERY_LOW, 1, 0.19),
     "battery empty": (seen(one(1, battery=0.0)), Event.BATTERY_LOW, 1, 0.0),

@@ -145,7 +145,7 @@ def test_a_proved_fleet_does_not_wait_with_what_is_wrong_for_good() -> None:
     lab.start = False
     assert lab.run(20.0, done=lambda state: state.stage is Stage.DONE) is None
     lab.alter = one(1, faults=4)
-    assert lab.run(1.0) == Happening(Event.ROBOT_FAULT, 1, 4)
+    assert lab.run(1.0) == Happening(Event.CLIFF, 1)
 
 
 @pytest.mark.parametrize(

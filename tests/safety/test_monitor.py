@@ -10,7 +10,7 @@ from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
-from robofleet.vehicles.interface import WIRED_STOP
+from robofleet.vehicles.interface import WIRED_STOP, RobotFault
 
 MS = 1_000_000
 S = 1000 * MS
@@ -72,6 +72,8 @@ AGO = {
     name: NOW - ns for name, ns in {"500": 500 * MS, "501": 500 * MS + 1, "250": 250 * MS, "251": 250 * MS + 1}.items()
 }
 
+NAMED = [fault for fault in RobotFault if fault not in (RobotFault.WIRED_STOP, RobotFault.OWN)]
+
 # Just not, just so, and what is told then.
 STANDING: list[tuple[Change, Change, Happening]] = [
     (robot(1, heard_ns=AGO["500"]), robot(1, heard_ns=AGO["501"]), Happening(Event.DRIVER_SILENT, 1)),
@@ -79,7 +81,8 @@ STANDING: list[tuple[Change, Change, Happening]] = [
     (robot(2, latch=0), robot(2, latch=Latch.DRIVER_FAILED), Happening(Event.GATE_LATCHED, 2, 4)),
     (robot(2, faults=0), robot(2, faults=WIRED_STOP), Happening(Event.WIRED_STOP, 2)),
     (robot(2, latch=0), robot(2, latch=Latch.WIRED_STOP), Happening(Event.WIRED_STOP, 2)),
-    (robot(2, faults=0), robot(2, faults=6), Happening(Event.ROBOT_FAULT, 2, 6)),
+    (robot(2, faults=0), robot(2, faults=5 << 16), Happening(Event.ROBOT_FAULT, 2, 5 << 16)),
+    *((robot(2, faults=0), robot(2, faults=fault), Happening(Event[fault.name], 2)) for fault in NAMED),
     (robot(0, battery=0.10), robot(0, battery=0.0999), Happening(Event.BATTERY_LOW, 0, 0.0999)),
     (robot(0, battery=-1.0), robot(0, battery=0.0), Happening(Event.BATTERY_LOW, 0, 0.0)),
     (robot(0, unseen_ns=100 * MS - 1), robot(0, unseen_ns=100 * MS), Happening(Event.TAG_LATE, 0)),
@@ -274,7 +277,20 @@ def test_a_latch_of_another_version_is_a_latch() -> None:
 
 
 def test_a_robot_can_report_its_e_stop_and_a_fault_at_once() -> None:
-    assert told(robot(0, faults=WIRED_STOP | 2)) == [Happening(Event.WIRED_STOP, 0), Happening(Event.ROBOT_FAULT, 0, 2)]
+    pressed, bumped = Happening(Event.WIRED_STOP, 0), Happening(Event.BUMPED, 0)
+    assert told(robot(0, faults=WIRED_STOP | RobotFault.BUMPED)) == [pressed, bumped]
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+def test_a_latch_that_a_fault_explains_is_no_news_of_its_own(phase: Phase) -> None:
+    for latch in (Latch.ROBOT_FAULT, Latch.DRIVER_FAILED):
+        assert told(robot(0, latch=latch, faults=RobotFault.CLIFF), phase) == [Happening(Event.CLIFF, 0)]
+        assert told(robot(0, latch=latch), phase) == [Happening(Event.GATE_LATCHED, 0, latch)]
+
+
+def test_a_robot_that_is_lost_is_lost_before_all_that_was_true_then() -> None:
+    told_of = told(robot(0, faults=RobotFault.UNREACHABLE | RobotFault.BUMPED | RobotFault.OWN))
+    assert [happening.event for happening in told_of] == [Event.UNREACHABLE, Event.BUMPED, Event.ROBOT_FAULT]
 
 
 def test_a_filter_without_an_answer_is_told_after_half_a_second_of_driving() -> None:

@@ -8,7 +8,7 @@ from robofleet.safety.gate import Latch
 from robofleet.safety.requests import WAY_OUT, acknowledged, gone, latched, refusal
 from robofleet.safety.supervisor import NOBODY, TRANSITIONS, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import NEVER, FleetView, RobotView
-from robofleet.vehicles.interface import WIRED_STOP
+from robofleet.vehicles.interface import WIRED_STOP, RobotFault
 
 MS = 1_000_000
 NOW = 1_000_000 * MS
@@ -55,6 +55,10 @@ def test_every_phase_has_a_way_out_in_words() -> None:
         ({"right_output": -0.1}, "b is not at rest: wait until it stands"),
         ({"faults": WIRED_STOP}, "b: its own e-stop is pressed: release it, then reset"),
         ({"faults": WIRED_STOP | 4}, "b: its own e-stop is pressed: release it, then reset"),
+        (
+            {"faults": RobotFault.UNREACHABLE, "left_speed": 3.0},
+            "b: its driver has lost it: plug it in, switch it on, then reset",
+        ),
     ],
 )
 def test_a_reset_waits_for_every_robot_and_names_the_one(phase: Phase, hindrance: dict[str, float], told: str) -> None:

@@ -21,7 +21,8 @@ ENDS = {  # nobody can go on from here without looking
     Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.DRIVER_RESTARTED, Event.CONTROLLER_SILENT,
     Event.CONTROLLER_RESTARTED, Event.OTHER_BUILD, Event.LEASE_LOST, Event.CAMERA_LOST, Event.CAMERA_MOVED,
     Event.GATE_LATCHED, Event.ROBOT_FAULT, Event.BATTERY_LOW, Event.TAG_LOST, Event.OUTSIDE_ARENA,
-    Event.POSE_JUMPED,
+    Event.POSE_JUMPED, Event.BUMPED, Event.CLIFF, Event.WHEEL_DROPPED, Event.OVERCURRENT, Event.CHARGING,
+    Event.UNREACHABLE,
 }  # fmt: skip
 HOLDS = {  # it may pass, and the run can be resumed
     Event.TRACKER_SILENT, Event.TRACKER_RESTARTED, Event.CAMERA_STALLED, Event.CAMERA_FROZEN, Event.TAG_TWICE,

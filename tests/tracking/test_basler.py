@@ -188,9 +188,11 @@ def test_a_line_triggers_it_too(lab: Lab) -> None:
 
 def test_without_pypylon_it_says_what_to_install(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     assert importlib.util.find_spec("pypylon") is not None
-    assert list(BaslerCamera.refusals(config())) == []
+    measured = "camera.model.camera=somebody's"
+    assert list(BaslerCamera.refusals(config(measured))) == []
+    assert [where for where, _ in BaslerCamera.refusals(config())] == ["camera.model"]
     monkeypatch.setitem(sys.modules, "pypylon", None)
-    ((where, why),) = BaslerCamera.refusals(config())
+    ((where, why),) = BaslerCamera.refusals(config(measured))
     assert where == "camera.source"
     assert "pip install 'robofleet[basler]'" in why
     with pytest.raises(CameraError, match="pip install"):

@@ -78,6 +78,9 @@ class Capture:
         self.released += 1
 
 
+MEASURED = "camera.model.camera=somebody's"
+
+
 def config(*overrides: str) -> Config:
     return load_config(
         PLATOON,
@@ -216,7 +219,7 @@ def test_closing_lets_go_of_the_device() -> None:
 
 
 def test_a_device_that_is_not_there_is_refused_before_anything_starts_and_when_it_is_opened() -> None:
-    complaints = dict(V4L2Camera.refusals(config("camera.trigger=tick")))
+    complaints = dict(V4L2Camera.refusals(config("camera.trigger=tick", MEASURED)))
     assert set(complaints) == {"camera.v4l2.device", "camera.trigger"}
     assert DEVICE in complaints["camera.v4l2.device"]
     clock = WallClock()
@@ -228,9 +231,15 @@ def test_a_device_that_is_not_there_is_refused_before_anything_starts_and_when_i
 
 def test_a_file_is_no_device(tmp_path: Path) -> None:
     (tmp_path / "video0").write_text("")
-    ((where, _),) = V4L2Camera.refusals(config(f"camera.v4l2.device={tmp_path / 'video0'}"))
+    ((where, _),) = V4L2Camera.refusals(config(f"camera.v4l2.device={tmp_path / 'video0'}", MEASURED))
     assert where == "camera.v4l2.device"
-    assert list(V4L2Camera.refusals(config("camera.v4l2.device=/dev/null"))) == []
+    assert list(V4L2Camera.refusals(config("camera.v4l2.device=/dev/null", MEASURED))) == []
+
+
+def test_a_lens_that_nobody_measured_is_refused() -> None:
+    ((where, why),) = V4L2Camera.refusals(config("camera.v4l2.device=/dev/null"))
+    assert where == "camera.model"
+    assert "calibrate.py intrinsics" in why
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from robofleet.processes.driver import DriverProcess
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch, LeaseAction
 from robofleet.safety.supervisor import NOBODY, Event, Phase
-from robofleet.vehicles.interface import STOP, WIRED_STOP
+from robofleet.vehicles.interface import STOP, WIRED_STOP, RobotFault
 from tests.processes.stand import ROBOTS, Stand
 
 Make = Callable[..., Any]
@@ -134,6 +134,7 @@ def test_an_emergency_stop_during_a_reset_wins(stand: Stand) -> None:
         ({"left_output_rad_s": 0.06}, "r3 is not at rest"),
         ({"right_output_rad_s": -0.06}, "r3 is not at rest"),
         ({"faults": WIRED_STOP}, "r3: its own e-stop is pressed"),
+        ({"faults": RobotFault.UNREACHABLE, "left_rad_s": 3.0}, "r3: its driver has lost it"),
         ({"latch": Latch.NONE}, "r3 has not acknowledged"),
         ({"latch": Latch.DRILL}, "r3 has not acknowledged"),
     ],

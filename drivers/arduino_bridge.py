@@ -1,0 +1,269 @@
+"""Robots with an Arduino that runs ros_arduino_bridge: letters and numbers on a serial line, no checksum.
+
+Source: github.com/hbrobotics/ros_arduino_bridge. ``m L R`` sets both wheels' targets in encoder counts per frame of the
+speed loop, ``e`` asks for the counts, ``b`` for the baud rate, ``u`` sets the loop's gains; a CR ends a command, and
+each has one answer. Without an ``m`` for 2 s the sketch stops its motors. Which wheel is the left one, and which way it
+turns, is settled in the sketch and at the motors' wires.
+
+Counts per frame are integers. What rounding leaves over is carried to the next command, so that the wheels turn as far
+as they were told to; a wheel that is told 0 gets 0.
+
+A line that lost its end stays in the sketch, and swallows the next one. Therefore, while anything that was said is
+unanswered, the next line begins with a ``b`` of its own: it ends the broken rest, and its answer says to what the later
+ones belong. A broken ``m`` is carried out by that, until the line behind it is complete 2 ms later: with each wheel as
+fast as told at most, in no other direction. If the speed loop looks just then, it takes that for a frame, or stops.
+
+The comma in ``m 12, 34`` ends the first number, and nothing else: no single wrong bit can then make one number out of
+two, which would be full speed. Wrong digits nobody notices: they hold until the next command, with as many digits at
+most.
+"""
+
+import math
+import re
+from collections import deque
+from contextlib import suppress
+from typing import Annotated, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.dead_man import DeadMan
+from drivers.serial_port import SerialPort
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+
+_BAUD = 57600
+_BOOT_NS = 6_000_000_000  # of patience: opening the port resets the board, whose boot loader takes up to 2 s
+_ASK_AGAIN_S = 0.3
+_AGAIN_NS = 20_000_000  # the wheels are told the same, and the counts asked for, so often: half of the line is free
+_LATE_NS = 40_000_000  # counts that took longer say nothing of now
+_LOST_NS = 100_000_000  # what is unanswered for so long gets no answer any more
+_SILENT_NS = 500_000_000
+_SPEED_NS = 100_000_000  # over which speeds are means: with 2000 counts a turn, one of them is 0.03 rad/s
+_STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
+_LONGEST = 64  # bytes of an answer
+_MOST_COUNTS = 32767  # per frame: the sketch's integers
+
+_MARK, _DONE, _COUNTS = "b", "OK", "e"
+_ANSWERS = {
+    _MARK: re.compile(rb" ?%d\r" % _BAUD),
+    _DONE: re.compile(rb"OK\r"),
+    _COUNTS: re.compile(rb"(-?\d{1,10}) (-?\d{1,10})\r"),
+}
+_STAND = b"b\rm 0 0\r"
+
+
+class ArduinoBridge:
+    """One robot with this sketch."""
+
+    class Settings(BaseModel):
+        """What the robot is connected to, and what was built into its sketch."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+
+        port: Annotated[str, Field(min_length=1)]
+        """The serial port of its Arduino."""
+        counts_per_turn: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+        """Encoder counts in one turn of a wheel, gear included."""
+        pid_rate_hz: Annotated[int, Field(ge=1, le=1000)] = 30
+        """As compiled into its sketch (``PID_RATE``)."""
+        gains: Annotated[tuple[int, int, int, int] | None, Field(strict=False)] = None
+        """Kp, Kd, Ki, Ko of its speed loop, told at opening; null: those of the sketch."""
+
+        @property
+        def frame_s(self) -> float:
+            """The speed loop's period [s]: the sketch has whole milliseconds."""
+            return 1000 // self.pid_rate_hz / 1000
+
+    def __init__(self, context: DriverContext) -> None:
+        settings: ArduinoBridge.Settings = context.settings
+        self._now_ns, self._name = context.now_ns, settings.port
+        self._frame_ns = settings.frame_s * 1e9
+        self._counts_per_rad = settings.counts_per_turn / math.tau
+        self._left, self._right = _Rounding(), _Rounding()
+        self._said, self._said_ns, self._aimed_ns = (0, 0), 0, 0
+        self._encoders = _Encoders(self._counts_per_rad, context.drive.max_wheel_speed)
+        self._asked_ns = 0
+        self._rest = b""
+        self._talks = False  # it has said something, whatever that was
+        self._unanswered: deque[tuple[str, int]] = deque()  # what, and when it was asked
+        self._closed = False
+        self._line = SerialPort(settings.port, _BAUD)
+        try:
+            self._meet(settings)
+            self._dead_man = DeadMan(self._line.descriptor, _STAND)
+        except BaseException:
+            self._line.close()
+            raise
+
+    @staticmethod
+    def refusals(settings: Settings, drive: DifferentialDrive) -> list[tuple[str, str]]:
+        """Return why these encoders and this frame cannot drive this robot."""
+        fastest = drive.max_wheel_speed * settings.frame_s * settings.counts_per_turn / math.tau
+        if 1.0 <= fastest <= _MOST_COUNTS:
+            return []
+        why = f"its fastest wheel makes {fastest:.3g} counts a frame, but 1 to {_MOST_COUNTS} can be told: mend it"
+        return [("settings.counts_per_turn", why)]
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        """Command the wheels [rad/s]; the same again is not told more than 50 times a second."""
+        now_ns = self._alive()
+        frames = min(1.0, max(0.0, (now_ns - self._aimed_ns) / self._frame_ns))
+        per_frame = self._counts_per_rad * self._frame_ns * 1e-9
+        target = self._left(wheels.left * per_frame, frames), self._right(wheels.right * per_frame, frames)
+        self._aimed_ns = now_ns
+        if target != self._said or not 0 <= now_ns - self._said_ns < _AGAIN_NS:
+            self._say(_DONE, b"m %d, %d\r" % target)
+            self._said, self._said_ns = target, now_ns
+
+    def read(self) -> DriverReading:
+        """Return angles and speeds; the battery it cannot tell."""
+        now_ns = self._alive()
+        if self._asked_ns - self._encoders.at_ns > _SILENT_NS:
+            raise DriverError(f"{self._name}: no encoder counts that can be: is the robot on, and its cable sound?")
+        if not 0 <= now_ns - self._asked_ns < _AGAIN_NS:
+            self._say(_COUNTS, b"e\r")
+            self._asked_ns = now_ns
+        return DriverReading(*self._encoders.angles, *self._encoders.speeds, math.nan, 0)
+
+    def close(self) -> None:
+        """Motors off: told until it answers."""
+        if self._closed:
+            return
+        with suppress(DriverError):
+            any(self._obeys(_DONE, b"m 0 0\r", _STOP_PATIENCE_S) for _ in range(_STOP_TRIES))
+        self._closed = True
+        self._dead_man.close()
+        self._line.close()
+
+    def _alive(self) -> int:
+        """Give a sign of life and take what has come; returns the instant."""
+        if self._closed:
+            raise DriverError(f"{self._name}: it is closed")
+        self._dead_man.sign()
+        self._listen()
+        return self._now_ns()
+
+    def _meet(self, settings: Settings) -> None:
+        """Let the board start, let the robot stand, and find out what it has counted."""
+        told = [(_MARK, b"b\r"), (_DONE, b"m 0 0\r"), (_COUNTS, b"e\r")]
+        if settings.gains is not None:
+            told.append((_DONE, b"u %d:%d:%d:%d\r" % settings.gains))
+        until_ns = self._now_ns() + _BOOT_NS
+        for answer, line in told:
+            while not self._obeys(answer, line, _ASK_AGAIN_S):
+                if self._now_ns() < until_ns:
+                    continue
+                if self._talks:
+                    raise DriverError(f"{self._name}: what answers there does not speak ros_arduino_bridge")
+                raise DriverError(f"{self._name}: nothing answers there: switch the robot on, and look at its cable")
+
+    def _obeys(self, answer: str, line: bytes, patience_s: float) -> bool:
+        """Say a line and wait for its answer."""
+        self._say(answer, line)
+        asked = self._unanswered[-1]
+        until_ns = self._now_ns() + round(patience_s * 1e9)
+        while asked in self._unanswered:
+            left_s = (until_ns - self._now_ns()) * 1e-9
+            if left_s <= 0.0 or not self._line.wait(left_s):
+                return False
+            self._listen()
+        return True
+
+    def _say(self, answer: str, line: bytes) -> None:
+        now_ns = self._now_ns()
+        if self._unanswered:
+            line = b"b\r" + line
+            while self._unanswered and now_ns - self._unanswered[0][1] > _LOST_NS:
+                self._unanswered.popleft()
+            self._unanswered.append((_MARK, now_ns))
+        self._line.write(line)
+        self._unanswered.append((answer, now_ns))
+
+    def _listen(self) -> None:
+        heard = self._line.read()
+        self._talks = self._talks or bool(heard)
+        *lines, rest = (self._rest + heard).split(b"\n")
+        self._rest = rest[-_LONGEST:]
+        for line in lines:
+            for kind, shape in _ANSWERS.items():
+                if words := shape.fullmatch(line):
+                    self._take(kind, words)
+
+    def _take(self, kind: str, words: re.Match[bytes]) -> None:
+        """Take an answer, to the oldest question that it can belong to; those before will get none any more."""
+        while any(kind == waiting for waiting, _ in self._unanswered):
+            waiting, asked_ns = self._unanswered.popleft()
+            if waiting == kind:
+                if kind == _COUNTS and self._now_ns() - asked_ns < _LATE_NS:
+                    self._encoders.take(asked_ns, int(words[1]), int(words[2]))
+                return
+
+
+class _Rounding:
+    """One wheel's counts per frame, whole, such that in the long run it turns as far as it was told to."""
+
+    def __init__(self) -> None:
+        self._told, self._given, self._owed = 0.0, 0, 0.0
+
+    def __call__(self, told: float, frames: float) -> int:
+        """Return what to say instead of ``told``, ``frames`` of the speed loop after the last time (1 at most)."""
+        self._owed += frames * (self._told - self._given)
+        if not told:
+            self._owed = 0.0
+        self._told, self._given = told, round(told + self._owed)
+        return self._given
+
+
+class _Sample(NamedTuple):
+    at_ns: int
+    counts: tuple[int, int]  # left, right; as long as they are, without the wrap of 32 bits
+
+
+class _Encoders:
+    """What the wheels have turned, from counts that may be wrong."""
+
+    def __init__(self, counts_per_rad: float, max_wheel_speed: float) -> None:
+        self._counts_per_rad, self._fastest = counts_per_rad, 2.0 * max_wheel_speed
+        self._samples: deque[_Sample] = deque()
+        self._zero = (0, 0)
+
+    @property
+    def at_ns(self) -> int:
+        """When the newest counts were asked for that can be true."""
+        return self._samples[-1].at_ns if self._samples else 0
+
+    @property
+    def angles(self) -> WheelSpeeds:
+        """Turned since the first counts [rad]."""
+        return self._turned(self._zero, self._samples[-1].counts, 1.0)
+
+    @property
+    def speeds(self) -> WheelSpeeds:
+        """Mean over the last tenth of a second [rad/s]."""
+        first, last = self._samples[0], self._samples[-1]
+        seconds = (last.at_ns - first.at_ns) * 1e-9
+        return self._turned(first.counts, last.counts, seconds) if seconds else STOP
+
+    def take(self, at_ns: int, left: int, right: int) -> None:
+        """Take counts, unless no wheel can have turned so far."""
+        if not self._samples:
+            self._zero = left, right
+            self._samples.append(_Sample(at_ns, self._zero))
+            return
+        last = self._samples[-1]
+        moves = [_wrapped(new - old) for new, old in zip((left, right), last.counts, strict=True)]
+        reach = 2.0 + self._fastest * self._counts_per_rad * (at_ns - last.at_ns) * 1e-9
+        if max(map(abs, moves)) > reach:
+            return
+        self._samples.append(_Sample(at_ns, (last.counts[0] + moves[0], last.counts[1] + moves[1])))
+        while self._samples[1].at_ns <= at_ns - _SPEED_NS:
+            self._samples.popleft()
+
+    def _turned(self, since: tuple[int, int], until: tuple[int, int], seconds: float) -> WheelSpeeds:
+        per_count = 1.0 / (self._counts_per_rad * seconds)
+        return WheelSpeeds((until[0] - since[0]) * per_count, (until[1] - since[1]) * per_count)
+
+
+def _wrapped(difference: int) -> int:
+    """Return a difference of two integers of 32 bits."""
+    return (difference + 0x80000000) % 0x100000000 - 0x80000000

@@ -1,0 +1,54 @@
+"""The dead man's own process: a program that ``dead_man.py`` starts, with two descriptors and the stop bytes.
+
+It imports no more than it needs, so that it is small, starts at once and has little that can fail.
+"""
+
+import os
+import select
+import signal
+import sys
+
+SILENT_S = 0.2  # a driver's loop is 0.01 s: it hangs
+AGAIN_S = 0.05  # between two stops: the line may lose one
+STOPS = 4  # after the driver's death
+READY, ALIVE, GOODBYE = b"r", b"a", b"g"
+
+
+def main(line: int, signs: int, stop: bytes) -> None:
+    """Watch until the driver says goodbye or dies: ``signs`` come from it, ``stop`` goes to ``line``."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # meant for the driver, which says goodbye then
+    os.write(signs, READY)
+    patience = None  # it is not watched before its first sign
+    while True:
+        if select.select([signs], [], [], patience)[0]:
+            heard = _read(signs)
+            if heard.endswith(GOODBYE):
+                return
+            if not heard:
+                break
+            patience = SILENT_S
+        else:
+            _write(line, stop)
+            patience = AGAIN_S
+    for _ in range(STOPS):
+        _write(line, stop)
+        select.select([], [], [], AGAIN_S)
+
+
+def _read(signs: int) -> bytes:
+    try:
+        return os.read(signs, 4096)
+    except OSError:  # reset: it died with something unread
+        return b""
+
+
+def _write(line: int, stop: bytes) -> None:
+    try:
+        os.write(line, stop)
+    except OSError:
+        return  # the line takes nothing, or is gone: it may be there the next time
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), bytes.fromhex(sys.argv[3]))

@@ -1,0 +1,180 @@
+"""GTernal, the Robotarium's robot: JSON on the serial line between its computer and its motor controller.
+
+Source: the public firmware (github.com/robotarium/GTernal, Teensy). A line asks several things at once,
+``{"request": ["write", "read"], "iface": ["motor", "batt_volt"], "body": [{"v": .., "w": ..}, {}]}``, and gets one
+answer, ``{"status": [1, 1], "body": [{}, {"batt_volt": ..}]}``, with nothing after it. What it does not understand it
+answers with empty lists. It tells nothing of its encoders: angles and speeds are 0, which is how the rest of robofleet
+knows a robot without encoders.
+
+Its 500 ms stop starts anew with every ``write``, whatever is written, and with no ``read``. So the driver writes
+nothing but what the gate tells it to: a lamp that blinks would keep a robot going that nobody drives any more.
+"""
+
+import math
+from contextlib import suppress
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.serial_port import SerialPort
+from robofleet.vehicles.differential_drive import DifferentialDrive, body_from_wheels
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+
+_BAUD = 500_000
+_SILENT_NS = 500_000_000  # unanswered for so long, it is lost
+_ALONE_NS = 100_000_000  # when nothing was written for so long, it is asked whether it is still there
+_BATTERY_NS = 1_000_000_000
+_EMPTY_V, _FULL_V = 3.3, 4.2  # assumed: its one lithium cell, taken as linear between
+_TRIES, _PATIENCE_S = 20, 0.1  # a firmware that waits for the rest of a broken line does so for a second
+_STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
+_COAST_S = 0.4  # its motors without current
+_START = b'{"status"'
+_LONGEST = 512  # bytes of an answer; it gives less than a hundred
+_OTHER_ROBOT = 1.5  # times what is believed: it is another robot's, or in another unit
+
+_Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Item(BaseModel):
+    batt_volt: Annotated[float, Field(allow_inf_nan=False)] | None = None
+
+
+class _Answer(BaseModel):
+    """What the firmware says; what it did not understand has an item of the body and no status."""
+
+    status: list[Literal[1]]
+    body: list[_Item]
+
+
+class GTernal:
+    """One GTernal."""
+
+    class Settings(BaseModel):
+        """What the robot is connected to, and what was built into its firmware."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+
+        port: Annotated[str, Field(min_length=1)]
+        """The serial port of its motor controller; ``/dev/ttyAMA0`` on its own Raspberry Pi."""
+        wheel_radius_m: _Length = 0.016
+        """As compiled into its firmware (half of ``_wheelDiameter``), not as calibrated: it turns v and omega back."""
+        wheel_base_m: _Length = 0.105
+        """As compiled into its firmware (``_axelLength``)."""
+
+    def __init__(self, context: DriverContext) -> None:
+        settings: GTernal.Settings = context.settings
+        self._port, self._now_ns = settings.port, context.now_ns
+        self._radius, self._base = settings.wheel_radius_m, settings.wheel_base_m
+        self._received = b""
+        self._battery, self._battery_ns = math.nan, 0
+        self._asked_ns: int | None = None  # the first line that it has not answered yet
+        self._sent_ns = 0
+        self._closed = False
+        self._line = SerialPort(settings.port, _BAUD)
+        try:
+            self._meet()
+        except BaseException:
+            self._line.close()
+            raise
+
+    @staticmethod
+    def refusals(settings: Settings, drive: DifferentialDrive) -> list[tuple[str, str]]:
+        """Return the figures of its firmware that cannot be this robot's."""
+        pairs = ("wheel_radius_m", settings.wheel_radius_m, drive.wheel_radius), (
+            "wheel_base_m", settings.wheel_base_m, drive.wheel_base,
+        )  # fmt: skip
+        return [
+            (f"settings.{name}", f"{built_in:g} in the firmware, but this robot has {believed:g}: mend one of them")
+            for name, built_in, believed in pairs
+            if not 1.0 / _OTHER_ROBOT <= built_in / believed <= _OTHER_ROBOT
+        ]
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        """Command the wheels [rad/s]."""
+        self._listen()
+        now_ns = self._now_ns()
+        self._send(wheels, battery=not 0 <= now_ns - self._battery_ns < _BATTERY_NS)
+
+    def read(self) -> DriverReading:
+        """Return its charge; its angles and speeds it does not tell."""
+        self._listen()
+        now_ns = self._now_ns()
+        if self._asked_ns is not None and now_ns - self._asked_ns >= _SILENT_NS:
+            raise DriverError(f"{self._port}: the robot does not answer: is it on, or at its charger?")
+        if not 0 <= now_ns - self._sent_ns < _ALONE_NS:
+            self._send(None, battery=True)
+        return DriverReading(0.0, 0.0, 0.0, 0.0, self._battery, 0)
+
+    def close(self) -> None:
+        """Motors off: told until it answers, for a line that comes while it answers another one is lost."""
+        if self._closed:
+            return
+        with suppress(DriverError):
+            any(self._obeys(STOP, _STOP_PATIENCE_S) for _ in range(_STOP_TRIES))
+        self._closed = True
+        self._line.close()
+
+    def _meet(self) -> None:
+        """Find out what is there before it is told anything; then let it stand."""
+        if not any(self._obeys(None, _PATIENCE_S) for _ in range(_TRIES)):
+            if self._received:
+                raise DriverError(f"{self._port}: what answers there is no GTernal: mend settings.port or driver")
+            raise DriverError(f"{self._port}: nothing answers: switch the robot on, and look at its cable")
+        if not any(self._obeys(STOP, _PATIENCE_S) for _ in range(_TRIES)):
+            raise DriverError(f"{self._port}: the robot answers, but does not stop: look at its firmware")
+        self._line.wait(_COAST_S)
+
+    def _obeys(self, wheels: WheelSpeeds | None, patience_s: float) -> bool:
+        """Send one line and wait for its answer."""
+        self._send(wheels, battery=True)
+        asked = 1 if wheels is None else 2
+        while self._line.wait(patience_s):
+            if asked in self._listen():
+                return True
+            if len(self._received) == _LONGEST:
+                return False
+        return False
+
+    def _send(self, wheels: WheelSpeeds | None, *, battery: bool) -> None:
+        if self._closed:
+            raise DriverError(f"{self._port}: it is closed")
+        requests, interfaces, bodies = [], [], []
+        if wheels is not None:
+            v, omega = body_from_wheels(*wheels, self._radius, self._base)
+            requests, interfaces, bodies = ['"write"'], ['"motor"'], [f'{{"v":{v:.5f},"w":{omega:.4f}}}']
+        if battery:
+            requests, interfaces, bodies = [*requests, '"read"'], [*interfaces, '"batt_volt"'], [*bodies, "{}"]
+        parts = ",".join(requests), ",".join(interfaces), ",".join(bodies)
+        # The firmware may lose the first byte, which it then was waiting for; after the last it starts to wait for a
+        # next line, with its stop held up for a second, if that is not the end.
+        self._line.write(b'\n{"request":[%s],"iface":[%s],"body":[%s]}' % tuple(part.encode() for part in parts))
+        self._sent_ns = self._now_ns()
+        if self._asked_ns is None:
+            self._asked_ns = self._sent_ns
+
+    def _listen(self) -> list[int]:
+        """Take what it has answered; returns how many requests each answer was to."""
+        if self._closed:
+            raise DriverError(f"{self._port}: it is closed")
+        heard = []
+        before, *texts = (self._received + self._line.read()).split(_START)
+        rest = _START + texts[-1] if texts else before
+        for text in texts:
+            try:
+                answer = _Answer.model_validate_json(_START + text)
+            except ValidationError:
+                continue  # broken, or not all of it is here
+            if text is texts[-1]:
+                rest = b""
+            if len(answer.status) == len(answer.body) > 0:
+                heard.append(len(answer.body))
+                self._take(answer)
+        self._received = rest[-_LONGEST:]
+        return heard
+
+    def _take(self, answer: _Answer) -> None:
+        self._asked_ns = None
+        for item in answer.body:
+            if item.batt_volt is not None:
+                charge = (item.batt_volt - _EMPTY_V) / (_FULL_V - _EMPTY_V)
+                self._battery, self._battery_ns = min(1.0, max(0.0, charge)), self._now_ns()

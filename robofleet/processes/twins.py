@@ -1,0 +1,60 @@
+"""The twins' process: every twin of a run behind its port, and the truth about each."""
+
+import sys
+
+from robofleet.clock import MS, Clock, S
+from robofleet.comms.bus import Bus
+from robofleet.comms.keys import STATE, TRUTH
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import Truth
+from robofleet.config.tree import Config
+from robofleet.processes.arena_file import twin_port
+from robofleet.processes.node import LineWaker
+from robofleet.simulation.faults import Schedule
+from robofleet.simulation.twin import Twin
+
+_TRUTH_NS = round(TRUTH.period_s * S)
+_NO_LEASE = 0  # a truth's epoch: a twin knows of no lease
+
+
+class Twins:
+    """Steps each twin when its driver has written, or something of its own is due."""
+
+    def __init__(self, config: Config, bus: Bus, clock: Clock, waker: LineWaker, faults: Schedule | None) -> None:
+        now_ns = clock.now_ns()
+        self._waker = waker
+        self._state = bus.newest(STATE)  # what the faults' times count from is said there
+        self._twins: dict[str, Twin] = {}
+        try:
+            for robot in config.twins:
+                port = twin_port(config.arena.name, robot.id)
+                self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults)
+        except BaseException:
+            self.close()
+            raise
+        self._publish = {robot: bus.publisher(TRUTH, robot) for robot in self._twins}
+        self._truth_ns, self._seq = now_ns, 0
+
+    def step(self, now_ns: int) -> int:
+        """Let every twin's time pass; every 10 ms publish where they are."""
+        self._state.take()
+        next_ns = min(twin.step(now_ns) for twin in self._twins.values())
+        if now_ns >= self._truth_ns:
+            self._truth_ns += _TRUTH_NS * (1 + (now_ns - self._truth_ns) // _TRUTH_NS)
+            self._seq += 1
+            for robot, twin in self._twins.items():
+                self._publish[robot](TRUTH_LAYOUT.encode(Truth(_NO_LEASE, self._seq, now_ns, *twin.truth())))
+        self._waker.descriptors = [twin.descriptor for twin in self._twins.values() if twin.descriptor is not None]
+        return min(next_ns, self._truth_ns)
+
+    def close(self) -> None:
+        """Take the ports away; say what the robots did that nobody had asked for. Idempotent."""
+        for robot, twin in self._twins.items():
+            twin.close()
+            if (ledger := twin.ledger) is not None:
+                print(
+                    f"{robot}: {ledger.wrong} wrong motions, at most {ledger.furthest:.3f} rad/s from what was asked "
+                    f"and {ledger.longest_ns / MS:.0f} ms long",
+                    file=sys.stderr,
+                )
+        self._twins = {}

@@ -1,0 +1,114 @@
+"""A firmware's twin: a simulated body, the firmware that moves it, and a serial port that a driver opens."""
+
+from pathlib import Path
+
+from robofleet.clock import MS, S
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.plugins import load
+from robofleet.simulation.faults import Schedule
+from robofleet.simulation.faulty_line import Ledger, TwinTroubles
+from robofleet.simulation.firmware import Firmware, Hardware
+from robofleet.simulation.serial_line import SerialLine, Wire
+from robofleet.vehicles.body import Body
+from robofleet.vehicles.interface import STOP, TruePose
+
+_UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
+_BUFFER = 64  # bytes that wait for a firmware that hangs
+
+
+class Twin:
+    """One robot's twin, switched on at ``now_ns`` with its port at ``port``. The caller's clock is its time."""
+
+    def __init__(self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None) -> None:
+        kind = config.robot(robot)
+        simulation = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
+        self._body = Body(simulation, now_ns)
+        self._hardware, spare = (
+            Hardware(simulation.drive, simulation.imperfections, self._body.plant) for _ in range(2)
+        )
+        make = load("robofleet.twins", str(kind.twin))
+        self._firmware: Firmware = make(self._hardware)
+        self._target = STOP
+        self._loop_period_ns = round(simulation.imperfections.loop_period * S)
+        self._loop_ns = now_ns + self._loop_period_ns
+        self._to_robot, self._to_host = Wire(self._firmware.baud), Wire(self._firmware.baud)
+        self._waiting = b""  # for a firmware that hangs
+        self._troubles = TwinTroubles(faults, robot)
+        self.ledger = Ledger(self._hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
+        self._line = SerialLine(port)
+
+    @property
+    def descriptor(self) -> int | None:
+        """What becomes readable when the driver writes; None while it has not opened the port."""
+        return self._line.descriptor
+
+    def truth(self) -> TruePose:
+        """Return the true pose at the last step."""
+        return self._body.plant.truth()
+
+    def step(self, now_ns: int) -> int:
+        """Let time pass until ``now_ns``; returns when the next step is due [ns], if nothing is heard before."""
+        if self._troubles.unplugged(now_ns):
+            self._line.unplug()
+        else:
+            self._line.plug()
+        self._listen(now_ns)
+        while (at_ns := int(min(self._loop_ns, self._to_robot.next_ns))) <= now_ns:
+            self._body.advance(at_ns)
+            self._run(at_ns)
+        self._body.advance(now_ns)
+        self._line.write(self._to_host.take(now_ns))
+        next_ns = int(min(self._loop_ns, self._to_robot.next_ns, self._to_host.next_ns))
+        return next_ns if self._line.open else min(next_ns, now_ns + _UNOPENED_NS)
+
+    def close(self) -> None:
+        """Take the port away. Idempotent."""
+        self._line.unplug()
+
+    def _listen(self, now_ns: int) -> None:
+        """Notice that the driver has opened the port, and take what it has written."""
+        was_open = self._line.open
+        data = self._line.read()
+        if (self._line.open or data) and not was_open:
+            self._to_robot.clear()
+            self._to_host.clear()
+            self._firmware.opened(now_ns)
+            if self.ledger is not None:
+                self.ledger.opened(now_ns)
+            self._act(now_ns)
+        if data and self.ledger is not None:
+            self.ledger.sent(data, now_ns)
+        line, late_ns = self._troubles.to_robot.befall(data, now_ns)
+        self._to_robot.put(line, now_ns, late_ns)
+
+    def _run(self, now_ns: int) -> None:
+        """Let the firmware take what has arrived, and run its loop when that is due."""
+        looping = now_ns == self._loop_ns
+        self._hardware.feels = self._troubles.feels(now_ns)
+        if looping and self.ledger is not None:
+            self.ledger.loop(now_ns)
+        data = self._waiting + self._to_robot.take(now_ns)
+        if self._troubles.hangs(now_ns):
+            self._waiting = data[:_BUFFER]
+        else:
+            self._waiting = b""
+            if data:
+                self._say(self._firmware.receive(data, now_ns), now_ns)
+            if looping:
+                self._say(self._firmware.loop(now_ns), now_ns)
+            self._act(now_ns)
+        if looping:
+            self._loop_ns += self._loop_period_ns
+
+    def _say(self, data: bytes, now_ns: int) -> None:
+        line, late_ns = self._troubles.to_host.befall(data, now_ns)
+        self._to_host.put(line, now_ns, late_ns)
+
+    def _act(self, now_ns: int) -> None:
+        """Let the wheel-speed loops aim at what the firmware has decided."""
+        if self._hardware.command != self._target:
+            self._target = self._hardware.command
+            self._body.command(self._target)
+        if self.ledger is not None:
+            self.ledger.look(now_ns)

@@ -1,0 +1,23 @@
+"""What every driver has to keep, whoever wrote it: one class of checks, to be subclassed with what is tried.
+
+    from tests.drivers.contract import Contract, Subject
+
+    class TestMyRobot(Contract):
+        subject = Subject("my_package:MyRobot", twin="my_package:MyFirmware", vehicle="configs/robots/mine.yaml")
+
+``pytest`` collects it. Driver and twin stand in one thread, on a clock that nobody waits for, and talk over a real
+pseudo-terminal; the truth comes from the twin's body, never from the driver. ``test_contract_sabotage.py`` shows that
+each check fails when a driver breaks it.
+"""
+
+from tests.drivers.contract_bench import Subject
+from tests.drivers.contract_cost import Cost
+from tests.drivers.contract_line import BadLines
+from tests.drivers.contract_motion import Motion
+from tests.drivers.contract_port import Port
+
+__all__ = ["Contract", "Subject"]
+
+
+class Contract(Motion, BadLines, Port, Cost):
+    """All of it."""

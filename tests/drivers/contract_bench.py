@@ -1,0 +1,234 @@
+"""What the contract's checks stand on: a driver, the twin of its robot, the truth, and the kit's loop around them."""
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+from unittest.mock import patch
+
+from robofleet.clock import MS, S, SimulatedClock
+from robofleet.config import slices
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.plugins import load
+from robofleet.processes import driver_settings
+from robofleet.processes.arena_file import twin_port
+from robofleet.simulation.faults import Schedule
+from robofleet.simulation.twin import Twin
+from robofleet.vehicles.differential_drive import DifferentialDrive, wheels_from_body
+from robofleet.vehicles.interface import (
+    STOP,
+    Driver,
+    DriverContext,
+    DriverError,
+    DriverReading,
+    TruePose,
+    WheelSpeeds,
+)
+from tests.drivers import serial_world
+
+LOOP_NS = 10 * MS  # the kit's
+_WRITES = 3  # a command comes in every third loop
+_AGAIN_NS = S // 5  # so long after a failure the kit makes a driver anew
+_PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+_IDEAL = ("wheel_gain_spread", "wheel_base_spread", "slip_s_per_rad", "slip_noise", "top_speed_sag")
+
+
+class Subject(NamedTuple):
+    """A driver, and what it is tried on. Names are those of a configuration's ``robots[]``."""
+
+    driver: str
+    twin: str | None  # None: the robot is simulated by its driver
+    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file
+    settings: Mapping[str, Any] = {}  # without the port
+    encoders: bool = True  # False: the robot has none, and its driver says so by angles and speeds of 0
+
+    @property
+    def stops_after_s(self) -> float | None:
+        """Without a word for so long the robot stops by itself [s]; None: it does not."""
+        return 0.2 if self.twin is None else load("robofleet.twins", self.twin).watchdog_s
+
+    @property
+    def drive(self) -> DifferentialDrive:
+        """The kind of robot, as believed."""
+        return slices.drive(_config(self).robots[0])
+
+
+class Moment(NamedTuple):
+    """The end of one loop of the kit."""
+
+    at_ns: int
+    speeds: WheelSpeeds  # the wheels' true ones, mean over the loop [rad/s]
+    angles: WheelSpeeds  # that the wheels have truly turned [rad]
+    reading: DriverReading | None  # None: there was no driver, or it failed
+    made: int  # how many drivers have been made
+
+
+class Bench:
+    """A robot, its driver once it is made, and a clock that passes when it is let. ``faults`` wait for ``strike``.
+
+    The body's wheels are all alike and do not slip; ``faster`` ones could do more than the driver believes.
+    """
+
+    def __init__(self, subject: Subject, *faults: Any, faster: float = 1.0) -> None:
+        believed = _config(subject)
+        self.config = _config(subject, faster).model_copy(update={"faults": faults})
+        self.drive_of = slices.drive(believed.robots[0])
+        self.clock = SimulatedClock()
+        self.clock.advance_to(5 * S)
+        self.angles = STOP  # that the wheels have truly turned [rad]
+        self.fastest = 0.0  # that a wheel has truly turned [rad/s]
+        self.waited_ns = 0  # by drivers
+        self.driver: Driver | None = None
+        self._made: list[Driver] = []
+        self._schedule: Schedule | None = None
+        self._next_ns = self._seen_ns = self.now_ns
+        self._stack = ExitStack()
+        self.twin: Twin | None = None
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            stack.enter_context(patch.dict(os.environ, {"XDG_RUNTIME_DIR": folder}))
+            stack.enter_context(serial_world.shared(lambda: self.now_ns, self._pass_while_waiting))
+            self.port = twin_port(self.config.arena.name, "r1")
+            self._schedule = Schedule(self.config, self.clock)
+            if self.config.robots[0].twin is not None:
+                self.twin = Twin(self.config, "r1", self.port, self.now_ns, self._schedule)
+                stack.callback(self.twin.close)
+            stack.callback(self._close_all)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def now_ns(self) -> int:
+        """The instant [ns]."""
+        return self.clock.now_ns()
+
+    def make(self) -> Driver:
+        """Make the driver, on the port where the last one was."""
+        robot = self.config.robots[0]
+        simulation = slices.simulation(self.config, robot, None)
+        settings = driver_settings.of(self.config, robot)
+        context = DriverContext("r1", self.drive_of, simulation, self.clock.now_ns, settings)
+        self.driver = load("robofleet.drivers", robot.driver)(context)
+        self._made.append(self.driver)
+        return self.driver
+
+    def strike(self) -> None:
+        """Let the faults begin."""
+        assert self._schedule is not None
+        self._schedule.begin(self.now_ns)
+
+    def let_pass(self, seconds: float) -> None:
+        """Let time pass for the robot; its driver is not asked."""
+        end_ns = self.now_ns + round(seconds * S)
+        self._step()  # it hears what was written before
+        while self.now_ns < end_ns:
+            self._pass_until(end_ns)
+
+    def drive(self, wheels: WheelSpeeds | None, seconds: float) -> list[Moment]:
+        """Read in every loop and command the wheels as the kit does (None: not at all); what is raised goes up."""
+        return [self._loop(wheels, k) for k in range(round(seconds * S / LOOP_NS))]
+
+    def drive_on(self, wheels: WheelSpeeds, seconds: float, *, hold: bool = False) -> list[Moment]:
+        """Do the same through failures: a driver that failed is closed and made again, and told to stand from then.
+
+        ``hold`` goes on with the wheels.
+        """
+        moments: list[Moment] = []
+        again_ns = 0
+        for k in range(round(seconds * S / LOOP_NS)):
+            if self.driver is None and self.now_ns >= again_ns:
+                again_ns = self.now_ns + _AGAIN_NS
+                with suppress(DriverError, OSError):
+                    self.make()
+            try:
+                moments.append(self._loop(wheels, k))
+            except (DriverError, OSError):
+                again_ns, wheels = self.now_ns + _AGAIN_NS, wheels if hold else STOP
+                self.give_up()
+                moments.append(self._moment(None))
+        return moments
+
+    def run(self, step: Callable[[int], int], seconds: float) -> None:
+        """Step a process whenever it asks to be."""
+        end_ns = self.now_ns + round(seconds * S)
+        while self.now_ns < end_ns:
+            next_ns = step(self.now_ns)
+            self.let_pass((min(end_ns, next_ns) - self.now_ns) / S)
+
+    def unheard(self) -> int:
+        """Return how many bytes wait at the robot's end."""
+        return 0 if self.twin is None else serial_world.unread(self.port)
+
+    def give_up(self) -> None:
+        """Close the driver."""
+        if self.driver is not None:
+            self.driver.close()
+            self.driver = None
+
+    def _loop(self, wheels: WheelSpeeds | None, number: int) -> Moment:
+        reading = None
+        if self.driver is not None:
+            reading = self.driver.read()
+            if wheels is not None and number % _WRITES == 0:
+                self.driver.write(wheels)
+        return self._moment(reading)
+
+    def _moment(self, reading: DriverReading | None) -> Moment:
+        before = self.angles
+        self.let_pass(LOOP_NS / S)
+        speeds = WheelSpeeds(*((b - a) * S / LOOP_NS for a, b in zip(before, self.angles, strict=True)))
+        return Moment(self.now_ns, speeds, self.angles, reading, len(self._made))
+
+    def _pass_while_waiting(self, deadline_ns: int) -> None:
+        before_ns = self.now_ns
+        self._step()
+        self._pass_until(deadline_ns)
+        self.waited_ns += self.now_ns - before_ns
+
+    def _pass_until(self, deadline_ns: int) -> None:
+        self.clock.advance_to(min(deadline_ns, max(self._next_ns, self.now_ns + 1)))
+        self._step()
+
+    def _step(self) -> None:
+        self._next_ns = self.now_ns + LOOP_NS if self.twin is None else self.twin.step(self.now_ns)
+        truth, passed_s = self._truth(), (self.now_ns - self._seen_ns) / S
+        if truth is None or not passed_s:
+            return
+        self._seen_ns = self.now_ns
+        turn = wheels_from_body(truth.v, truth.omega, self.drive_of.wheel_radius, self.drive_of.wheel_base)
+        self.fastest = max(self.fastest, *map(abs, turn))
+        self.angles = WheelSpeeds(*(angle + speed * passed_s for angle, speed in zip(self.angles, turn, strict=True)))
+
+    def _truth(self) -> TruePose | None:
+        if self.twin is not None:
+            return self.twin.truth()
+        truth = getattr(self.driver, "truth", None)
+        return None if truth is None else truth()
+
+    def _close_all(self) -> None:
+        for driver in self._made:
+            with suppress(DriverError, OSError):
+                driver.close()
+
+
+@lru_cache
+def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, faster: float) -> Config:
+    ideal = [f"robots.0.vehicle.simulated.{key}=0" for key in _IDEAL]
+    twins = [] if twin is None else [f"robots.0.twin='{twin}'"]
+    own = [f"robots.0.driver='{driver}'", f"robots.0.vehicle={vehicle}", f"robots.0.settings={settings}", *twins]
+    config = load_config(_PLATOON, [*own, *ideal])
+    fast = f"robots.0.vehicle.max_wheel_speed_rad_s={faster * config.robots[0].vehicle.max_wheel_speed_rad_s}"
+    return config if faster == 1.0 else load_config(_PLATOON, [*own, *ideal, fast])
+
+
+def _config(subject: Subject, faster: float = 1.0) -> Config:
+    return _loaded(subject.driver, subject.twin, subject.vehicle, str(dict(subject.settings)), faster)

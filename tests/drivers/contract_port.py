@@ -1,0 +1,109 @@
+"""The contract's checks of settings and ports: what cannot be is refused in words, and nothing moves."""
+
+import math
+from contextlib import suppress
+
+import pytest
+from pydantic import ValidationError
+
+from drivers.serial_port import SerialPort
+from robofleet.plugins import load
+from robofleet.processes import driver_settings
+from robofleet.vehicles.interface import DriverError
+from tests.drivers.contract_bench import Bench, Subject
+from tests.drivers.contract_motion import cruise, on_the_line
+
+# What may answer instead, and the kind of robot that it is one of.
+OTHERS = {
+    "gternal": "gternal",
+    "arduino_bridge": "arduino",
+    "create2": "create2",
+    "tests.drivers.line_robot:LineFirmware": "gternal",
+    "tests.drivers.strangers:Mute": "gternal",
+    "tests.drivers.strangers:Echo": "gternal",
+    "tests.drivers.strangers:Chatter": "gternal",
+}
+
+
+class Port:
+    """``subject`` is what is tried."""
+
+    subject: Subject
+
+    def test_a_setting_that_there_is_not_is_refused_in_words(self) -> None:
+        with Bench(self.subject._replace(settings={**self.subject.settings, "prot": "/dev/ttyUSB0"})) as bench:
+            paths, words = zip(*driver_settings.complaints(bench.config, 0), strict=True)
+        assert any(path.startswith("robots.0.settings") for path in paths)
+        assert all(words)
+
+    def test_a_port_that_is_not_given_is_refused_in_words(self) -> None:
+        on_the_line(self.subject)
+        with Bench(self.subject._replace(twin=None)) as bench:
+            found = dict(driver_settings.complaints(bench.config, 0))
+        assert found["robots.0.settings.port"]
+
+    def test_a_setting_that_cannot_be_is_refused(self) -> None:
+        """No number may be infinite or none, and no port may be one."""
+        on_the_line(self.subject)
+        settings = load("robofleet.drivers", self.subject.driver).Settings
+        sound = {**self.subject.settings, "port": "/dev/ttyUSB0"}
+        assert settings.model_validate(sound).port == "/dev/ttyUSB0"
+        for name in settings.model_fields:
+            for value in (math.nan, math.inf):
+                with pytest.raises(ValidationError):
+                    settings.model_validate({**sound, name: value})
+
+    def test_a_port_that_is_absent_is_named(self) -> None:
+        on_the_line(self.subject)
+        with Bench(self.subject) as bench:
+            assert bench.twin is not None
+            bench.twin.close()
+            with pytest.raises(DriverError, match=bench.port.name):
+                bench.make()
+
+    def test_a_port_that_somebody_has_is_named_and_left_alone(self) -> None:
+        on_the_line(self.subject)
+        with Bench(self.subject) as bench:
+            holder = SerialPort(str(bench.port), 115200)
+            try:
+                bench.let_pass(0.1)
+                with pytest.raises(DriverError, match=bench.port.name):
+                    bench.make()
+                assert bench.unheard() == 0
+            finally:
+                holder.close()
+
+    @pytest.mark.parametrize("other", OTHERS)
+    def test_who_speaks_another_language_is_no_robot_of_ours_and_does_not_move(self, other: str) -> None:
+        on_the_line(self.subject)
+        if other == self.subject.twin:
+            pytest.skip("it is its own language")
+        with Bench(self.subject._replace(twin=other, vehicle=OTHERS[other])) as bench:
+            with pytest.raises(DriverError, match=bench.port.name):
+                bench.make()
+            bench.let_pass(1.0)
+            assert bench.fastest == 0.0
+
+    def test_closing_again_is_fine_and_so_is_closing_without_a_line(self) -> None:
+        with Bench(self.subject) as bench:
+            driver = bench.make()
+            bench.drive(cruise(self.subject, 1.0, 1.0), 0.2)
+            driver.close()
+            driver.close()
+            bench.let_pass(0.1)
+            if bench.twin is not None:
+                again = bench.make()
+                bench.twin.close()
+                again.close()
+                again.close()
+
+    def test_one_that_was_closed_can_be_made_again_on_its_port(self) -> None:
+        with Bench(self.subject) as bench:
+            for _ in range(3):
+                bench.make()
+                before = bench.angles
+                moments = bench.drive(cruise(self.subject, 1.0, 1.0), 0.5)
+                assert moments[-1].angles.left > before.left
+                with suppress(DriverError, OSError):
+                    bench.give_up()
+                bench.let_pass(0.5)

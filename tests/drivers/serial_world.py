@@ -1,0 +1,92 @@
+"""One thread for a driver and its robot's twin, on a clock that they do not wait for, over a real pseudo-terminal.
+
+The kernel carries a byte to the other end of a pseudo-terminal a moment after it was written: here a write returns
+when it has. A driver that waits for its robot, with ``select.select`` or ``SerialPort.wait``, lets the twin's time
+pass instead of ours: so the same happens each time, and seconds cost milliseconds.
+"""
+
+import fcntl
+import math
+import os
+import select
+import struct
+import termios
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from robofleet.clock import MS, S, WallClock
+
+_PTS, _PTMX = 136, os.makedev(5, 2)  # devices, as Linux numbers them
+_NUMBER = 0x80045430  # ioctl TIOCGPTN: which pseudo-terminal
+_UNREAD = 1024  # bytes: the other end does not listen, and the kernel keeps back what is more
+_PATIENCE_NS = S
+
+_write, _select = os.write, select.select
+
+
+@contextmanager
+def shared(now_ns: Callable[[], int], pass_until: Callable[[int], int]) -> Iterator[None]:
+    """Let bytes arrive when they are written, and time pass by ``pass_until(deadline)`` while a driver waits.
+
+    ``pass_until`` lets a step of time pass, not beyond the deadline [ns], and returns the instant.
+    """
+
+    def wait(reads: Any, writes: Any, errors: Any, timeout: float | None = None) -> Any:
+        if not any(terminal(_descriptor(item)) for item in reads):
+            return _select(reads, writes, errors, timeout)
+        assert timeout is not None, "it waits for its robot for ever"
+        deadline_ns = now_ns() + math.ceil(timeout * S)
+        while not any(ready := _select(reads, writes, errors, 0.0)) and now_ns() < deadline_ns:
+            pass_until(deadline_ns)
+        return ready
+
+    with patch.object(os, "write", _write_and_arrive), patch.object(select, "select", wait):
+        yield
+
+
+def terminal(descriptor: int) -> tuple[int, bool] | None:
+    """Return which pseudo-terminal this is an end of, and whether it is the robot's end; None: of none."""
+    try:
+        device = os.fstat(descriptor).st_rdev
+        if device == _PTMX:
+            return _asked(descriptor, _NUMBER), True
+    except OSError:
+        return None
+    return (os.minor(device), False) if os.major(device) == _PTS else None
+
+
+def unread(port: Path) -> int:
+    """Return how many bytes wait at the robot's end of the port."""
+    number = int(port.resolve().name)
+    return sum(_asked(d, termios.FIONREAD) for d in open_descriptors() if terminal(d) == (number, True))
+
+
+def open_descriptors() -> list[int]:
+    """Return what this process has open."""
+    return [int(entry.name) for entry in Path("/proc/self/fd").iterdir()]
+
+
+def _write_and_arrive(descriptor: int, data: Any, /) -> int:
+    end = terminal(descriptor)
+    if end is None:
+        return _write(descriptor, data)
+    other = next((d for d in open_descriptors() if terminal(d) == (end[0], not end[1])), None)
+    before = _UNREAD if other is None else _asked(other, termios.FIONREAD)
+    written = _write(descriptor, data)
+    if other is not None and before < _UNREAD:
+        clock = WallClock()
+        deadline_ns = clock.now_ns() + _PATIENCE_NS
+        while _asked(other, termios.FIONREAD) < min(before + written, _UNREAD) and clock.now_ns() < deadline_ns:
+            clock.sleep_until(clock.now_ns() + MS // 20)
+    return written
+
+
+def _asked(descriptor: int, what: int) -> int:
+    return int(struct.unpack("i", fcntl.ioctl(descriptor, what, bytes(4)))[0])
+
+
+def _descriptor(item: Any) -> int:
+    return item if isinstance(item, int) else int(item.fileno())

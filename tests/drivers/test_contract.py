@@ -1,0 +1,25 @@
+"""Every driver keeps the contract."""
+
+from tests.drivers.contract import Contract, Subject
+
+
+class TestSimulated(Contract):
+    subject = Subject("simulated", twin=None)
+
+
+class TestLineRobot(Contract):
+    subject = Subject("tests.drivers.line_robot:LineRobot", twin="tests.drivers.line_robot:LineFirmware")
+
+
+class TestGTernal(Contract):
+    subject = Subject("gternal", twin="gternal", vehicle="gternal", encoders=False)
+
+
+class TestArduinoBridge(Contract):
+    subject = Subject(
+        "arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248}
+    )
+
+
+class TestCreate2(Contract):
+    subject = Subject("create2", twin="create2", vehicle="create2")
