@@ -12,8 +12,8 @@ from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S, WallClock
 from robofleet.comms.endpoint import bind_endpoint
-from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD
+from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import ArenaBusyError, claimed
@@ -23,8 +23,10 @@ from robofleet.processes.launcher import Launcher
 from robofleet.processes.live_state import WAITING
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.terminal import Terminal
+from robofleet.recording.causes import run_cause
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording, Watch
+from robofleet.safety.advice import advised
 from robofleet.tracking.offset import tag_from_centre
 
 Array = NDArray[np.float64]
@@ -184,6 +186,10 @@ class _Watch:
 
     def __call__(self, recording: Recording, phase: str) -> None:
         text = WAITING.get(phase, phase)
+        states = recording.messages.get(key(self._config.arena.name, STATE))
+        if phase == "held" and states and (state := RUN_STATE.decode(states[-1])) is not None:
+            cause = advised(run_cause(state, self._config.groups[0].robots), state.cause)
+            text = f"held: {cause}; then press r, or `robofleet resume`"
         ticks = recording.messages.get(key(self._config.arena.name, TICK))
         head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None
         if head is not None and head[3] >= 0:
