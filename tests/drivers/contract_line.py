@@ -198,9 +198,9 @@ class BadLines:
                         driver.write(cruise(self.subject, 1.0, 1.0))
                     with suppress(DriverError, OSError):
                         driver.read()
+                assert bench.waited_ns == waited_ns
                 with suppress(DriverError, OSError):
                     driver.close()
-            assert bench.waited_ns == waited_ns
 
 
 @contextmanager
