@@ -104,4 +104,4 @@ class Robot(Model):
     calibration: RobotCalibration | None = None
     """What ``tools/calibrate.py`` measured of it; null: nothing was."""
     start: StartPose
-    """Where it stands at first, if it is simulated."""
+    """Where it stands at first, if it or its body is simulated."""
