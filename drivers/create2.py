@@ -42,7 +42,7 @@ _LIST_LACK = bytes(16)  # what a broken subscription lacks
 _SWALLOWED = bytes(64)  # for an opcode that garbage made, which swallows up to 512 bytes: it is fed
 _SUBSCRIPTION = bytes((_STREAM, len(PACKETS), *PACKETS))
 # Motors off, then passive: an old command that a driver still writes after a hang moves nothing.
-_STOP = _LIST_LACK + struct.pack(">Bhh", _DRIVE, 0, 0) + bytes((_START,))
+MOTORS_OFF = _LIST_LACK + struct.pack(">Bhh", _DRIVE, 0, 0) + bytes((_START,))
 
 _ANSWER_NS, _STALE_NS = 1_000_000_000, 500_000_000
 _SILENT_NS = _GREET_NS = 100_000_000
@@ -54,28 +54,25 @@ _FASTEST_RAD_S = 30.0  # twice what its motors do: pushed by hand
 _LATE_S = 0.1  # a frame may be so much older than it seems
 
 
-class Settings(BaseModel):
-    """What ``robots[].settings`` may say."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
-
-    port: Annotated[str, Field(min_length=1)]
-    """Its serial line, such as /dev/serial/by-id/usb-FTDI_..."""
-    mode: Literal["safe", "full"] = "safe"
-    """``safe``: at a cliff, lifted, or at its charger it stops by itself; ``full``: it does not."""
-    wheel_diameter_m: Annotated[float, Field(gt=0.03, lt=0.3)] = 0.072
-    """By which its firmware makes turning of mm/s; the published one. What was calibrated is not meant."""
-    counts_per_turn: Annotated[float, Field(gt=1, lt=1e6)] = 508.8
-    """Encoder counts of a wheel's turn; the published number."""
-
-
 class Create2:
     """One Create 2. Its angles count from its opening on."""
 
-    Settings = Settings
+    class Settings(BaseModel):
+        """What ``robots[].settings`` may say."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+
+        port: Annotated[str, Field(min_length=1)]
+        """Its serial line, such as /dev/serial/by-id/usb-FTDI_..."""
+        mode: Literal["safe", "full"] = "safe"
+        """``safe``: at a cliff, lifted, or at its charger it stops by itself; ``full``: it does not."""
+        wheel_diameter_m: Annotated[float, Field(gt=0.03, lt=0.3)] = 0.072
+        """By which its firmware makes turning of mm/s; the published one. What was calibrated is not meant."""
+        counts_per_turn: Annotated[float, Field(gt=1, lt=1e6)] = 508.8
+        """Encoder counts of a wheel's turn; the published number."""
 
     def __init__(self, context: DriverContext) -> None:
-        settings: Settings = context.settings
+        settings: Create2.Settings = context.settings
         self._now_ns, self._name = context.now_ns, settings.port
         self._mm_per_rad = 500.0 * settings.wheel_diameter_m
         self._rad_per_count = math.tau / settings.counts_per_turn
@@ -93,7 +90,7 @@ class Create2:
         self._port = SerialPort(settings.port, _BAUD)
         try:
             self._wait_for_answer()
-            self._dead_man = DeadMan(self._port.descriptor, _STOP)
+            self._dead_man = DeadMan(self._port.descriptor, MOTORS_OFF)
         except BaseException:
             self._port.close()
             raise
@@ -108,8 +105,8 @@ class Create2:
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels [rad/s], rounded to 1 mm/s."""
-        self._dead_man.sign()
         now_ns = self._now_ns()
+        wheels = self._dead_man.allow(wheels, now_ns)
         self._told.append((now_ns, (self._mm_s(wheels.right), self._mm_s(wheels.left))))
         while len(self._told) > 1 and now_ns - self._told[1][0] > _TOLD_NS:
             self._told.popleft()
@@ -135,7 +132,7 @@ class Create2:
             return
         self._closed = True
         with contextlib.suppress(DriverError):  # the line is gone: nobody can tell it anything
-            self._port.write(_STOP + bytes((_STOP_OI,)))
+            self._port.write(MOTORS_OFF + bytes((_STOP_OI,)))
         self._dead_man.close()
         self._port.close()
 
@@ -157,7 +154,7 @@ class Create2:
         if now_ns - self._greeted_ns < _GREET_NS:
             return
         self._greeted_ns = now_ns
-        self._port.write(_STOP + bytes((_MODE + self._mode,)) + _SUBSCRIPTION)
+        self._port.write(MOTORS_OFF + bytes((_MODE + self._mode,)) + _SUBSCRIPTION)
 
     def _tell(self, more: bytes = b"") -> None:
         """Say what it was told last, and bring it back into its mode if no reason is known why it left it."""

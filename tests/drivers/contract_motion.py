@@ -146,7 +146,7 @@ class Motion:
             driver = bench.make()
             bench.drive(cruise(self.subject, 1.0, 1.0), SETTLE_S)
             bench.give_up()
-            bench.let_pass(0.5)
+            bench.let_pass(1.0)
             rest = bench.angles
             for _ in range(30):
                 with suppress(DriverError, OSError):
