@@ -113,7 +113,7 @@ def test_it_asks_before_it_tells_and_lets_the_robot_stand(desk: Desk) -> None:
     desk.lines.clear()
     driver = desk.make()
     assert b"write" not in desk.lines[0]
-    assert any(b'{"v":0.00000,"w":0.0000}' in line for line in desk.lines)
+    assert any(b'{"v":0.0,"w":0.0}' in line for line in desk.lines)
     assert driver.read() == (0.0, 0.0, 0.0, 0.0, pytest.approx(1.0, abs=0.01), 0)
     desk.meanwhile(driver.close)
 
