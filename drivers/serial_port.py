@@ -27,7 +27,8 @@ class SerialPort:
         try:
             self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            number = getattr(error, "errno", None) or 0
+            first = error if getattr(error, "errno", None) else error.__context__  # pyserial drops a number or two
+            number = getattr(first, "errno", None) or getattr(first, "args", (0,))[0]
             raise DriverError(f"{path}: {_WHY.get(number, str(error))}") from error
         self.descriptor = self._serial.fileno()
 

@@ -11,14 +11,15 @@ class PluginError(Exception):
 
 def load(group: str, name: str) -> Any:
     """Return the class called ``name``."""
-    if ":" in name:
-        module, _, attribute = name.partition(":")
-        try:
-            return getattr(import_module(module), attribute)
-        except (ImportError, AttributeError, TypeError, ValueError) as error:
-            raise PluginError(f"{name!r} cannot be loaded: {error}: mend its name, or install its package") from error
-    found = {point.name: point for point in entry_points(group=group)}
-    if name not in found:
-        known = ", ".join(sorted(found)) or "none; is robofleet installed (pip install -e .)?"
+    points = {point.name: point for point in entry_points(group=group)}
+    if ":" not in name and name not in points:
+        known = ", ".join(sorted(points)) or "none; is robofleet installed (pip install -e .)?"
         raise PluginError(f"no {group} entry point {name!r} (installed: {known})")
-    return found[name].load()
+    module, _, attribute = name.partition(":")
+    try:
+        found = getattr(import_module(module), attribute) if ":" in name else points[name].load()
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise PluginError(f"{name!r} cannot be loaded: {error}: mend its name, or install its package") from error
+    if not isinstance(found, type):
+        raise PluginError(f"{name!r} is no class: mend its name")
+    return found

@@ -7,6 +7,9 @@ from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.tree import Config
 
 _MEASURED = 1.5  # a calibration that is this many times its vehicle's value, or less than its inverse, is wrong
+_HELD_BACK = 2.0  # a robot's wheels may be allowed less than its top speed takes, but not so much less
+_MM = 1000.0  # a length that fits when it is divided by this was meant in millimetres,
+_LEAST = 0.01  # if it is not less than this share of what it may be
 _ROUNDING = 1e-9
 
 
@@ -37,10 +40,10 @@ def _shape(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
 
 
 def _speed(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
-    """The wheels can give the top speed."""
+    """The wheels can give the top speed; one of them may be held back."""
     most = vehicle.max_wheel_speed_rad_s * vehicle.wheel_radius_m
-    if vehicle.max_speed_m_s > most * (1 + _ROUNDING):
-        asked = f"{vehicle.max_speed_m_s:g} m/s is more than these wheels give, {most:.3g} m/s"
+    if vehicle.max_speed_m_s > _HELD_BACK * most:
+        asked = f"{vehicle.max_speed_m_s:g} m/s is far more than these wheels give, {most:.3g} m/s"
         yield "max_speed_m_s", f"{asked}: lower it, or mend max_wheel_speed_rad_s or wheel_radius_m"
 
 
@@ -56,4 +59,4 @@ def _measured(robot: Robot) -> Iterator[tuple[str, str]]:
 
 
 def _perhaps(value: float, limit: float) -> str:
-    return f" (is {value:g} in mm?)" if value / 1000 <= limit else ""
+    return f" (is {value:g} in mm?)" if _LEAST <= value / _MM / limit <= 1.0 else ""

@@ -16,11 +16,10 @@ from robofleet.config.load import ConfigFile
 from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
-from robofleet.processes import check_faults, reality
+from robofleet.processes import check_drivers, check_faults, reality
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
-from robofleet.vehicles.interface import SimulatedDriver
 
 Array = NDArray[np.float64]
 
@@ -69,9 +68,15 @@ class Lap:
 def load_checked(
     file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None, *, lockstep: bool = False
 ) -> Config:
-    """Read a configuration that can work; ConfigError with every fault at its line and column."""
+    """Read a configuration that can work; ConfigError with every fault at its line and column.
+
+    Where nothing else is wrong with the robots, those that exist are opened once: what does not answer is a fault too.
+    """
     source = ConfigFile(file, overrides, faults_file)
-    source.refuse(refusals(source.config, lockstep=lockstep))
+    complaints = refusals(source.config, lockstep=lockstep)
+    if not lockstep and not any(path.startswith("robots.") for path, _ in complaints):
+        complaints += check_drivers.unreachable(source.config)
+    source.refuse(complaints)
     return source.config
 
 
@@ -81,7 +86,9 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
     faults = check_faults.complaints(config, lockstep=lockstep)
-    complaints = [*_plugins(config, lockstep), *reality.complaints(config), *faults]
+    complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality.complaints(config), *faults]
+    if config.tracker.source == "camera":
+        complaints += _camera_source(config, lockstep)
     for bound in _bounds(config):
         if not bound.holds:
             relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
@@ -252,28 +259,16 @@ def _camera(config: Config) -> Iterator[Bound]:
         yield Bound("camera.trigger_lead_s", what, lead, needed, "s", mend, at_least=True)
 
 
-def _plugins(config: Config, lockstep: bool) -> Iterator[Complaint]:
-    named: list[tuple[str, str, str, type]] = [
-        (f"robots.{i}.driver", "robofleet.drivers", robot.driver, SimulatedDriver)
-        for i, robot in enumerate(config.robots)
-    ]
-    named += [
-        (f"robots.{i}.twin", "robofleet.twins", robot.twin, object)
-        for i, robot in enumerate(config.robots)
-        if robot.twin is not None
-    ]
-    if config.tracker.source == "camera":
-        named.append(("camera.source", "robofleet.cameras", config.camera.source, ScheduledCamera))
-    for path, group, name, simulated in named:
-        try:
-            found = load(group, name)
-        except PluginError as error:
-            yield path, str(error)
-        else:
-            if lockstep and not issubclass(found, simulated):
-                yield path, f"{name!r} keeps real time, and lockstep does not: run without --lockstep"
-            if group == "robofleet.cameras":
-                yield from getattr(found, "refusals", _none)(config)
+def _camera_source(config: Config, lockstep: bool) -> Iterator[Complaint]:
+    source = config.camera.source
+    try:
+        found = load("robofleet.cameras", source)
+    except PluginError as error:
+        yield "camera.source", str(error)
+    else:
+        if lockstep and not issubclass(found, ScheduledCamera):
+            yield "camera.source", f"{source!r} keeps real time, and lockstep does not: run without --lockstep"
+        yield from getattr(found, "refusals", _none)(config)
 
 
 def _none(_config: Config) -> tuple[Complaint, ...]:

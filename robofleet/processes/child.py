@@ -18,6 +18,7 @@ from robofleet.processes.node import Lifeline, LineWaker, Node, Waker, ahead_of_
 from robofleet.processes.refusal import RefusedError
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
+from robofleet.vehicles.interface import DriverError
 
 _CONTROLLER_PRIORITY = 20
 _TWINS_PRIORITY = 18  # a robot's own processor waits for nobody
@@ -70,7 +71,7 @@ def tracker(config: Config, lifeline: Lifeline) -> None:
 
 
 def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
-    """The drivers of some robots."""
+    """The drivers of some robots; RefusedError where one does not answer."""
     from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
     from robofleet.processes.keeping import FaultyKeeping, FileKeeping, Keeping  # noqa: PLC0415
 
@@ -79,7 +80,10 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
         if faults is not None:
             keeping = FaultyKeeping(keeping, faults)
         rng = entropy(config.run.seed, *robots)
-        return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
+        try:
+            return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
+        except DriverError as error:
+            raise RefusedError(str(error)) from error
 
     _run(f"driver-{robots[0]}", config, lifeline, make, _DRIVER_PRIORITY)
 

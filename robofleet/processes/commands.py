@@ -30,7 +30,7 @@ def _running_names() -> list[str]:
     return [there.arena for there in running()]
 
 
-ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration, with a named port.")]
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration, with a named port.")]
 ArenaName = Annotated[
     str | None,
     typer.Argument(
@@ -116,7 +116,7 @@ def _told(done: bool, what: str) -> None:
 
 
 def _process(name: str) -> None:
-    def command(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+    def command(config: ConfigPath, lifeline: LifelineFd = None) -> None:
         from robofleet.processes import child  # noqa: PLC0415
         from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
@@ -130,7 +130,7 @@ for _name in ("router", "tracker"):
 
 
 @app.command(rich_help_panel=PROCESSES)
-def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
     """The supervisor of a run.
 
     $ robofleet supervisor lab.yaml
@@ -142,7 +142,7 @@ def supervisor(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 
 @app.command(rich_help_panel=PROCESSES)
-def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+def recorder(config: ConfigPath, lifeline: LifelineFd = None) -> None:
     """The recorder of a run: it writes run.mcap beside CONFIG.
 
     $ robofleet recorder lab/config.yaml
@@ -156,7 +156,7 @@ def recorder(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 
 @app.command(rich_help_panel=PROCESSES)
-def twins(config: ConfigFile, lifeline: LifelineFd = None) -> None:
+def twins(config: ConfigPath, lifeline: LifelineFd = None) -> None:
     """The firmware twins of a run: what answers on the serial ports of robots that do not exist.
 
     $ robofleet twins lab.yaml
@@ -171,7 +171,7 @@ def twins(config: ConfigFile, lifeline: LifelineFd = None) -> None:
 
 @app.command(rich_help_panel=PROCESSES)
 def controller(
-    config: ConfigFile,
+    config: ConfigPath,
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
     lifeline: LifelineFd = None,
 ) -> None:
@@ -187,7 +187,7 @@ def controller(
 
 @app.command(rich_help_panel=PROCESSES)
 def driver(
-    config: ConfigFile,
+    config: ConfigPath,
     robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
     lifeline: LifelineFd = None,
 ) -> None:
@@ -199,7 +199,9 @@ def driver(
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
-    child.driver(_for_one_process(config, names), Lifeline(lifeline), names)
+    tree = _for_one_process(config, names)
+    with bad_input():
+        child.driver(tree, Lifeline(lifeline), names)
 
 
 @app.command(rich_help_panel=OPERATOR)
@@ -250,10 +252,11 @@ def _listening(host: str, port: int) -> "socket.socket":
 
 def _for_one_process(config: Path, robots: tuple[str, ...] = ()) -> "Config":
     """Return the configuration of a run's process: it finds the others by a port that is named."""
-    from robofleet.config.load import load_config  # noqa: PLC0415
+    from robofleet.config.load import ConfigFile  # noqa: PLC0415
 
     with bad_input():
-        tree = load_config(config)
+        source = ConfigFile(config)
+        tree = source.config
         known = [robot.id for robot in tree.robots]
         for unknown in (name for name in robots if name not in known):
             raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
@@ -262,4 +265,8 @@ def _for_one_process(config: Path, robots: tuple[str, ...] = ()) -> "Config":
                 f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
                 "name one, for example tcp/127.0.0.1:7447"
             )
+        for robot in robots:
+            from robofleet.processes.check_drivers import of_robot  # noqa: PLC0415
+
+            source.refuse(of_robot(tree, known.index(robot)))
         return tree

@@ -36,10 +36,16 @@ def context(
     return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot))
 
 
+def port(config: Config, robot: Robot) -> str | None:
+    """Return the port that a robot is connected to, its twin's or its own; None where its driver needs none."""
+    named: str | None = getattr(of(config, robot), "port", None)
+    return named
+
+
 def place(config: Config, robot: Robot) -> str:
     """Return the dotted path at which it is said that a robot cannot be opened."""
-    port = hasattr(of(config, robot), "port") and robot.twin is None
-    return f"robots.{config.robots.index(robot)}.{'settings.port' if port else 'driver'}"
+    own_port = robot.twin is None and port(config, robot) is not None
+    return f"robots.{config.robots.index(robot)}.{'settings.port' if own_port else 'driver'}"
 
 
 def complaints(config: Config, index: int) -> list[Complaint]:
@@ -50,8 +56,6 @@ def complaints(config: Config, index: int) -> list[Complaint]:
         without_port = f"{robot.driver!r} opens no serial port: name another driver, or remove the twin"
         twin = [(f"robots.{index}.twin", without_port)] if robot.twin is not None else []
         return twin + ([(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else [])
-    if robot.twin is not None and "port" in robot.settings:
-        return [(f"{path}.port", f"the twin of {robot.id} makes one: remove it, or the twin")]
     try:
         of(config, robot)
     except ValidationError as invalid:

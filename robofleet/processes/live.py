@@ -123,13 +123,14 @@ class LiveView:
         for column in ("control mm", "path mm", "timed mm", "spacing mm", "wheels rad/s"):
             table.add_column(column, justify="right")
         table.add_column("gate")
-        points, true = self._points(recording, tick)
+        points, estimated = self._points(recording, tick)
         for row, (robot, item) in enumerate(zip(self._config.platoon, tick.robots, strict=True)):
             cells = self._cells(row, points, item, tick) if tick.run_tick >= 0 else ["-"] * 4
             wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
             table.add_row(robot.id, *cells, wheels, self._gate(recording, row, state))
-        if not true:
-            table.caption = "estimated: no truth is known"
+        if estimated:
+            of = "" if len(estimated) == len(self._ids) else f" of {', '.join(estimated)}"
+            table.caption = f"estimated: no truth is known{of}"
         return table
 
     def _cells(self, row: int, points: list[Any], item: RobotTick, tick: TickRecord) -> list[str]:
@@ -165,18 +166,19 @@ class LiveView:
             text.append(f"\n          {describe(news.event, news.tag, news.value)}", "yellow")
         return text
 
-    def _points(self, recording: Recording, tick: TickRecord) -> tuple[list[Any], bool]:
-        """Points p: true ones where every robot's truth is known."""
+    def _points(self, recording: Recording, tick: TickRecord) -> tuple[list[Any], list[str]]:
+        """Points p, true ones where they are known, and whose are estimated."""
         ahead = self._config.controller.point_ahead_m
-        poses = []
-        for robot in self._config.platoon:
-            truth = self._newest(recording, TRUTH, TRUTH_LAYOUT, robot.id)
+        points, estimated = [], []
+        for robot, item in zip(self._ids, tick.robots, strict=True):
+            truth = self._newest(recording, TRUTH, TRUTH_LAYOUT, robot)
             if truth is None:
-                return [np.array([item.point_x_m, item.point_y_m]) for item in tick.robots], False
-            poses.append(
-                np.array([truth.x_m + ahead * np.cos(truth.psi_rad), truth.y_m + ahead * np.sin(truth.psi_rad)])
-            )
-        return poses, True
+                estimated.append(robot)
+                points.append(np.array([item.point_x_m, item.point_y_m]))
+            else:
+                heading = np.array([np.cos(truth.psi_rad), np.sin(truth.psi_rad)])
+                points.append(np.array([truth.x_m, truth.y_m]) + ahead * heading)
+        return points, estimated
 
     def _gate(self, recording: Recording, row: int, state: RunState | None) -> Text:
         """Why a robot may move, or why not: its latch, its own halt, else its gate."""

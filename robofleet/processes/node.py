@@ -7,6 +7,7 @@ import signal
 import socket
 import sys
 import threading
+from contextlib import closing, suppress
 from typing import Protocol
 
 from robofleet.clock import MS, Clock, S
@@ -97,21 +98,44 @@ class Lifeline:
         os._exit(1)
 
 
+class _Systemd:
+    """Says to systemd that a service is ready and alive (Type=notify, WatchdogSec=); without systemd to nobody."""
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if address else None
+
+    def tell(self, state: bytes) -> None:
+        if self._socket is not None:
+            with suppress(OSError):  # systemd is too busy, or gone: the wheels go first
+                self._socket.sendto(state, socket.MSG_DONTWAIT, self._address)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+
+
 def run(node: Node, clock: Clock, lifeline: Lifeline, waker: Waker, *, precise: bool = False) -> None:
     """Step a process in real time until its lifeline is cut; it is closed whatever happens.
 
     ``precise`` meets every instant within microseconds and is not woken by messages: the controller's tick.
+    A loop that hangs gives systemd no more signs of life.
     """
-    try:
-        lifeline.ready()
-        while not lifeline.cut:
-            next_ns = min(node.step(clock.now_ns()), clock.now_ns() + 100 * MS)
-            if precise:
-                clock.sleep_until(next_ns, precise=True)
-            else:
-                waker.wait_until(clock, next_ns)
-    finally:
-        node.close()
+    with closing(_Systemd()) as systemd:
+        try:
+            lifeline.ready()
+            systemd.tell(b"READY=1")
+            while not lifeline.cut:
+                systemd.tell(b"WATCHDOG=1")
+                next_ns = min(node.step(clock.now_ns()), clock.now_ns() + 100 * MS)
+                if precise:
+                    clock.sleep_until(next_ns, precise=True)
+                else:
+                    waker.wait_until(clock, next_ns)
+        finally:
+            systemd.tell(b"STOPPING=1")
+            node.close()
 
 
 def ahead_of_others() -> None:

@@ -31,7 +31,8 @@ def part(*keys: str) -> Callable[[Figures], float | None]:
 
 def _leaders_timed(figures: Figures) -> float | None:
     timed = figures["timed_error_mm"]
-    return None if timed is None else float(timed["per_robot_mean"][0])
+    leader: float | None = None if timed is None else timed["per_robot_mean"][0]
+    return leader
 
 
 JUDGED = {  # by the keys of run.bounds

@@ -141,7 +141,8 @@ def logarithmic(axes: Axes, lowest: float) -> None:
 
 def zoomed(axes: Axes, values: Array, *also: float | None) -> None:
     """Let the y axis show these values, zero and others that are there, and nothing far beyond."""
-    shown = [float(v) for v in (np.nanmin(values), np.nanmax(values), 0.0, *also) if v is not None and np.isfinite(v)]
+    there = values[np.isfinite(values)]
+    shown = [float(v) for v in (there.min(initial=0.0), there.max(initial=0.0), *also) if v is not None]
     low, high = min(shown), max(shown)
     room = 0.06 * (high - low or 1.0)
     axes.set_ylim(low - room * (low < 0), high + room)

@@ -140,11 +140,11 @@ class Overlay(NamedTuple):
 
 
 def _mean(values: Array | None) -> Array | None:
-    return None if values is None else np.asarray(values.mean(axis=1))
+    return None if values is None else np.asarray(np.nanmean(values, axis=1))
 
 
 def _leader(values: Array | None) -> Array | None:
-    return None if values is None else values[:, 0]
+    return None if values is None or np.isnan(values[:, 0]).all() else values[:, 0]
 
 
 def _off(series: Series) -> Array | None:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.control.path import Path
 from robofleet.recording.run import Array, Recording, Run
@@ -28,6 +29,28 @@ def timed_errors(run: Run, points: Array, centres: Array, t: Array) -> Array:
     if centre_tracked:
         target = target + run.config.controller.point_ahead_m * run.path.tangent(should)
     return np.asarray(np.linalg.norm(points - target, axis=-1))
+
+
+class TrueErrors(NamedTuple):
+    """Distances (K, N) [m]; NaN where a robot's truth is not known, or a follower's predecessor's."""
+
+    timed: Array  # of p from where it should be now
+    path: Array  # of p from the path
+    centre: Array  # of the centre from the path
+
+
+def true_errors(run: Run, counted: NDArray[np.bool_]) -> TrueErrors | None:
+    """Return the errors of the true poses at the ticks that count (K,); None where there are none."""
+    points = run.points()
+    if run.truth is None or points is None or not counted.any():
+        return None
+    points, centres, known = points[counted], run.poses()[counted][..., :2], run.known
+    followed = known & np.concatenate([[True], known[:-1]])
+    return TrueErrors(
+        np.where(followed, timed_errors(run, points, centres, run.t[counted]), np.nan),
+        np.where(known, path_errors(run.path, points), np.nan),
+        np.where(known, path_errors(run.path, centres), np.nan),
+    )
 
 
 def spacings(points: Array) -> Array:

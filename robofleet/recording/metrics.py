@@ -15,10 +15,9 @@ from robofleet.recording.causes import named
 from robofleet.recording.measures import (
     compute_us,
     delays_ms,
-    path_errors,
     pose_errors,
     spacings,
-    timed_errors,
+    true_errors,
 )
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.stops import stops
@@ -44,6 +43,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "real_time_factor": _rounded(duration_s / recording.elapsed_s) if recording.elapsed_s else None,
         "trace_hash": recording.trace_hash,
         "robots": [robot.id for robot in config.platoon],
+        "estimated": [r.id for r, known in zip(config.platoon, run.known, strict=True) if len(run.t) and not known],
         "control_error_mm": _errors(run.items["control_error_m"][settled]),
         **_true_errors(run, spaced),
         "spacing_m": _spacing(run, spaced),
@@ -64,27 +64,19 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
 
 
 def _errors(metres: Array) -> Figures | None:
-    """Mean, largest and per-robot mean of errors (K, N) [m], in mm."""
-    if not metres.size:
-        return None
+    """Mean, largest and per-robot mean of errors (K, N) [m], in mm, without those that are not known."""
     mm = metres * 1e3
-    return {
-        "mean": _rounded(mm.mean()),
-        "max": _rounded(mm.max()),
-        "per_robot_mean": [_rounded(value) for value in mm.mean(axis=0)],
-    }
+    known = mm[np.isfinite(mm)]
+    if not known.size:
+        return None
+    each = [None if np.isnan(column).any() else _rounded(column.mean()) for column in mm.T]
+    return {"mean": _rounded(known.mean()), "max": _rounded(known.max()), "per_robot_mean": each}
 
 
 def _true_errors(run: Run, counted: NDArray[np.bool_]) -> Figures:
-    points = run.points()
-    if run.truth is None or points is None or not counted.any():
-        return dict.fromkeys(("timed_error_mm", "path_error_mm", "centre_error_mm"))
-    points, centres = points[counted], run.truth[counted][..., :2]
-    return {
-        "timed_error_mm": _errors(timed_errors(run, points, centres, run.t[counted])),
-        "path_error_mm": _errors(path_errors(run.path, points)),
-        "centre_error_mm": _errors(path_errors(run.path, centres)),
-    }
+    names = "timed_error_mm", "path_error_mm", "centre_error_mm"
+    errors = true_errors(run, counted)
+    return dict.fromkeys(names) if errors is None else dict(zip(names, map(_errors, errors), strict=True))
 
 
 def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
@@ -101,7 +93,7 @@ def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
 
 def _distances(run: Run) -> Figures:
     """Smallest distance between two robots' centres, and between their bodies, over the whole run."""
-    if run.truth is None or run.truth.shape[1] < 2:
+    if run.truth is None or not run.known.all() or len(run.known) < 2:
         return {"min_gap_mm": None, "min_centre_distance_mm": None}
     first, second = np.triu_indices(run.truth.shape[1], 1)
     distances = np.linalg.norm(run.truth[:, first, :2] - run.truth[:, second, :2], axis=-1).min(axis=0)
@@ -117,7 +109,7 @@ def _pose_error(run: Run) -> Figures | None:
     """The filter at the tick against the truth at the tick."""
     if run.truth is None:
         return None
-    off, turn = pose_errors(run, run.truth)
+    off, turn = (errors[:, run.known] for errors in pose_errors(run, run.truth))
     return {
         "rms_mm": _rounded(math.sqrt((off**2).mean()) * 1e3),
         "max_mm": _rounded(off.max() * 1e3),

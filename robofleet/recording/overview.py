@@ -51,10 +51,9 @@ def floor(view: View) -> tuple[Figure, Axes]:
 
 
 def _bodies(axes: Axes, view: View) -> None:
-    run = view.series.run
+    poses = view.series.run.poses()
     for row, (robot, colour) in enumerate(zip(view.config.platoon, view.colours, strict=True)):
-        item = run.items[-1, row]
-        x, y, psi = (item["x_m"], item["y_m"], item["psi_rad"]) if run.truth is None else run.truth[-1, row]
+        x, y, psi = poses[-1, row]
         radius = robot.vehicle.body_radius_m
         axes.add_patch(Circle((x, y), radius, fc=colour, ec=colour, alpha=0.35, zorder=3))
         nose = x + radius * np.cos(psi), y + radius * np.sin(psi)

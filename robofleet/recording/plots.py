@@ -77,13 +77,19 @@ def speeds(view: View) -> Figure | None:
 
 def true_errors(view: View) -> Figure | None:
     """Draw the distances from the path, and from where each point should be now."""
-    path, timed = view.series.path_mm, view.series.timed_mm
-    if path is None or timed is None:
+    bounds = view.bounds
+    errors = [
+        (label, values, bound, name)
+        for label, values, bound, name in (
+            ("off the path, mm", view.series.path_mm, bounds.path_error_mean_mm, "bound of the mean"),
+            ("timed error, mm", view.series.timed_mm, bounds.timed_error_mean_mm, "bound of the leader's mean"),
+        )
+        if values is not None
+    ]
+    if not errors:
         return None
-    figure, axes = strips(view, ["off the path, mm", "timed error, mm"])
-    bounds = view.bounds.path_error_mean_mm, view.bounds.timed_error_mean_mm
-    names = "bound of the mean", "bound of the leader's mean"
-    for each, values, bound, name in zip(axes, (path, timed), bounds, names, strict=True):
+    figure, axes = strips(view, [label for label, *_ in errors])
+    for each, (_, values, bound, name) in zip(axes, errors, strict=True):
         settling(each, view.config.run.spacing_settle_s)
         _robots_lines(each, view, values)
         zoomed(each, values[view.counted(view.config.run.spacing_settle_s)], bound)
@@ -191,7 +197,7 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
         ),
         Plot(
             "True errors", true_errors,
-            "From the true poses. Above, distance from the path; below, distance from where the point should be now. "
+            "From the true poses that are known. Distance from the path; below, from where the point should be now. "
             "The axes show the part that counts: the start may lie above them. A robot that stands still keeps a small "
             "control error, but not these.",
             _robots, _NO_TRUTH,

@@ -32,6 +32,10 @@ def write(recording: Recording, summary: Summary, folder: Path) -> Path:
     _verdict(page, recording, summary)
     if summary["ticks"]:
         page.tiles(_tiles(summary))
+        if summary["estimated"]:
+            page.note(
+                f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
+            )
         _bounds(page, summary)
     with mpl.rc_context(STYLE):
         _plots(page, view)

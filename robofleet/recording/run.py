@@ -104,7 +104,8 @@ class Run:
         ]
         self.path = Path.hermite(*slices.knots(config.groups[0]))
         truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
-        self.truth = self._at_ticks(truths) if all(len(truth) for truth in truths) and len(self.t) else None
+        self.known = np.array([len(truth) > 0 for truth in truths])  # (N,) whose truth was told
+        self.truth = self._at_ticks(truths) if self.known.any() and len(self.t) else None  # NaN: not told
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
         self.news = recording.rows(key(arena, NEWS, CAMERA), TRACKER_NEWS)
         self.states = _changes(recording, key(arena, STATE))
@@ -114,20 +115,32 @@ class Run:
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
         """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
-        columns = []
+        columns: list[list[Array]] = []
         for truth in truths:
+            if not len(truth):
+                columns.append([np.full(len(self.t), np.nan)] * 3)
+                continue
             stamps = truth["stamp_ns"]
             psi = np.unwrap(truth["psi_rad"])
             columns.append([np.interp(self.ticks["stamp_ns"], stamps, y) for y in (truth["x_m"], truth["y_m"], psi)])
         return np.array(columns).transpose(2, 0, 1)
 
+    def poses(self) -> Array:
+        """Poses of the centres (K, N, 3): true ones, else as estimated."""
+        estimates = np.stack([self.items[name] for name in ("x_m", "y_m", "psi_rad")], axis=-1)
+        return estimates if self.truth is None else np.where(self.known[:, None], self.truth, estimates)
+
     def points(self) -> Array | None:
         """Points p (K, N, 2): true ones, else as estimated."""
+        if not len(self.t):
+            return None
+        estimates = np.stack([self.items["point_x_m"], self.items["point_y_m"]], axis=-1)
         if self.truth is None:
-            return np.stack([self.items["point_x_m"], self.items["point_y_m"]], axis=-1) if len(self.t) else None
+            return estimates
         ahead = self.config.controller.point_ahead_m
         psi = self.truth[..., 2]
-        return self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
+        true = self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
+        return np.where(self.known[:, None], true, estimates)
 
     def after(self, start_s: float) -> NDArray[np.bool_]:
         """Return which ticks count."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.recording.measures import path_errors, pose_errors, spacings, timed_errors
+from robofleet.recording.measures import pose_errors, spacings, true_errors
 from robofleet.recording.run import Array, Run
 
 CSV = "metrics.csv"
@@ -14,7 +14,8 @@ _GAP_S = 0.3  # without a tick for so long, a line is broken
 
 
 class Series(NamedTuple):
-    """Columns over the ticks (K,) while the fleet was running, robots (N,) in platoon order; None: not measured."""
+    """Columns over the ticks (K,) while the fleet was running, robots (N,) in platoon order; None: not measured, of
+    single robots NaN."""
 
     run: Run
     t: Array  # since the first of these ticks, on the controller's grid [s]
@@ -40,11 +41,12 @@ def series(run: Run) -> Series:
     if points is None:
         points = np.empty((0, len(run.config.platoon), 2))
     gaps = spacings(points) * 1e3
-    if truth is None:
+    errors = true_errors(run, np.ones(len(t), np.bool_))
+    if truth is None or errors is None:
         return Series(run, t, points, control, None, None, gaps, None, None)
-    path, timed = path_errors(run.path, points), timed_errors(run, points, truth[..., :2], run.t)
     off, turn = pose_errors(run, truth)
-    return Series(run, t, points, control, path * 1e3, timed * 1e3, gaps, off * 1e3, np.degrees(turn))
+    timed = None if np.isnan(errors.timed).all() else errors.timed * 1e3
+    return Series(run, t, points, control, errors.path * 1e3, timed, gaps, off * 1e3, np.degrees(turn))
 
 
 def line(t: Array, y: Array, span: tuple[float, float], columns: int) -> tuple[Array, Array]:

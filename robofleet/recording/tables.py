@@ -19,18 +19,29 @@ def summary_table(summary: Summary) -> Table:
     table = Table(
         title=Text(f"{summary['config']}: {summary['outcome']}{cause}", "bold"),
         title_justify="left",
-        caption="errors and deviations: mean (max), on the true poses; times: p50, p99",
+        caption=f"errors and deviations: mean (max), {_poses(summary)}; times: p50, p99",
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
     )
     table.add_column("\nfigure", no_wrap=True)
-    table.add_column("this run\n(simulation)", justify="right")
+    table.add_column(f"this run\n({_mode(summary)})", justify="right")
     table.add_column("the paper\n(hardware)", justify="right")
     table.add_column("each robot\n" + " ".join(f"{robot:>5}" for robot in summary["robots"]))
     for row in (*_errors(summary), *_health(summary)):
         table.add_row(*row)
     return table
+
+
+def _mode(s: Summary) -> str:
+    """Return whether what was measured exists: the truth is known of simulated robots alone."""
+    return "simulation" if not s["estimated"] else "real" if len(s["estimated"]) == len(s["robots"]) else "mixed"
+
+
+def _poses(s: Summary) -> str:
+    if not s["estimated"]:
+        return "on the true poses"
+    return f"spacing as estimated: no truth is known of {', '.join(s['estimated'])}"
 
 
 def _errors(s: Summary) -> list[tuple[str, str, str, str]]:
@@ -45,7 +56,7 @@ def _errors(s: Summary) -> list[tuple[str, str, str, str]]:
         if figure is None:
             rows.append((label, "not measured", paper, ""))
         else:
-            each = " ".join(f"{value:5.2f}" for value in figure["per_robot_mean"])
+            each = " ".join("    -" if value is None else f"{value:5.2f}" for value in figure["per_robot_mean"])
             rows.append((label, f"{figure['mean']:.2f} ({figure['max']:.1f})", paper, each))
     spacing = s["spacing_m"]
     if spacing is not None:

@@ -219,17 +219,17 @@ def test_a_file_beside_the_configuration_hides_the_shipped_one(platoon: Path) ->
     shipped = (CONFIGS / "robots" / "gternal.yaml").read_text()
     assert load_config(platoon).robots[0].vehicle.wheel_base_m == 0.105
     Path("robots").mkdir()
-    Path("robots/gternal.yaml").write_text(shipped.replace("0.105", "0.2"))
-    assert load_config(platoon).robots[0].vehicle.wheel_base_m == 0.2
+    Path("robots/gternal.yaml").write_text(shipped.replace("0.105", "0.1"))
+    assert load_config(platoon).robots[0].vehicle.wheel_base_m == 0.1
 
 
 def test_a_path_is_taken_from_the_configurations_folder(platoon: Path, tmp_path: Path) -> None:
     folder = tmp_path / "elsewhere"
     folder.mkdir()
-    (folder / "wide.yaml").write_text((CONFIGS / "robots" / "ideal.yaml").read_text().replace("0.105", "0.3"))
+    (folder / "narrow.yaml").write_text((CONFIGS / "robots" / "ideal.yaml").read_text().replace("0.105", "0.09"))
     (folder / "platoon.yaml").write_text(TEXT)
-    config = load_config(Path("elsewhere/platoon.yaml"), ["robots.1.vehicle=wide.yaml"])
-    assert [robot.vehicle.wheel_base_m for robot in config.robots] == [0.105, 0.3, 0.105, 0.105]
+    config = load_config(Path("elsewhere/platoon.yaml"), ["robots.1.vehicle=narrow.yaml"])
+    assert [robot.vehicle.wheel_base_m for robot in config.robots] == [0.105, 0.09, 0.105, 0.105]
 
 
 def test_a_fault_in_a_shared_file_is_reported_once_at_that_files_place(platoon: Path) -> None:

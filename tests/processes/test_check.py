@@ -177,6 +177,7 @@ class RealRobot:
 
 def test_lockstep_refuses_a_real_robot_and_a_real_camera() -> None:
     real = f"{__name__}:RealRobot"
-    config = platoon(f"robots.1.driver={real}", f"camera.source={real}")
+    others = [f"robots.{k}.reality=simulated" for k in (0, 2, 3)]
+    config = platoon(f"robots.1.driver={real}", f"camera.source={real}", *others)
     assert refusals(config) == []
     assert [path for path, _ in refusals(config, lockstep=True)] == ["robots.1.driver", "camera.source"]

@@ -90,7 +90,7 @@ def errors(floor: Floor, seen: list[Any]) -> np.ndarray:
         [
             np.subtract(pose, floor.where(tag - 1, observed.exposure_ns))
             for observed in seen
-            for tag, *pose in observed.poses
+            for tag, _, _, *pose in observed.poses
         ]
     )
 
@@ -174,6 +174,13 @@ def test_a_robot_that_never_spoke_is_not_drawn() -> None:
     rows, columns = np.nonzero(changed)
     assert np.ptp(rows) < 80
     assert np.ptp(columns) < 80
+
+
+def test_a_robot_that_stands_in_no_arena_is_not_drawn() -> None:
+    absent, silent = Floor("robots.1.reality=simulated"), Floor()
+    silent.silent.add("r2")
+    one, other = (floor.observe(floor.camera(), 1)[0].image for floor in (absent, silent))
+    assert np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("kind", ["truth", "camera"])
