@@ -179,6 +179,18 @@ def test_a_command_from_before_a_hang_moves_nothing_after_its_dead_man_s_stop(be
     assert bench.hardware.command != STOP
 
 
+def test_after_a_hang_it_comes_back_into_its_mode_and_does_nothing_old(bench: Bench) -> None:
+    bench.pass_time(0.2, FORWARD)
+    while bench.hardware.command != STOP:
+        bench.hear()  # from its dead man: we say nothing
+    assert bench.pass_time(0.1)[-1].faults == 0
+    assert bench.firmware.mode is Mode.SAFE
+    bench.pass_time(0.15, FORWARD)
+    assert bench.hardware.command == STOP
+    bench.pass_time(0.1, FORWARD)
+    assert bench.hardware.command != STOP
+
+
 def test_a_line_that_is_pulled_out_is_an_error_at_once_and_closing_is_none(bench: Bench) -> None:
     bench.unplug()
     with pytest.raises(DriverError, match="gone"):
