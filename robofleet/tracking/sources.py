@@ -92,9 +92,12 @@ def unmeasured(config: Config) -> Iterator[Complaint]:
     """Refuse a real camera with a lens that nobody measured: the shipped one's numbers are of no camera at all."""
     model = config.camera.model
     if model.intrinsics is None and not model.camera:
-        yield "camera.model", (
-            "nobody has measured this lens: `python tools/calibrate.py intrinsics` does; "
-            "where it was measured by other means, name the device there as its `camera`"
+        yield (
+            "camera.model",
+            (
+                "nobody has measured this lens: `python tools/calibrate.py intrinsics` does; "
+                "where it was measured by other means, name the device there as its `camera`"
+            ),
         )
 
 

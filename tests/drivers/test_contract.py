@@ -16,9 +16,7 @@ class TestGTernal(Contract):
 
 
 class TestArduinoBridge(Contract):
-    subject = Subject(
-        "arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248}
-    )
+    subject = Subject("arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248})
 
 
 class TestCreate2(Contract):
