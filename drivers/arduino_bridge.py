@@ -35,7 +35,6 @@ _BAUD = 57600
 _BOOT_NS = 6_000_000_000  # of patience: opening the port resets the board, whose boot loader takes up to 2 s
 _ASK_AGAIN_S = 0.3
 _AGAIN_NS = 20_000_000  # the wheels are told the same, and the counts asked for, so often: half of the line is free
-_LATE_NS = 40_000_000  # counts that took longer say nothing of now
 _LOST_NS = 100_000_000  # what is unanswered for so long gets no answer any more
 _SILENT_NS = 500_000_000
 _SPEED_NS = 100_000_000  # over which speeds are means: with 2000 counts a turn, one of them is 0.03 rad/s
@@ -194,7 +193,7 @@ class ArduinoBridge:
         while any(kind == waiting for waiting, _ in self._unanswered):
             waiting, asked_ns = self._unanswered.popleft()
             if waiting == kind:
-                if kind == _COUNTS and self._now_ns() - asked_ns < _LATE_NS:
+                if kind == _COUNTS:
                     self._encoders.take(asked_ns, int(words[1]), int(words[2]))
                 return
 
@@ -208,9 +207,7 @@ class _Rounding:
     def __call__(self, told: float, frames: float) -> int:
         """Return what to say instead of ``told``, ``frames`` of the speed loop after the last time (1 at most)."""
         self._owed += frames * (self._told - self._given)
-        if not told:
-            self._owed = 0.0
-        self._told, self._given = told, round(told + self._owed)
+        self._told, self._given = told, round(told + self._owed) if told else 0
         return self._given
 
 

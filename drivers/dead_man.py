@@ -7,9 +7,9 @@ it writes the robot's stop bytes. It goes on watching one that hangs, and ends 0
 What it cannot do: the cable is pulled, the computer dies, the robot takes no bytes, or both processes are killed at
 once (a whole control group, for example). Then only the robot's own firmware can stop it, if it does.
 
-Bytes that a driver wrote before it hung stand before the stop on the line, so they are carried out first. What it
-still holds and writes when it goes on comes after: choose stop bytes after which an old command moves nothing where
-the robot's protocol has such.
+Nothing old moves the robot when a driver that hung goes on. What it had written stands before the stop on the line.
+What it was about to write comes after: choose stop bytes after which an old command moves nothing where the robot's
+protocol has such. Its gate was held up too, and would now bring the robot to rest: ``allow`` keeps it at rest.
 """
 
 import contextlib
@@ -18,11 +18,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from drivers.dead_man_process import ALIVE, GOODBYE, READY
-from robofleet.vehicles.interface import DriverError
+from drivers.dead_man_process import ALIVE, GOODBYE, READY, STOPPED
+from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 
 _START_S = 5.0
 _END_S = 1.0
+_OLD_NS = 300_000_000  # longer than a gate takes to rest, and than what it goes by is valid
 
 
 class DeadMan:
@@ -51,13 +52,24 @@ class DeadMan:
             self.close()
             raise DriverError(f"the dead man's process of its line does not start: {sys.executable} -I -S")
         self._signs.setblocking(False)
+        self._stopped = False  # and nobody was told yet
+        self._rests_until_ns = 0
 
     def sign(self) -> None:
         """Give a sign of life. Raises DriverError when nobody takes it: the robot must not move unwatched."""
         try:
             self._signs.send(ALIVE)
+            with contextlib.suppress(BlockingIOError):
+                self._stopped = self._signs.recv(1) == STOPPED or self._stopped
         except OSError as error:
             raise DriverError("the dead man's process of its line is gone: open the robot again") from error
+
+    def allow(self, wheels: WheelSpeeds, now_ns: int) -> WheelSpeeds:
+        """Give a sign of life, and return what the robot may be told: rest, when it has just been stopped."""
+        self.sign()
+        if self._stopped:
+            self._stopped, self._rests_until_ns = False, now_ns + _OLD_NS
+        return STOP if now_ns < self._rests_until_ns else wheels
 
     def close(self) -> None:
         """Say goodbye, and wait for its end: then it does not hold the line any more. Idempotent."""

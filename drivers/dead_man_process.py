@@ -11,7 +11,8 @@ import sys
 SILENT_S = 0.2  # a driver's loop is 0.01 s: it hangs
 AGAIN_S = 0.05  # between two stops: the line may lose one
 STOPS = 4  # after the driver's death
-READY, ALIVE, GOODBYE = b"r", b"a", b"g"
+READY, STOPPED = b"r", b"s"  # to the driver
+ALIVE, GOODBYE = b"a", b"g"  # from it
 
 
 def main(line: int, signs: int, stop: bytes) -> None:
@@ -30,6 +31,8 @@ def main(line: int, signs: int, stop: bytes) -> None:
             patience = SILENT_S
         else:
             _write(line, stop)
+            if patience != AGAIN_S:
+                _write(signs, STOPPED)
             patience = AGAIN_S
     for _ in range(STOPS):
         _write(line, stop)
@@ -43,9 +46,9 @@ def _read(signs: int) -> bytes:
         return b""
 
 
-def _write(line: int, stop: bytes) -> None:
+def _write(descriptor: int, data: bytes) -> None:
     try:
-        os.write(line, stop)
+        os.write(descriptor, data)
     except OSError:
         return  # the line takes nothing, or is gone: it may be there the next time
 

@@ -1,5 +1,7 @@
 """Robots to test with: GTernal's geometry and limits, without any of a robot's errors and with all of them."""
 
+from dataclasses import replace
+
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections
 
@@ -37,3 +39,12 @@ WORN = Imperfections(
     top_speed_sag=0.1,
     battery_life=2400.0,
 )
+CREATE2 = DifferentialDrive(
+    wheel_radius=0.036,
+    wheel_base=0.235,
+    max_wheel_speed=13.8,
+    max_speed=0.3,
+    motor_lag=0.1,
+    max_wheel_acceleration=60.0,
+)
+CREATE2_IDEAL = replace(IDEAL, speed_quantum=0.8233, loop_period=0.015)

@@ -1,29 +1,19 @@
-"""A calibrating drive: run through the fleet's own processes, kept, and read again.
-
-Kept as ``drive.npz`` (numpy, without pickle). ``version`` (): 2. ``robots`` (N,): names. For each robot, under its
-name and a slash: ``commands_s`` (K,) and ``commands_rad_s`` (K, 2; left, right): its commands and their ticks;
-``poses_s`` (M,) and ``poses`` (M, 3; x, y [m], psi [rad]; world): its TAG as measured, and the mid-exposures;
-``encoders_s`` (E,) and ``encoders_rad`` (E, 2): its wheels' angles, E = 0 if its driver knows none; ``held_s`` (): how
-long it was held; ``acceleration_rad_s2`` (): with which its gate lets the wheels follow. All instants are of the
-controller's clock, counted from the drive's first tick [s].
-"""
+"""A calibrating drive: run through the fleet's own processes, and what it tells of each robot."""
 
 import sys
-import zipfile
-import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S, WallClock
 from robofleet.comms.endpoint import bind_endpoint
-from robofleet.comms.keys import CAMERA, POSES, STATUS, TICK, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, TICK_RECORD
+from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
+from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import ArenaBusyError, claimed
@@ -33,34 +23,17 @@ from robofleet.processes.launcher import Launcher
 from robofleet.processes.live_state import WAITING
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.terminal import Terminal
+from robofleet.recording.causes import run_cause
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording, Watch
+from robofleet.safety.advice import advised
 from robofleet.tracking.offset import tag_from_centre
 
 Array = NDArray[np.float64]
+Turned = tuple[Array, Array]  # at [s], angles (n, 2) [rad]
 Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
 
-VERSION = 2
-FILE = "drive.npz"
-
 _AROUND_S = 0.5  # kept before the first and after the last motion
-_SCALARS = ("held_s", "acceleration_rad_s2")
-_WIDTHS = {"commands_rad_s": 2, "poses": 3, "encoders_rad": 2}
-
-
-@dataclass(frozen=True)
-class RobotDrive:
-    """One robot's part of a drive; fields as in the file."""
-
-    robot: str
-    commands_s: Array
-    commands_rad_s: Array
-    poses_s: Array
-    poses: Array
-    encoders_s: Array
-    encoders_rad: Array
-    held_s: float
-    acceleration_rad_s2: float
 
 
 def configure(file: Path, robots: Sequence[str], *, lockstep: bool) -> tuple[Config, int]:
@@ -149,89 +122,33 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         held_s = float(ticks["items"]["saturated"][:, row].sum()) * config.controller.tick_s
         commands_s = (ticks["stamp_ns"] - start_ns) / S
         scalars = held_s, robot.vehicle.max_wheel_acceleration_rad_s2
-        drives.append(_cut(robot.id, commands_s, wheels, poses, _encoders(statuses, ticks), scalars))
+        drives.append(_cut(robot.id, commands_s, wheels, poses, _angles(statuses, ticks), scalars))
     return drives
 
 
-def save(file: Path, drives: Sequence[RobotDrive]) -> None:
-    """Write a drive."""
-    arrays: dict[str, Any] = {"version": np.array(VERSION), "robots": np.array([drive.robot for drive in drives])}
-    for drive in drives:
-        fields = {name: value for name, value in vars(drive).items() if name != "robot"}
-        arrays |= {f"{drive.robot}/{name}": np.asarray(value) for name, value in fields.items()}
-    with file.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
+def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned]:
+    """Return how far the wheels were told to turn, and how far they did (nothing, where the robot does not know that).
 
-
-def load(file: Path) -> list[RobotDrive]:
-    """Read a drive; CalibrationError says what is wrong with a file that is none."""
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except OSError as error:
-        raise CalibrationError(f"{file}: {error.strerror or 'is cut short'}: name the drive.npz of a drive") from error
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise CalibrationError(f"{file}: is no recording of a drive: name the drive.npz of one") from error
-    version = arrays.get("version")
-    if version is None or version.shape or "robots" not in arrays:
-        raise CalibrationError(f"{file}: is no recording of a drive: name the drive.npz of one")
-    if version != VERSION:
-        raise CalibrationError(f"{file}: is a recording of version {version}, this reads {VERSION}: drive again")
-    return [_robot_drive(file, str(name), arrays) for name in np.atleast_1d(arrays["robots"])]
-
-
-def chosen(file: Path, robots: Sequence[str]) -> list[RobotDrive]:
-    """Return the recorded drives of some robots, of all where none is named."""
-    recorded = {drive.robot: drive for drive in load(file)}
-    for unknown in (name for name in robots if name not in recorded):
-        raise CalibrationError(f"--robots: {unknown!r} did not drive in {file} ({', '.join(recorded)} did)")
-    return [recorded[name] for name in dict.fromkeys(robots) or recorded]
-
-
-def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> RobotDrive:
-    fields = [name for name in RobotDrive.__dataclass_fields__ if name != "robot"]
-    found = {name: arrays.get(f"{robot}/{name}") for name in fields}
-    for name, array in found.items():
-        if array is None or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
-            raise CalibrationError(f"{file}: {robot}/{name} is missing or not a finite number: drive again")
-        shape = _shape(name, found)
-        if array.shape != shape or (name in ("commands_s", "poses_s", "encoders_s") and (np.diff(array) <= 0).any()):
-            raise CalibrationError(
-                f"{file}: {robot}/{name} has shape {array.shape}, not {shape}, or goes back in time: drive again"
-            )
-    values: dict[str, Any] = {name: np.asarray(array, dtype=float) for name, array in found.items()}
-    return RobotDrive(robot, **{**values, **{name: float(values[name]) for name in _SCALARS}})
-
-
-def _shape(name: str, found: dict[str, Any]) -> tuple[int, ...]:
-    """Return the shape that a field must have beside its instants."""
-    if name in _SCALARS:
-        return ()
-    instants = name if name.endswith("s_s") else f"{name.partition('_')[0]}_s"
-    return (np.size(found[instants]), *((_WIDTHS[name],) if name in _WIDTHS else ()))
-
-
-def _encoders(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Array, Array]:
-    """Return instants and angles of the wheels, put on the controller's clock; empty where that cannot be.
-
-    A status says when the newest command was applied, and by which image that command was made: the tick that used
-    this image, if there is one alone, was before by as much as a command takes and the two clocks differ.
+    Both are on the controller's clock: a status says when the newest command was applied, and by which image that
+    command was made. The tick that used this image, if there is one alone, was before by as much as a command takes
+    and the two clocks differ.
     """
-    empty = np.empty(0), np.empty((0, 2))
-    angles = np.column_stack([statuses["left_angle_rad"], statuses["right_angle_rad"]])
-    if not len(statuses) or not np.ptp(angles, axis=0).any():
-        return empty
     exposures, index, counts = np.unique(ticks["exposure_ns"], return_index=True, return_counts=True)
     stamp_of = dict(zip(exposures[counts == 1].tolist(), ticks["stamp_ns"][index[counts == 1]].tolist(), strict=True))
     applied = zip(statuses["applied_exposure_ns"].tolist(), statuses["applied_ns"].tolist(), strict=True)
     shifts = [
         at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns and exposure_ns in stamp_of
     ]
+    nothing = np.empty(0), np.empty((0, 2))
     if not shifts:
-        return empty
+        return nothing, nothing
     at_s = (statuses["stamp_ns"] - min(shifts) - int(ticks["stamp_ns"][0])) / S
-    order = np.unique(at_s, return_index=True)[1]
-    return at_s[order], angles[order]
+    at_s, order = np.unique(at_s, return_index=True)
+    told, counted = (
+        np.column_stack([statuses[f"left_{name}_rad"], statuses[f"right_{name}_rad"]])[order]
+        for name in ("told", "angle")
+    )
+    return (at_s, told), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
 
 
 def _cut(
@@ -239,7 +156,7 @@ def _cut(
     commands_s: Array,
     wheels: Array,
     poses: list[Seen],
-    encoders: tuple[Array, Array],
+    angles: tuple[Turned, Turned],
     scalars: tuple[float, float],
 ) -> RobotDrive:
     """Return a robot's own part of the drive: the others stand then, and it stands before and after."""
@@ -254,8 +171,9 @@ def _cut(
         own = (at_s >= start_s) & (at_s <= end_s)
         return at_s[own], values[own]
 
-    told, measured, counted = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:]), inside(*encoders)
-    return RobotDrive(robot, *told, *measured, *counted, *scalars)
+    asked, measured = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:])
+    told, counted = (inside(*turned) for turned in angles)
+    return RobotDrive(robot, *asked, *measured, *told, *counted, *scalars)
 
 
 class _Watch:
@@ -268,6 +186,10 @@ class _Watch:
 
     def __call__(self, recording: Recording, phase: str) -> None:
         text = WAITING.get(phase, phase)
+        states = recording.messages.get(key(self._config.arena.name, STATE))
+        if phase == "held" and states and (state := RUN_STATE.decode(states[-1])) is not None:
+            cause = advised(run_cause(state, self._config.groups[0].robots), state.cause)
+            text = f"held: {cause}; then press r, or `robofleet resume`"
         ticks = recording.messages.get(key(self._config.arena.name, TICK))
         head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None
         if head is not None and head[3] >= 0:

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.safety.gate import RAMP_NS
 
 Array = NDArray[np.float64]
 
+_FEWEST = 3  # samples of an angle
 _OUTLIERS = 0.2  # of the poses, at most
 _SHORTEST_LAG_S = 1e-6
 _RAMP_S = RAMP_NS * 1e-9
@@ -65,6 +66,8 @@ class Solution:
 
 def refuse_unusable(drive: RobotDrive) -> None:
     """Raise a CalibrationError if a robot was not seen well enough, or stood still."""
+    if len(drive.told_s) < _FEWEST:
+        raise CalibrationError(f"{drive.robot}: its driver did not say what it told the wheels: drive again")
     start_s, end_s = drive.commands_s[[0, -1]] if len(drive.commands_s) else (0.0, 0.0)
     seen = drive.poses_s[(drive.poses_s >= start_s) & (drive.poses_s <= end_s)]
     gap_s = float(np.diff(np.concatenate([[start_s], seen, [end_s]])).max())
@@ -133,6 +136,20 @@ def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: floa
     since = np.where(k >= 0, at_s - acts_s[k], 0.0)[:, None]
     travel = angle[k] + commands[k] * since + (speed[k] - commands[k]) * (lag_s * -np.expm1(-since / lag_s))
     return np.where(k[:, None] >= 0, travel, 0.0)
+
+
+def lagging(at_s: Array, told: Array, lag_s: float) -> Array:
+    """Return the angles (T, 2) of wheels that follow, with a first-order lag, what they were told to turn (T, 2).
+
+    They are told evenly from sample to sample, and stand where they were told at the first.
+    """
+    steps, ways, lag_s = np.diff(at_s), np.diff(told, axis=0), max(lag_s, _SHORTEST_LAG_S)
+    turned, behind = [told[:1]], np.zeros((1, 2))  # how far behind what they were told
+    for step, kept, way, at in zip(steps, np.exp(-steps / lag_s), ways, told[1:], strict=True):
+        steady = way / step * lag_s
+        behind = steady + (behind - steady) * kept
+        turned.append(at - behind)
+    return np.concatenate(turned)
 
 
 def solve(columns: Array, y: Array, inc: Increments) -> Solution:

@@ -14,16 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration import latency
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.increments import (
     Increments,
     Solution,
     increments,
+    lagging,
     left_out,
     refuse_unusable,
     solve,
-    through_gate,
-    wheel_travel,
 )
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
@@ -68,25 +67,21 @@ class Offsets:
 
 
 def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
-    """Find a robot's offsets; without encoders the wheels follow their commands with the drive's own delay and lag.
+    """Find a robot's offsets; without encoders the wheels follow what they were told with the drive's own lag.
 
     Raises:
         CalibrationError: the drive does not determine them.
     """
     refuse_unusable(drive)
-    by_encoders = len(drive.encoders_s) > 2
-    late_s = 0.0  # of the encoders' instants: what the bus takes at least, and what the robot does
-    if not by_encoders:
-        follows = latency.find(drive)
-        lag_s, late_s = follows.motor_lag_s, -follows.delay_s
+    late_s = 0.0  # of the angles' instants: what the bus takes at least, and what the robot does
+    if by_encoders := len(drive.encoders_s) > 2:
+        at_s, angles = drive.encoders_s, drive.encoders_rad
+    else:
+        at_s, angles = drive.told_s, lagging(drive.told_s, drive.told_rad, latency.find(drive).motor_lag_s)
     kept = np.ones(len(drive.poses_s), dtype=np.bool_)
     try:
         for _ in range(_ROUNDS):
-            asked_s = drive.poses_s + late_s
-            if by_encoders:
-                wheels = _between(drive.encoders_s, drive.encoders_rad, asked_s)
-            else:
-                wheels = wheel_travel(*through_gate(drive), 0.0, lag_s, asked_s)
+            wheels = _between(at_s, angles, drive.poses_s + late_s)
             fit = _Fit(drive, wheels, kept, believed)
             later_s, fewer = fit.late_s(wheels[kept]), left_out(drive, kept, fit.residuals)
             if abs(later_s) < _IN_TIME_S and (fewer == kept).all():

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robofleet.calibration import latency, offsets
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.latency import Latency
 from robofleet.calibration.offsets import Offsets
 from robofleet.calibration.report import Report

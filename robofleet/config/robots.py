@@ -95,7 +95,8 @@ class Robot(Model):
     """Of its driver, as ``drivers/README.md`` lists them: its serial port, for example."""
     twin: Annotated[str, Field(min_length=1)] | None = None
     """What answers on its serial port in the robot's place: an entry point of ``robofleet.twins``, or a class,
-    ``module:Class``; the port is made then. null: a robot that exists, or a ``simulated`` one."""
+    ``module:Class``; its port is made, and goes before ``settings.port``. null: a robot that exists, or a
+    ``simulated`` one."""
     reality: Literal["real", "simulated"] = "real"
     """``real``: the camera sees it; ``simulated``: it stands in no arena, and its pose is merged with what the camera
     sees of the others."""

@@ -70,11 +70,13 @@ def load_checked(
 ) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
-    Where nothing else is wrong, robots that exist are opened once: those that do not answer are faults too.
+    Where nothing else is wrong with the robots, those that exist are opened once: what does not answer is a fault too.
     """
     source = ConfigFile(file, overrides, faults_file)
-    source.refuse(refusals(source.config, lockstep=lockstep))
-    source.refuse(() if lockstep else check_drivers.unreachable(source.config))
+    complaints = refusals(source.config, lockstep=lockstep)
+    if not lockstep and not any(path.startswith("robots.") for path, _ in complaints):
+        complaints += check_drivers.unreachable(source.config)
+    source.refuse(complaints)
     return source.config
 
 

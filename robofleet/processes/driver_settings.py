@@ -56,8 +56,6 @@ def complaints(config: Config, index: int) -> list[Complaint]:
         without_port = f"{robot.driver!r} opens no serial port: name another driver, or remove the twin"
         twin = [(f"robots.{index}.twin", without_port)] if robot.twin is not None else []
         return twin + ([(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else [])
-    if robot.twin is not None and "port" in robot.settings:
-        return [(f"{path}.port", f"the twin of {robot.id} makes one: remove it, or the twin")]
     try:
         of(config, robot)
     except ValidationError as invalid:

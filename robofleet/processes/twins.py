@@ -22,7 +22,7 @@ class Twins:
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, waker: LineWaker, faults: Schedule | None) -> None:
         now_ns = clock.now_ns()
-        self._waker = waker
+        self._waker, self._faults = waker, faults
         self._state = bus.newest(STATE)  # what the faults' times count from is said there
         self._twins: dict[str, Twin] = {}
         try:
@@ -49,6 +49,9 @@ class Twins:
 
     def close(self) -> None:
         """Take the ports away; say what the robots did that nobody had asked for. Idempotent."""
+        struck = () if self._faults is None else self._faults.of("line_cut", "line_garbage", "line_late")
+        if struck and self._twins:
+            print(f"{sum(injection.effects for injection in struck)} lines were struck", file=sys.stderr)
         for robot, twin in self._twins.items():
             twin.close()
             if (ledger := twin.ledger) is not None:

@@ -93,10 +93,10 @@ def unmeasured(config: Config) -> Iterator[Complaint]:
     model = config.camera.model
     if model.intrinsics is None and not model.camera:
         yield (
-            "camera.model",
+            "camera.source",
             (
-                "nobody has measured this lens: `python tools/calibrate.py intrinsics` does; "
-                "where it was measured by other means, name the device there as its `camera`"
+                "nobody has measured this camera's lens: `python tools/calibrate.py intrinsics` writes a file for "
+                "camera.model; to one that was measured by other means add the device's name as its `camera`"
             ),
         )
 

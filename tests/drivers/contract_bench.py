@@ -137,8 +137,8 @@ class Bench:
         """Read in every loop and command the wheels as the kit does (None: not at all); what is raised goes up."""
         return [self._loop(wheels, k) for k in range(round(seconds * S / LOOP_NS))]
 
-    def drive_on(self, wheels: WheelSpeeds, seconds: float, *, hold: bool = False) -> list[Moment]:
-        """Do the same through failures: a driver that failed is closed and made again, and told to stand from then.
+    def drive_on(self, wheels: WheelSpeeds | None, seconds: float, *, hold: bool = False) -> list[Moment]:
+        """Do the same through failures: a driver that failed is closed and made again, and told nothing from then.
 
         ``hold`` goes on with the wheels.
         """
@@ -152,7 +152,7 @@ class Bench:
             try:
                 moments.append(self._loop(wheels, k))
             except (DriverError, OSError):
-                again_ns, wheels = self.now_ns + _AGAIN_NS, wheels if hold else STOP
+                again_ns, wheels = self.now_ns + _AGAIN_NS, wheels if hold else None
                 self.give_up()
                 moments.append(self._moment(None))
         return moments

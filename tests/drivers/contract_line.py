@@ -19,15 +19,16 @@ from robofleet.config.troubles import LineFault, LinkFault
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch
-from robofleet.vehicles.interface import STOP, DriverError
+from robofleet.vehicles.interface import DriverError, WheelSpeeds
 from tests.drivers.contract_bench import LOOP_NS, Bench, Moment, Subject
-from tests.drivers.contract_motion import OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out
+from tests.drivers.contract_motion import OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
 
 BAD_S, SHARE, LATE_S = 3.0, 0.1, 0.05
 SILENT_S = 0.6  # at most, until a robot that does not answer is an error
 WRONG_NS = 100 * MS  # at most, that a wheel aims at what nobody has told it
 STALE_S = 0.2  # a reading of a healthy line is no older
-PULLED_S = 1.0
+AWAY_S, BACK_S = 1.0, 3.5
+SEEN_S = 0.3  # at most, until a robot that is back is stopped
 TOLD_NS = 100 * MS
 _BLOCKED_S = 2.0
 _CALLS = 2000
@@ -40,132 +41,108 @@ class BadLines:
 
     subject: Subject
 
+    @property
+    def asked(self) -> WheelSpeeds:
+        """What the wheels are asked to do."""
+        return cruise(self.subject, 1.0, -0.6)
+
+    def driven(self, bench: Bench, *, hold: bool = False) -> list[Moment]:
+        """Drive until the wheels turn evenly, and return the half second after that."""
+        if bench.driver is None:
+            bench.make()
+        bench.drive_on(self.asked, SETTLE_S, hold=hold)
+        return bench.drive_on(self.asked, 0.5, hold=hold)
+
     @pytest.mark.parametrize("kind", ["line_cut", "line_garbage", "line_late"])
     def test_bad_lines_are_borne(self, kind: LineTrouble) -> None:
         """No error but the driver's own, no angle that cannot be, no wrong motion that lasts; good again afterwards."""
         on_the_line(self.subject)
-        asked = cruise(self.subject, 1.0, -0.6)
-        with Bench(
-            self.subject, LineFault(kind=kind, at_s=0.0, duration_s=BAD_S, share=SHARE, delay_s=LATE_S)
-        ) as bench:
-            bench.make()
-            bench.drive(asked, SETTLE_S)
+        fault = LineFault(kind=kind, at_s=0.0, duration_s=BAD_S, share=SHARE, delay_s=LATE_S)
+        with Bench(self.subject, fault) as bench:
+            before = self.driven(bench, hold=True)
             bench.strike()
-            moments = bench.drive_on(asked, BAD_S, hold=True)
+            during = bench.drive_on(self.asked, BAD_S, hold=True)
+            after = self.driven(bench, hold=True)
             assert bench.twin is not None
             assert bench.twin.ledger is not None
             assert bench.twin.ledger.longest_ns <= WRONG_NS
-            bench.drive_on(asked, SETTLE_S, hold=True)
-            after = bench.drive(asked, 1.0)
-        self.assert_possible(moments)
-        assert mean(moments) == pytest.approx(asked, rel=0.5)
-        assert mean(after) == pytest.approx(asked, rel=OFF, abs=OFF_RAD_S)
-        if self.subject.encoders:
-            self.assert_true(after)
+        assert mean(during) == pytest.approx(mean(before), rel=0.5)
+        assert mean(after) == pytest.approx(mean(before), rel=OFF, abs=OFF_RAD_S)
+        self.assert_possible([*during, *after])
+        if before[-1].made == after[-1].made:
+            self.assert_counted(before[-1], after[-1])
 
     def assert_possible(self, moments: list[Moment]) -> None:
         """No wheel has turned between two readings by more than it can."""
         fastest, moved_ns = self.subject.drive.max_wheel_speed, moments[0].at_ns
         for before, now in pairwise(moments):
-            if before.reading is None or now.reading is None or before.made != now.made:
-                moved_ns = now.at_ns
-                continue
-            turned = max(abs(b - a) for a, b in zip(before.reading[:2], now.reading[:2], strict=True))
-            assert turned <= fastest * ((now.at_ns - moved_ns) / S + LATE_S + STALE_S)
+            turned = math.inf
+            if before.reading is not None and now.reading is not None and before.made == now.made:
+                turned = max(abs(b - a) for a, b in zip(before.reading[:2], now.reading[:2], strict=True))
+                assert turned <= fastest * ((now.at_ns - moved_ns) / S + STALE_S)
             if turned:
                 moved_ns = now.at_ns
 
-    def assert_true(self, moments: list[Moment]) -> None:
-        """The angles of a driver are the true ones, but for where it began to count, and for their age."""
-        for side in (0, 1):
-            off = [moment.reading[side] - moment.angles[side] for moment in moments if moment.reading is not None]
-            assert max(off) - min(off) <= STALE_S * self.subject.drive.max_wheel_speed
-
-    def test_a_line_that_was_bad_leaves_the_angles_true(self) -> None:
+    def assert_counted(self, before: Moment, after: Moment) -> None:
         """What a driver read of bad lines is not in its angles for good."""
-        on_the_line(self.subject)
-        if not self.subject.encoders:
-            pytest.skip("it has no encoders")
-        asked = cruise(self.subject, 1.0, -0.6)
-        faults = [
-            LineFault(kind=kind, at_s=0.0, duration_s=BAD_S, share=SHARE)
-            for kind in ("line_cut", "line_garbage", "line_late")
-        ]
-        with Bench(self.subject, *faults) as bench:
-            bench.make()
-            before = bench.drive(asked, SETTLE_S)[-1]
-            bench.strike()
-            bench.drive_on(asked, BAD_S, hold=True)
-            after = bench.drive_on(asked, SETTLE_S, hold=True)[-1]
-        if before.made == after.made:
-            assert before.reading is not None
-            assert after.reading is not None
-            for side in (0, 1):
-                turned = after.angles[side] - before.angles[side]
-                assert after.reading[side] - before.reading[side] == pytest.approx(turned, abs=0.1 * max(asked))
+        assert before.reading is not None
+        assert after.reading is not None
+        for side in (0, 1):
+            turned = abs(after.angles[side] - before.angles[side]) if self.subject.encoders else 0.0
+            read = abs(after.reading[side] - before.reading[side])
+            assert read == pytest.approx(turned, abs=STALE_S * max(self.asked))
 
     def test_a_robot_that_does_not_answer_is_an_error_and_stands_when_it_does_again(self) -> None:
         on_the_line(self.subject)
-        asked = cruise(self.subject, 1.0, 1.0)
-        with Bench(self.subject, LinkFault(kind="firmware_hangs", robot="r1", at_s=0.0, duration_s=PULLED_S)) as bench:
-            bench.make()
-            bench.drive(asked, SETTLE_S)
+        with Bench(self.subject, LinkFault(kind="firmware_hangs", robot="r1", at_s=0.0, duration_s=AWAY_S)) as bench:
+            before = self.driven(bench)
             bench.strike()
-            silent = bench.drive_on(asked, PULLED_S)
-            after = bench.drive_on(STOP, 4.0)
+            silent = bench.drive_on(self.asked, AWAY_S)
+            returned = bench.drive_on(None, BACK_S)
             assert bench.driver is not None, "it was not made again"
-            driven = mean(bench.drive_on(asked, 1.0, hold=True)[50:])
+            after = self.driven(bench)
         failed_s = next((k * LOOP_NS / S for k, moment in enumerate(silent) if moment.reading is None), math.inf)
         assert failed_s <= SILENT_S
-        assert max(abs(b - a) for a, b in zip(after[0].angles, after[-1].angles, strict=True)) <= run_out(
-            self.subject, asked
-        )
-        assert driven == pytest.approx(asked, rel=OFF, abs=OFF_RAD_S)
+        assert travel(returned) <= run_out(self.subject, self.asked) + SEEN_S * max(self.asked)
+        assert mean(after) == pytest.approx(mean(before), rel=OFF, abs=OFF_RAD_S)
 
     @pytest.mark.parametrize("word", ["read", "write"])
     def test_a_plug_that_is_pulled_out_is_an_error_at_the_next_word(self, word: str) -> None:
         on_the_line(self.subject)
-        asked = cruise(self.subject, 1.0, 1.0)
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=PULLED_S)) as bench:
+        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0)) as bench:
             driver = bench.make()
-            bench.drive(asked, SETTLE_S)
+            bench.drive(self.asked, 0.3)
             bench.strike()
             bench.let_pass(0.01)
             with pytest.raises(DriverError, match=bench.port.name):
                 if word == "read":
                     driver.read()
                 else:
-                    driver.write(asked)
+                    driver.write(self.asked)
 
-    def test_a_robot_that_is_plugged_in_again_drives_again(self) -> None:
+    def test_a_robot_that_is_plugged_in_again_stands_and_drives_again(self) -> None:
         on_the_line(self.subject)
-        asked = cruise(self.subject, 1.0, -0.6)
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=PULLED_S)) as bench:
-            bench.make()
-            bench.drive(asked, SETTLE_S)
+        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=AWAY_S)) as bench:
+            before = self.driven(bench)
             bench.strike()
-            bench.drive_on(asked, PULLED_S + 4.0)
-            rest = bench.angles
-            bench.drive(None, 0.5)
-            assert bench.angles == pytest.approx(rest, abs=1e-3), "nobody told it to go on"
-            bench.drive(asked, SETTLE_S)
-            driven = mean(bench.drive(asked, 1.0))
-        assert driven == pytest.approx(asked, rel=OFF, abs=OFF_RAD_S)
+            bench.drive_on(self.asked, AWAY_S)
+            returned = bench.drive_on(None, BACK_S)
+            assert bench.driver is not None, "it was not made again"
+            after = self.driven(bench)
+        assert travel(returned) <= run_out(self.subject, self.asked) + SEEN_S * max(self.asked)
+        assert mean(after) == pytest.approx(mean(before), rel=OFF, abs=OFF_RAD_S)
 
     def test_a_robot_that_turns_when_its_line_is_opened_stands_when_it_has_been(self) -> None:
         on_the_line(self.subject)
-        asked, pulled_s = cruise(self.subject, 1.0, 1.0), 0.02
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=pulled_s)) as bench:
+        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=0.02)) as bench:
             bench.make()
-            bench.drive(asked, SETTLE_S)
+            bench.drive(self.asked, SETTLE_S)
             bench.strike()
             bench.let_pass(0.01)
             bench.give_up()
             bench.let_pass(0.02)
             bench.make()
-            opened = bench.angles
-            bench.drive(None, 1.0)
-            assert max(abs(b - a) for a, b in zip(opened, bench.angles, strict=True)) <= run_out(self.subject, asked)
+            assert travel(bench.drive(None, 1.0)) <= run_out(self.subject, self.asked)
 
     def test_the_status_says_within_100_ms_that_the_plug_was_pulled_out(self) -> None:
         on_the_line(self.subject)
@@ -195,7 +172,7 @@ class BadLines:
             with _no_longer_than(_BLOCKED_S):
                 for _ in range(_CALLS):
                     with suppress(DriverError, OSError):
-                        driver.write(cruise(self.subject, 1.0, 1.0))
+                        driver.write(self.asked)
                     with suppress(DriverError, OSError):
                         driver.read()
                 assert bench.waited_ns == waited_ns

@@ -11,7 +11,7 @@ from robofleet.plugins import load
 from robofleet.processes import driver_settings
 from robofleet.vehicles.interface import DriverError
 from tests.drivers.contract_bench import Bench, Subject
-from tests.drivers.contract_motion import cruise, on_the_line
+from tests.drivers.contract_motion import cruise, on_the_line, travel
 
 # What may answer instead, and the kind of robot that it is one of.
 OTHERS = {
@@ -101,9 +101,7 @@ class Port:
         with Bench(self.subject) as bench:
             for _ in range(3):
                 bench.make()
-                before = bench.angles
-                moments = bench.drive(cruise(self.subject, 1.0, 1.0), 0.5)
-                assert moments[-1].angles.left > before.left
+                assert travel(bench.drive(cruise(self.subject, 1.0, 1.0), 0.5)) > 0.0
                 with suppress(DriverError, OSError):
                     bench.give_up()
                 bench.let_pass(0.5)

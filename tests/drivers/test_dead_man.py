@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 from drivers.dead_man import DeadMan
-from robofleet.clock import S, WallClock
-from robofleet.vehicles.interface import DriverError
+from robofleet.clock import MS, S, WallClock
+from robofleet.vehicles.interface import DriverError, WheelSpeeds
 
 STOP = b"stop"
 ASKED_S = 0.3  # from the last sign of life to the first stop
@@ -147,6 +147,22 @@ def test_it_costs_nearly_nothing(bench: Bench) -> None:
         bench.hear(b"." * 30)  # 0.3 s of driving
     assert sum(bench.dead_man.cpu_times()[:2]) - before < 0.05
     assert bench.dead_man.memory_info().rss < 16e6
+
+
+def test_what_a_driver_still_wanted_when_it_hung_is_not_allowed_afterwards() -> None:
+    robot, terminal = os.openpty()
+    dead_man, wheels = DeadMan(terminal, STOP), WheelSpeeds(3.0, 2.0)
+    try:
+        assert dead_man.allow(wheels, 0) == wheels
+        select.select([robot], [], [], PATIENCE_S)  # we hang, and the robot is stopped
+        select.select([], [], [], 0.02)
+        for now_ns in (S, S + 100 * MS, S + 290 * MS):
+            assert dead_man.allow(wheels, now_ns) == (0.0, 0.0)
+        assert dead_man.allow(wheels, S + 310 * MS) == wheels
+    finally:
+        dead_man.close()
+        os.close(robot)
+        os.close(terminal)
 
 
 def test_a_driver_whose_dead_man_died_is_told_so() -> None:

@@ -135,11 +135,14 @@ def test_whatever_comes_it_stands_half_a_second_after_the_last_and_a_second_more
     chunks: list[bytes], waits: list[int]
 ) -> None:
     bench = Bench()
+    bench.say(AHEAD)
     for chunk, wait_ns in zip(chunks, waits, strict=False):
         bench.say(chunk)
         bench.now_ns += wait_ns
         bench.firmware.loop(bench.now_ns)
     assert bench.stopped_after_ms() <= 1520
+    bench.now_ns += S
+    bench.firmware.loop(bench.now_ns)
     assert bench.say(BATTERY)["status"] == [1]
 
 

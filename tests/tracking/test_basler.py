@@ -190,7 +190,7 @@ def test_without_pypylon_it_says_what_to_install(lab: Lab, monkeypatch: pytest.M
     assert importlib.util.find_spec("pypylon") is not None
     measured = "camera.model.camera=somebody's"
     assert list(BaslerCamera.refusals(config(measured))) == []
-    assert [where for where, _ in BaslerCamera.refusals(config())] == ["camera.model"]
+    assert [where for where, _ in BaslerCamera.refusals(config())] == ["camera.source"]
     monkeypatch.setitem(sys.modules, "pypylon", None)
     ((where, why),) = BaslerCamera.refusals(config(measured))
     assert where == "camera.source"

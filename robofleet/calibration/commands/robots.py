@@ -10,11 +10,12 @@ from rich.console import Console
 from rich.table import Table
 
 from robofleet.calibration import drive as drives
+from robofleet.calibration import drive_file
 from robofleet.calibration import latency as latencies
 from robofleet.calibration import offsets as tag_offsets
 from robofleet.calibration import robots as robot_files
 from robofleet.calibration.commands.shared import report_file
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.clock import S
 from robofleet.config import slices
@@ -78,7 +79,7 @@ def _drive(
     names = [name.strip() for name in robots.split(",") if name.strip()]
     folder = out or report_file(None, command).parent
     if recording is not None:
-        tree, driven = load_config(config), drives.chosen(recording, names)
+        tree, driven = load_config(config), drive_file.chosen(recording, names)
         for unknown in (one.robot for one in driven if one.robot not in {robot.id for robot in tree.robots}):
             raise CalibrationError(
                 f"{recording}: {unknown} drove, but {config} has no such robot: name its configuration"
@@ -94,11 +95,11 @@ def _drive(
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s", file=sys.stderr)
     run = drives.run(tree, folder, lambda text: print(text, file=sys.stderr), lockstep=lockstep)
     driven = drives.extract(run, count)
-    drives.save(folder / drives.FILE, driven)
-    print(folder / drives.FILE)
+    drive_file.save(folder / drive_file.FILE, driven)
+    print(folder / drive_file.FILE)
     for one in (one for one in driven if one.held_s):
         print(f"{one.robot} was held for {one.held_s:.1f} s: another robot or the edge was near", file=sys.stderr)
-    return tree, driven, folder, (folder / drives.FILE).read_bytes()
+    return tree, driven, folder, (folder / drive_file.FILE).read_bytes()
 
 
 def _each(driven: Sequence[RobotDrive], find: Callable[[RobotDrive], Found]) -> list[Found]:

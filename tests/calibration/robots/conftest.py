@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.simulated import SimulatedRobot
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.config.calibrated import TagOffset
 from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.platoon import WHEELS
@@ -37,7 +37,9 @@ def drive(
     seed: int = 1,
     noise: tuple[float, float] = (3e-5, math.radians(0.05)),
     lost: float = 0.0,
+    late: int = 0,
 ) -> RobotDrive:
+    """``late``: a command comes up to so many nanoseconds after its tick."""
     rng = np.random.default_rng(seed)
     settings = ExcitationSettings(TICK / S, 0.08, (3.2, 2.0), (0.055,))
     excitation = Excitation(settings, (GTERNAL,), np.random.default_rng(seed))
@@ -45,9 +47,13 @@ def drive(
     simulation = Simulation(GTERNAL, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
     robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: now_ns))
     ticks = int(excitation.ends[0] * S) // TICK
-    events = [(k * TICK, 2) for k in range(1, ticks)] + [(k * TICK - LEAD, 0) for k in range(1, ticks)]
+    lateness = rng.integers(late, size=ticks) if late else np.zeros(ticks, int)
+    events = [(k * TICK + int(lateness[k]), 2) for k in range(1, ticks)] + [
+        (k * TICK - LEAD, 0) for k in range(1, ticks)
+    ]
     events += [(k * ENCODER, 1) for k in range(ticks * TICK // ENCODER)]
-    commands, poses, encoders = [], [], []
+    commands, poses, encoders, told = [], [], [], []
+    wheels, turned, since_ns = np.zeros(2), np.zeros(2), 0
     for now_ns, what in sorted(events):
         at_s, truth, reading = now_ns / S, robot.truth(), robot.read()
         if what == 0 and rng.random() >= lost:
@@ -55,17 +61,22 @@ def drive(
             poses.append((at_s, *(np.array(seen) + rng.normal(size=3) * (noise[0], noise[0], noise[1]))))
         elif what == 1:
             encoders.append((at_s, reading.left_angle, reading.right_angle))
+            told.append((at_s, *(turned + wheels * (now_ns - since_ns) / S)))
         elif what == 2:
+            turned, since_ns = turned + wheels * (now_ns - since_ns) / S, now_ns
+            at_s = now_ns // TICK * TICK / S
             wheels = excitation.tick(at_s, np.array([truth[:3]]), np.array([True]))[0, WHEELS]
             robot.write(WheelSpeeds(*wheels.tolist()))
             commands.append((at_s, *wheels))
-    told, seen_poses, counted = (np.array(rows) for rows in (commands, poses, encoders))
+    asked, seen_poses, counted, meant = (np.array(rows) for rows in (commands, poses, encoders, told))
     return RobotDrive(
         "r1",
-        told[:, 0],
-        told[:, 1:],
+        asked[:, 0],
+        asked[:, 1:],
         seen_poses[:, 0],
         seen_poses[:, 1:],
+        meant[:, 0],
+        meant[:, 1:],
         counted[:, 0],
         counted[:, 1:],
         0.0,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.calibration import drive
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration import drive_file
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import load
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -52,7 +52,7 @@ def lab(tmp_path: Path) -> Path:
 @pytest.fixture
 def recorded(worn: RobotDrive, tmp_path: Path) -> Path:
     file = tmp_path / "drive.npz"
-    drive.save(file, [worn])
+    drive_file.save(file, [worn])
     return file
 
 
@@ -128,10 +128,10 @@ def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
     assert "Not a directory" in refusal("--lockstep", "--out", lab / "out")
     assert "'r2' did not drive" in refusal("--recording", recorded, "--robots", "r2")
     stranger = RobotDrive(**{**vars(worn), "robot": "r9"})
-    drive.save(other, [worn, stranger])
+    drive_file.save(other, [worn, stranger])
     assert "has no such robot" in refusal("--recording", other)
     still = RobotDrive(**{**vars(worn), "poses": np.tile(worn.poses[:1], (len(worn.poses), 1)), "robot": "r2"})
-    drive.save(other, [worn, still])
+    drive_file.save(other, [worn, still])
     assert refusal("--recording", other).startswith("r2: it was told to move and did not")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.calibration import drive, latency, offsets
+from robofleet.calibration import drive, drive_file, latency, offsets
 from robofleet.calibration.store import CalibrationError
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS
@@ -48,8 +48,8 @@ def recording(late_platoon: Path) -> Recording:
 
 @pytest.fixture(scope="module")
 def kept(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("kept") / drive.FILE
-    drive.save(file, drive.extract(recording, 1))
+    file = tmp_path_factory.mktemp("kept") / drive_file.FILE
+    drive_file.save(file, drive.extract(recording, 1))
     return file
 
 
@@ -68,7 +68,7 @@ def test_only_those_that_were_asked_drive_and_nobody_is_touched(recording: Recor
 
 
 def test_what_is_kept_is_what_was_driven(recording: Recording, kept: Path) -> None:
-    (driven,), (read,) = drive.extract(recording, 1), drive.load(kept)
+    (driven,), (read,) = drive.extract(recording, 1), drive_file.load(kept)
     for name, value in vars(driven).items():
         assert np.array_equal(getattr(read, name), value), name
     assert len(read.poses_s) > 0.85 * len(read.commands_s) > 1000
@@ -103,7 +103,7 @@ def test_poses_are_measured_ones_at_their_own_instants_and_of_the_tag(recording:
 
 
 def test_delay_and_lag_are_those_of_the_simulated_robot(late_platoon: Path, kept: Path) -> None:
-    found = latency.find(drive.load(kept)[0])
+    found = latency.find(drive_file.load(kept)[0])
     bus_s = load_config(late_platoon).lockstep.bus_delay_s
     assert found.delay_s == pytest.approx(bus_s + LATE_S, abs=0.001)
     assert found.motor_lag_s == pytest.approx(LAG_S, abs=0.001)
@@ -112,7 +112,7 @@ def test_delay_and_lag_are_those_of_the_simulated_robot(late_platoon: Path, kept
 def test_offsets_are_those_of_the_simulated_robot(late_platoon: Path, kept: Path) -> None:
     config = load_config(late_platoon)
     robot = config.robot("r3")
-    found = offsets.find(drive.load(kept)[0], slices.drive(robot))
+    found = offsets.find(drive_file.load(kept)[0], slices.drive(robot))
     assert np.abs(found.values[:2]).max() < 0.00004  # its tag is in the middle
     assert abs(found.values[2]) < 0.03
     left, right, base = slices.generator(config.run.seed, "plant", "r3").uniform(-1.0, 1.0, 3)
@@ -143,7 +143,7 @@ def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: 
         rms: float = figures["pose_error"]["rms_mm"]
         return rms
 
-    found = latency.find(drive.load(kept)[0])
+    found = latency.find(drive_file.load(kept)[0])
     measured = f"{{robot: r3, delay_s: {found.delay_s:.6f}, motor_lag_s: {found.motor_lag_s:.6f}}}"
     believed, calibrated = pose_error_mm(), pose_error_mm(f"robots.2.calibration={measured}")
     assert calibrated < 0.1
@@ -164,7 +164,7 @@ def test_an_unknown_robot_is_named(late_platoon: Path, kept: Path) -> None:
     with pytest.raises(CalibrationError, match=r"no robot 'r9'.*r1, r2, r3, r4"):
         drive.configure(late_platoon, ["r9"], lockstep=True)
     with pytest.raises(CalibrationError, match=r"'r1' did not drive.*r3 did"):
-        drive.chosen(kept, ["r1"])
+        drive_file.chosen(kept, ["r1"])
 
 
 def test_a_drive_that_breaks_off_says_why(late_platoon: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +176,7 @@ def test_a_drive_that_breaks_off_says_why(late_platoon: Path, monkeypatch: pytes
 
 Spoil = Callable[[dict[str, Any]], object]
 SPOILT: list[tuple[Spoil, str]] = [
-    (lambda a: a.update(version=np.array(1)), "version 1, this reads 2"),
+    (lambda a: a.update(version=np.array(1)), "version 1, this reads 3"),
     (lambda a: a.pop("version"), "is no recording"),
     (lambda a: a.pop("robots"), "is no recording"),
     (lambda a: a.pop("r3/poses"), "r3/poses is missing"),
@@ -197,7 +197,7 @@ def test_a_spoilt_recording_is_refused(kept: Path, tmp_path: Path, spoil: Spoil,
     file = tmp_path / "spoilt.npz"
     np.savez(file, **arrays)
     with pytest.raises(CalibrationError) as refused:
-        drive.load(file)
+        drive_file.load(file)
     (line,) = refused.value.faults
     assert line.startswith(f"{file}: ")
     assert says in line
@@ -208,16 +208,16 @@ def test_what_is_no_recording_is_refused(kept: Path, tmp_path: Path, content: by
     file = tmp_path / "other.npz"
     file.write_bytes(kept.read_bytes()[:5000] if content is None else content)
     with pytest.raises(CalibrationError, match=r"other\.npz: "):
-        drive.load(file)
+        drive_file.load(file)
 
 
 def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
     file = tmp_path / "evil.npz"
-    np.savez(file, version=np.array(drive.VERSION), robots=np.array([{"a": 1}], dtype=object))
+    np.savez(file, version=np.array(drive_file.VERSION), robots=np.array([{"a": 1}], dtype=object))
     with pytest.raises(CalibrationError, match="is no recording"):
-        drive.load(file)
+        drive_file.load(file)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="No such file"):
-        drive.load(tmp_path / "nothing.npz")
+        drive_file.load(tmp_path / "nothing.npz")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robofleet.calibration import latency
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.increments import wheel_travel
 from robofleet.calibration.store import CalibrationError
 

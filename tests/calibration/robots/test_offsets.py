@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robofleet.calibration import offsets
-from robofleet.calibration.drive import RobotDrive
+from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_from_tag
@@ -78,6 +78,15 @@ def test_missing_images_do_no_harm(driven: Make) -> None:
     assert abs(found.values[2] - TRUE_TAG[2]) < 0.03
 
 
+def test_a_robot_without_encoders_is_measured_by_what_reached_it_and_when(driven: Make) -> None:
+    """On a busy machine commands come late: a way that was asked for is not one that was told."""
+    found = offsets.find(without_encoders(driven(late=15_000_000)), GTERNAL)
+    assert not found.by_encoders
+    radius, base = true_wheels(1)
+    assert found.wheel_radius_m == pytest.approx(radius, rel=0.002)
+    assert found.wheel_base_m == pytest.approx(base, rel=0.005)
+
+
 def test_encoders_of_another_clock_are_put_right(worn: RobotDrive) -> None:
     """What the way to the driver takes is missing from its clock: some milliseconds."""
     found = offsets.find(replace(worn, encoders_s=worn.encoders_s - 0.012), GTERNAL)
@@ -86,7 +95,12 @@ def test_encoders_of_another_clock_are_put_right(worn: RobotDrive) -> None:
 
 def part(drive: RobotDrive, start_s: float, end_s: float) -> RobotDrive:
     fields = {}
-    for instants, values in (("commands_s", "commands_rad_s"), ("poses_s", "poses"), ("encoders_s", "encoders_rad")):
+    for instants, values in (
+        ("commands_s", "commands_rad_s"),
+        ("poses_s", "poses"),
+        ("told_s", "told_rad"),
+        ("encoders_s", "encoders_rad"),
+    ):
         at_s = getattr(drive, instants)
         inside = (at_s >= start_s) & (at_s <= end_s)
         fields |= {instants: at_s[inside], values: getattr(drive, values)[inside]}
