@@ -14,8 +14,7 @@ from drivers.serial_port import SerialPort
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
 
-_BAUD = 115200
-_SILENT_NS = 500_000_000
+BAUD = 115200
 _OFF_NS = 300_000_000
 _WINDOW = 10  # loops over which a speed is measured
 
@@ -42,15 +41,17 @@ class LineRobot:
     """Drives it."""
 
     Settings = LineSettings
+    silent_ns = 500_000_000
+    greeting: bytes | None = None  # None: to stand
 
     def __init__(self, context: DriverContext) -> None:
         self._now_ns = context.now_ns
         self._scale = math.tau / context.settings.counts_per_turn
-        self._rest, self._closed = b"", False
+        self._rest, self.closed = b"", False
         self._counts: list[tuple[int, int, int]] = []  # instant, left, right
         self._first, self._charge = (0, 0), math.nan
         self._path = context.settings.port
-        self._port = SerialPort(self._path, _BAUD)
+        self._port = SerialPort(self._path, BAUD)
         try:
             self._greet()
         except BaseException:
@@ -58,15 +59,15 @@ class LineRobot:
             raise
 
     def write(self, wheels: WheelSpeeds) -> None:
-        if self._closed:
+        if self.closed:
             raise DriverError(f"{self._path}: closed")
         self._port.write(_framed(f"w {1e3 * wheels.left:.0f} {1e3 * wheels.right:.0f}"))
 
     def read(self) -> DriverReading:
-        if self._closed:
+        if self.closed:
             raise DriverError(f"{self._path}: closed")
         self._listen()
-        if self._now_ns() - self._counts[-1][0] > _SILENT_NS:
+        if self._now_ns() - self._counts[-1][0] > self.silent_ns:
             raise DriverError(f"{self._path}: the robot does not answer: look at its power and its cable")
         (then_ns, then_left, then_right), (now_ns, left, right) = self._counts[0], self._counts[-1]
         per_s = 1e9 * self._scale / max(1, now_ns - then_ns)
@@ -74,16 +75,16 @@ class LineRobot:
         return DriverReading(*angles, per_s * (left - then_left), per_s * (right - then_right), self._charge, 0)
 
     def close(self) -> None:
-        if not self._closed:
+        if not self.closed:
             with suppress(DriverError):
                 self.write(STOP)
-            self._closed = True
+            self.closed = True
             self._port.close()
 
     def _greet(self) -> None:
-        deadline_ns = self._now_ns() + 2 * _SILENT_NS
+        deadline_ns = self._now_ns() + 1_000_000_000
         while not self._counts:
-            self.write(STOP)
+            self._port.write(_framed("w 0 0") if self.greeting is None else self.greeting)
             self._port.wait(0.05)
             self._listen()
             if not self._counts and self._now_ns() > deadline_ns:
@@ -93,17 +94,20 @@ class LineRobot:
     def _listen(self) -> None:
         *lines, self._rest = (self._rest + self._port.read())[-4096:].split(b"\n")
         for line in lines:
-            if fields := _fields(line, b"s "):
+            if fields := self._fields(line):
                 left, right, charge = fields
                 self._counts.append((self._now_ns(), left, right))
                 self._charge = charge / 100
         del self._counts[:-_WINDOW]
 
+    def _fields(self, line: bytes) -> list[int]:
+        return _fields(line, b"s ")
+
 
 class LineFirmware:
     """Is it."""
 
-    baud = _BAUD
+    baud = BAUD
     watchdog_s: float | None = 0.3
 
     def __init__(self, hardware: Hardware) -> None:
