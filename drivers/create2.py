@@ -86,7 +86,8 @@ class Create2:
         self._greeted_ns = self._at_ns - _GREET_NS
         self._past = deque[tuple[int, tuple[int, int]]]()  # when it had turned how far
         self._wheels = STOP
-        self._told = deque[tuple[int, tuple[int, int]]]()  # when, right and left [mm/s]; the newest last
+        self._asked = (0, 0)  # the same: right, left [mm/s]
+        self._told: dict[tuple[int, int], int] = {}  # and lately, with when last
         self._closed = False
         self._port = SerialPort(settings.port, _BAUD)
         try:
@@ -156,14 +157,14 @@ class Create2:
     def _aim(self, wheels: WheelSpeeds, now_ns: int) -> None:
         """Take what the robot is to do from now on."""
         self._wheels = self._dead_man.allow(wheels, now_ns)
-        self._told.append((now_ns, (self._mm_s(self._wheels.right), self._mm_s(self._wheels.left))))
-        while now_ns - self._told[0][0] > _TOLD_NS:
-            self._told.popleft()
+        self._asked = self._mm_s(self._wheels.right), self._mm_s(self._wheels.left)
+        self._told = {asked: at_ns for asked, at_ns in self._told.items() if now_ns - at_ns <= _TOLD_NS}
+        self._told[self._asked] = now_ns
 
     def _tell(self, more: bytes = b"") -> None:
         """Say it, and bring the robot back into its mode if that must be."""
         mode = bytes((_MODE + self._mode,)) if self._astray else b""
-        self._port.write(_LACK + mode + struct.pack(">Bhh", _DRIVE, *self._told[-1][1]) + more)
+        self._port.write(_LACK + mode + struct.pack(">Bhh", _DRIVE, *self._asked) + more)
 
     @property
     def _astray(self) -> bool:
@@ -176,7 +177,7 @@ class Create2:
         frame = self._frame
         if frame is None or frame.mode != self._mode:
             return False
-        return all(told != (frame.right_asked, frame.left_asked) for _, told in self._told)
+        return (frame.right_asked, frame.left_asked) not in self._told
 
     def _listen(self, now_ns: int) -> None:
         frames = self._stream.feed(self._port.read())
