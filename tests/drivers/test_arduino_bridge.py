@@ -130,6 +130,11 @@ class Bench:
         self.robot.hear()
         return self.driver.read()
 
+    def look(self) -> None:
+        """Let the driver read once, whether it asks for counts or not."""
+        self.driver.read()
+        self.robot.take(0.0)
+
     def off(self, reading: DriverReading) -> float:
         """Return how far what was read is from what the wheels have turned [counts]."""
         read = (angle * COUNTS_PER_TURN / math.tau for angle in reading[:2])
@@ -312,6 +317,42 @@ def test_late_counts_are_not_taken_for_later_ones(bench: Bench) -> None:
         assert bench.off(reading) <= 34 * 0.06 / FRAME_S + 0.5
         if not late:
             held.clear()
+
+
+def test_whatever_was_lost_answers_find_their_questions_again(bench: Bench) -> None:
+    def lost(_: bytes) -> bytes:
+        return b""
+
+    bench.write(34, 12)
+    for losses in itertools.product(("", "said", "answered"), repeat=4):
+        for loss in losses:
+            bench.robot.on_the_way = lost if loss == "said" else bytes
+            bench.robot.on_the_way_back = lost if loss == "answered" else bytes
+            bench.write(34, 12)
+            bench.look()
+        bench.robot.on_the_way = bench.robot.on_the_way_back = bytes
+        for _ in range(5):
+            bench.write(34, 12)
+            bench.look()
+        bench.robot.take(0.01)
+        bench.robot.heard.clear()
+        bench.write(34, 12)
+        reading = bench.poll()
+        assert bench.robot.heard == [b"m 34, 12\r", b"e\r"], losses
+        assert bench.off(reading) <= 0.5
+
+
+def test_counters_that_a_wrong_letter_set_to_zero_are_gone_on_with(bench: Bench) -> None:
+    bench.write(120, 34)
+    for _ in range(40):
+        before = bench.poll()
+    bench.robot.firmware.receive(b"r\r", bench.robot.clock.now_ns())
+    bench.write(120, 34)
+    for _ in range(40):
+        reading = bench.poll()
+    # what it turned until its new counts were believed is lost
+    assert reading.left_angle - before.left_angle == pytest.approx(40 * 0.02 * reading.left_speed, rel=0.1)
+    assert reading.left_speed == pytest.approx(120 * RAD_S, rel=0.02)
 
 
 def test_a_robot_that_is_silent_for_half_a_second_is_said_to_be_lost(bench: Bench) -> None:
