@@ -111,6 +111,7 @@ class ArduinoBridge:
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels [rad/s]; the same again is not told more than 50 times a second."""
         now_ns = self._alive()
+        wheels = self._dead_man.allow(wheels, now_ns)
         frames = min(1.0, max(0.0, (now_ns - self._aimed_ns) / self._frame_ns))
         per_frame = self._counts_per_rad * self._frame_ns * 1e-9
         target = self._left(wheels.left * per_frame, frames), self._right(wheels.right * per_frame, frames)

@@ -67,17 +67,33 @@ class Offsets:
 
 
 def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
-    """Find a robot's offsets; without encoders the wheels follow what they were told with the drive's own lag.
+    """Find a robot's offsets, by its encoders or by what its wheels were told, whichever determines them better.
+
+    Encoders are read from time to time, and where they come late or seldom they say less than the commands do.
 
     Raises:
         CalibrationError: the drive does not determine them.
     """
     refuse_unusable(drive)
-    late_s = 0.0  # of the angles' instants: what the bus takes at least, and what the robot does
-    if by_encoders := len(drive.encoders_s) > 2:
+    found: list[Offsets] = []
+    refusals: list[CalibrationError] = []
+    for by_encoders in (True, False) if len(drive.encoders_s) > 2 else (False,):
+        try:
+            found.append(_by(drive, believed, by_encoders=by_encoders))
+        except CalibrationError as refused:
+            refusals.append(refused)
+    if not found:
+        raise refusals[0]
+    return min(found, key=lambda one: float(np.log(one.sigma).sum()))
+
+
+def _by(drive: RobotDrive, believed: DifferentialDrive, *, by_encoders: bool) -> Offsets:
+    """Find them by the wheels' angles, or by what they were told and follow with the drive's own lag."""
+    if by_encoders:
         at_s, angles = drive.encoders_s, drive.encoders_rad
     else:
         at_s, angles = drive.told_s, lagging(drive.told_s, drive.told_rad, latency.find(drive).motor_lag_s)
+    late_s = 0.0  # of their instants: what the bus takes at least, and what the robot does
     kept = np.ones(len(drive.poses_s), dtype=np.bool_)
     try:
         for _ in range(_ROUNDS):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 from unittest.mock import patch
 
+from drivers.dead_man import DeadMan
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.config import slices
 from robofleet.config.load import load_config
@@ -94,6 +95,8 @@ class Bench:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             stack.enter_context(patch.dict(os.environ, {"XDG_RUNTIME_DIR": folder}))
             stack.enter_context(serial_world.shared(lambda: self.now_ns, self._pass_while_waiting))
+            # A dead man counts real seconds, and here none pass: without a sign of life it does not watch.
+            stack.enter_context(patch.object(DeadMan, "sign", lambda _: None))
             self.port = twin_port(self.config.arena.name, "r1")
             self._schedule = Schedule(self.config, self.clock)
             if self.config.robots[0].twin is not None:

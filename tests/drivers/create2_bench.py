@@ -8,6 +8,7 @@ import termios
 import tty
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -48,13 +49,14 @@ class Bench:
         assert self._driver is not None
         return self._driver
 
-    def open(self, **settings: Any) -> Create2:
-        """Make the driver; while it waits for its robot, time passes."""
+    def open(self, silent_s: float = 600.0, **settings: Any) -> Create2:
+        """Make the driver; while it waits for its robot, time passes. Its dead man's patience is real time."""
         simulation = Simulation(CREATE2, CREATE2_IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
         made = Create2.Settings.model_validate({"port": self.port, **settings})
         self._opening = True
         try:
-            self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
+            with patch("drivers.dead_man.SILENT_S", silent_s):
+                self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
         finally:
             self._opening = False
         return self._driver

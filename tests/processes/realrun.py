@@ -58,11 +58,13 @@ def _take_terminal() -> None:
 class RealRun:
     """A run; with ``terminal`` it has one of its own, whose other end is ``keyboard``."""
 
-    def __init__(self, folder: Path, *arguments: str, terminal: bool = False, name: str = "run") -> None:
+    def __init__(
+        self, folder: Path, *arguments: str, terminal: bool = False, name: str = "run", config: Path = PLATOON
+    ) -> None:
         self._environment = own_folders(folder)
         self._stdout, self._stderr, self.folder = folder / f"{name}.stdout", folder / f"{name}.stderr", folder / name
         self.latches = folder / "state" / "robofleet" / "platoon"
-        command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(PLATOON), "--out", str(self.folder)]
+        command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(config), "--out", str(self.folder)]
         self.keyboard, theirs = pty.openpty() if terminal else (None, subprocess.DEVNULL)
         with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
             self.launcher = subprocess.Popen(

@@ -87,6 +87,14 @@ def test_a_robot_without_encoders_is_measured_by_what_reached_it_and_when(driven
     assert found.wheel_base_m == pytest.approx(base, rel=0.005)
 
 
+def test_encoders_that_say_the_same_for_a_while_leave_the_word_to_the_commands(worn: RobotDrive) -> None:
+    """A robot that is asked for its counts answers when it can: what is newest is up to 60 ms old."""
+    stale = worn.encoders_rad[np.arange(len(worn.encoders_s)) // 3 * 3]
+    found = offsets.find(replace(worn, encoders_rad=stale), GTERNAL)
+    assert not found.by_encoders
+    assert found.wheel_radius_m == pytest.approx(true_wheels(1)[0], rel=0.002)
+
+
 def test_encoders_of_another_clock_are_put_right(worn: RobotDrive) -> None:
     """What the way to the driver takes is missing from its clock: some milliseconds."""
     found = offsets.find(replace(worn, encoders_s=worn.encoders_s - 0.012), GTERNAL)
