@@ -99,8 +99,8 @@ class Bench:
         """Let time pass; the driver is read, and told ``wheels``, every 10 ms. Returns what was read."""
         readings = []
         for _ in range(round(seconds * 100)):
-            self._pass(5 * MS)
-            self._pass(5 * MS)
+            self.let_pass(5 * MS)
+            self.let_pass(5 * MS)
             if wheels is not None:
                 self.write(*wheels)
             readings.append(self.read())
@@ -110,10 +110,11 @@ class Bench:
         if self._opening:
             self.hear(0.001)
             for _ in range(9):
-                self._pass(5 * MS)
+                self.let_pass(5 * MS)
         return self.now_ns
 
-    def _pass(self, duration_ns: int) -> None:
+    def let_pass(self, duration_ns: int) -> None:
+        """Let time pass, one loop of the robot at most."""
         self.now_ns += duration_ns
         self.plant.step(self.hardware.command, duration_ns * 1e-9)
         if self.now_ns >= self._loop_ns:

@@ -92,9 +92,9 @@ def test_what_the_robot_feels_is_its_fault_as_long_as_it_feels_it(bench: Bench, 
 
 def test_what_it_felt_for_one_frame_between_two_readings_is_read(bench: Bench) -> None:
     bench.hardware.feels = RobotFault.BUMPED
-    bench._pass(15_000_000)
+    bench.let_pass(15_000_000)
     bench.hardware.feels = RobotFault(0)
-    bench._pass(15_000_000)
+    bench.let_pass(15_000_000)
     assert bench.read().faults == RobotFault.BUMPED
     assert bench.pass_time(0.03)[-1].faults == 0
 
