@@ -105,12 +105,12 @@ class ArduinoBridge:
         fastest = drive.max_wheel_speed * settings.frame_s * settings.counts_per_turn / math.tau
         if 1.0 <= fastest <= _MOST_COUNTS:
             return []
-        why = f"its fastest wheel makes {fastest:.3g} counts a frame, but 1 to {_MOST_COUNTS} can be told: mend it"
+        why = f"its fastest wheel makes {fastest:.3g} counts a frame; 1 to {_MOST_COUNTS} can be told: mend it"
         return [("settings.counts_per_turn", why)]
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels [rad/s]; the same again is not told more than 50 times a second."""
-        now_ns = self._alive()
+        now_ns = self._listen()
         wheels = self._dead_man.allow(wheels, now_ns)
         frames = min(1.0, max(0.0, (now_ns - self._aimed_ns) / self._frame_ns))
         per_frame = self._counts_per_rad * self._frame_ns * 1e-9
@@ -122,7 +122,8 @@ class ArduinoBridge:
 
     def read(self) -> DriverReading:
         """Return angles and speeds; the battery it cannot tell."""
-        now_ns = self._alive()
+        now_ns = self._listen()
+        self._dead_man.sign()
         if self._asked_ns - self._encoders.at_ns > _SILENT_NS:
             raise DriverError(f"{self._name}: no encoder counts that can be: is the robot on, and its cable sound?")
         # a question behind a motion that was cut would end that one: the next motion, which is near, shall do it
@@ -141,14 +142,6 @@ class ArduinoBridge:
         self._closed = True
         self._dead_man.close()
         self._line.close()
-
-    def _alive(self) -> int:
-        """Give a sign of life and take what has come; returns the instant."""
-        if self._closed:
-            raise DriverError(f"{self._name}: it is closed")
-        self._dead_man.sign()
-        self._listen()
-        return self._now_ns()
 
     def _meet(self, settings: Settings) -> None:
         """Let the board start, let the robot stand, and find out what it has counted."""
@@ -187,7 +180,10 @@ class ArduinoBridge:
         self._line.write(line)
         self._unanswered.append((answer, now_ns))
 
-    def _listen(self) -> None:
+    def _listen(self) -> int:
+        """Take what has come; returns the instant."""
+        if self._closed:
+            raise DriverError(f"{self._name}: it is closed")
         heard = self._line.read()
         self._talks = self._talks or bool(heard)
         *lines, rest = (self._rest + heard).split(b"\n")
@@ -196,6 +192,7 @@ class ArduinoBridge:
             for kind, shape in _ANSWERS.items():
                 if words := shape.fullmatch(line):
                     self._take(kind, words)
+        return self._now_ns()
 
     def _take(self, kind: str, words: re.Match[bytes]) -> None:
         """Take an answer, to the oldest question that it can belong to; those before will get none any more."""
