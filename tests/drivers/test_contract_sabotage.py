@@ -47,7 +47,7 @@ NOTICED = {
     "ShoutsAround": ["test_who_speaks_another_language_is_no_robot_of_ours_and_does_not_move"],
     "ClosesOnce": ["test_closing_again_is_fine_and_so_is_closing_without_a_line"],
     "MadeTwiceAtMost": ["test_one_that_was_closed_can_be_made_again_on_its_port"],
-    "Spins": ["test_it_does_not_keep_the_processor_busy"],
+    "Spins": ["test_it_does_not_keep_the_processor_busy", "test_a_robot_that_takes_nothing_keeps_nobody_waiting"],
     "LeavesADescriptor": [
         "test_nothing_is_left_of_those_that_were_closed",
         "test_nothing_is_left_of_a_hundred_that_were_closed",
