@@ -1,62 +1,61 @@
-"""The made-up robot's driver, broken on purpose: each class in one way. ``test_contract_sabotage.py`` says in which."""
+"""The driver of drivers/README.md, broken on purpose: each class in one way, as ``test_contract_sabotage.py`` says."""
 
 import os
 import select
+from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
 
-from pydantic import ConfigDict, Field
-
 from drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
-from tests.drivers.line_robot import BAUD, LineRobot, LineSettings
+from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
 
 
-class Reversed(LineRobot):
+class Reversed(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
         super().write(WheelSpeeds(-wheels.left, -wheels.right))
 
 
-class Swapped(LineRobot):
+class Swapped(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
         super().write(WheelSpeeds(wheels.right, wheels.left))
 
 
-class CoarselyRounded(LineRobot):
+class CoarselyRounded(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
         super().write(WheelSpeeds(round(wheels.left / 0.7) * 0.7, round(wheels.right / 0.7) * 0.7))
 
 
-class CountsBackwards(LineRobot):
+class CountsBackwards(Sparrow):
     def read(self) -> DriverReading:
         reading = super().read()
         return reading._replace(left_angle=-reading.left_angle)
 
 
-class DegreesPerSecond(LineRobot):
+class DegreesPerSecond(Sparrow):
     def read(self) -> DriverReading:
         reading = super().read()
         return reading._replace(right_speed=57.3 * reading.right_speed)
 
 
-class BatteryInVolts(LineRobot):
+class BatteryInVolts(Sparrow):
     def read(self) -> DriverReading:
         return super().read()._replace(battery=11.1)
 
 
-class MovesWhenMade(LineRobot):
+class MovesWhenMade(Sparrow):
     def __init__(self, context: DriverContext) -> None:
         super().__init__(context)
         self.write(WheelSpeeds(1.0, 1.0))
 
 
-class RoundsUpAtTheLimit(LineRobot):
+class RoundsUpAtTheLimit(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
         factor = 1.03 if max(map(abs, wheels)) > 12.0 else 1.0
         super().write(WheelSpeeds(factor * wheels.left, factor * wheels.right))
 
 
-class SaysItAgain(LineRobot):
+class SaysItAgain(Sparrow):
     """As a driver whose polling is as good as a command to its firmware."""
 
     _told = STOP
@@ -70,63 +69,84 @@ class SaysItAgain(LineRobot):
         return super().read()
 
 
-class LeavesItTurning(LineRobot):
+class LeavesItTurning(Sparrow):
     def close(self) -> None:
-        self.closed = True
-        self._port.close()
+        self.line.close()
 
 
-class WritesWhenClosed(LineRobot):
+class WritesWhenClosed(Sparrow):
+    closed = False
+
     def write(self, wheels: WheelSpeeds) -> None:
         if not self.closed:
             super().write(wheels)
             return
-        self.closed, self._port = False, SerialPort(self._path, BAUD)
+        self.line = SerialPort(self.settings.port, 115200)
         super().write(wheels)
+        self.line.close()
+
+    def close(self) -> None:
+        if not self.closed:
+            super().close()
         self.closed = True
-        self._port.close()
 
 
-class BelievesEveryLine(LineRobot):
-    def _fields(self, line: bytes) -> list[int]:
-        return [int(field) for field in line.split()[1:4]] if line.startswith(b"s ") else []
-
-
-class MiscountsBadLines(LineRobot):
-    def _fields(self, line: bytes) -> list[int]:
-        fields = super()._fields(line)
-        if line and not fields:
-            self._first = self._first[0] + 100, self._first[1]
-        return fields
-
-
-class NeverMissesIt(LineRobot):
-    silent_ns = 1 << 62
-
-
-class WritesIntoTheVoid(LineRobot):
+class WritesToItsOldNumber(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
-        try:
+        if self.line.descriptor >= 0:
+            self.number = self.line.descriptor
+        super().write(wheels) if self.line.descriptor >= 0 else os.write(self.number, b"w 0 0")
+
+    def close(self) -> None:
+        if self.line.descriptor >= 0:
+            super().close()
+
+
+class BelievesEveryLine(Sparrow):
+    def listen(self) -> bool:
+        *lines, self.rest = (self.rest + self.line.read())[-4096:].split(b"\n")
+        for line in lines:
+            if line.startswith(b"s "):
+                self.heard = [*self.heard[-9:], (self.now_ns(), *map(int, line.split()[1:4]))]
+        return bool(self.heard)
+
+
+class MiscountsBadLines(Sparrow):
+    def listen(self) -> bool:
+        before = self.heard[-1:]
+        heard = super().listen()
+        if before and self.heard[-1][0] - before[0][0] > 15_000_000:
+            at_ns, left, right, charge = self.zero
+            self.zero = at_ns, left + 500, right, charge
+        return heard
+
+
+class NeverMissesIt(Sparrow):
+    def listen(self) -> bool:
+        super().listen()
+        if self.heard:
+            self.heard[-1] = (self.now_ns(), *self.heard[-1][1:])
+        return bool(self.heard)
+
+
+class WritesIntoTheVoid(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        with suppress(DriverError):
             super().write(wheels)
-        except DriverError:
-            if self.closed:
-                raise
 
 
-class ReadsFromTheVoid(LineRobot):
-    def _listen(self) -> None:
-        try:
-            super()._listen()
-        except DriverError:
-            if not self._counts:
-                raise
+class ReadsFromTheVoid(Sparrow):
+    def listen(self) -> bool:
+        with suppress(DriverError):
+            super().listen()
+        return bool(self.heard)
 
 
 class SeesNoPlug(WritesIntoTheVoid, ReadsFromTheVoid):
     pass
 
 
-class ComesBackOnce(LineRobot):
+class ComesBackOnce(Sparrow):
     lost: ClassVar[set[str]] = set()
 
     def __init__(self, context: DriverContext) -> None:
@@ -134,79 +154,81 @@ class ComesBackOnce(LineRobot):
             raise DriverError(f"{context.settings.port}: lost for good")
         super().__init__(context)
 
-    def _listen(self) -> None:
+    def listen(self) -> bool:
         try:
-            super()._listen()
+            return super().listen()
         except DriverError:
-            self.lost.add(self._path)
+            self.lost.add(self.settings.port)
             raise
 
 
-class GoesOn(LineRobot):
+class GoesOn(Sparrow):
     """Where it was interrupted by a plug."""
 
     told: ClassVar[dict[str, WheelSpeeds]] = {}
 
     def __init__(self, context: DriverContext) -> None:
         super().__init__(context)
-        self._again = self.told.pop(self._path, None)
+        self.again = self.told.pop(self.settings.port, None)
 
     def write(self, wheels: WheelSpeeds) -> None:
-        self._last = wheels
+        self.last = wheels
         super().write(wheels)
 
     def read(self) -> DriverReading:
-        if self._again is not None:
-            super().write(self._again)
+        if self.again is not None:
+            super().write(self.again)
         return super().read()
 
-    def _listen(self) -> None:
+    def listen(self) -> bool:
         try:
-            super()._listen()
+            return super().listen()
         except DriverError:
-            self.told[self._path] = self._last
+            self.told[self.settings.port] = self.last
             raise
 
 
-class GreetsWithoutAStop(LineRobot):
-    greeting = b""
-
-
-class WaitsForRoom(LineRobot):
+class GreetsWithoutAStop(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
-        select.select([], [self._port.descriptor], [])
+        if self.heard:
+            super().write(wheels)
+
+
+class WaitsForRoom(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        select.select([], [self.line.descriptor], [])
         super().write(wheels)
 
 
-class WaitsForAnAnswer(LineRobot):
+class WaitsForAnAnswer(Sparrow):
     def read(self) -> DriverReading:
-        self._port.wait(0.02)
+        self.line.wait(0.02)
         return super().read()
 
 
-class TakesAnySetting(LineRobot):
-    class Settings(LineSettings):
-        model_config = ConfigDict(extra="allow")
+class TakesAnySetting(Sparrow):
+    class Settings(Sparrow.Settings, extra="allow"):
+        pass
 
 
-class GuessesItsPort(LineRobot):
-    class Settings(LineSettings):
+class GuessesItsPort(Sparrow):
+    class Settings(Sparrow.Settings):
         port: str = "/dev/ttyUSB0"
 
 
-class TakesAnyNumber(LineRobot):
-    class Settings(LineSettings):
-        counts_per_turn: float = Field(default=2800.0)
+class TakesAnyNumber(Sparrow):
+    class Settings(Sparrow.Settings):
+        counts_per_turn: float = 2800.0
 
 
-class NamelessWhenAbsent(LineRobot):
+class NamelessWhenAbsent(Sparrow):
     def __init__(self, context: DriverContext) -> None:
         if not Path(context.settings.port).exists():
             raise DriverError("there is no such port")
         super().__init__(context)
 
 
-class NamelessWhenBusy(LineRobot):
+class NamelessWhenBusy(Sparrow):
     def __init__(self, context: DriverContext) -> None:
         try:
             super().__init__(context)
@@ -214,28 +236,30 @@ class NamelessWhenBusy(LineRobot):
             raise DriverError(str(error) if "another program" not in str(error) else "it is busy") from error
 
 
-class MeetsAnybody(LineRobot):
-    def _listen(self) -> None:
-        self._rest += self._port.read()
-        if self._rest and not self._counts:
-            self._counts = [(self._now_ns(), 0, 0)]
-        super()._listen()
+class MeetsAnybody(Sparrow):
+    def listen(self) -> bool:
+        if not self.heard:
+            self.heard = [(self.now_ns(), 0, 0, 0)]
+        return super().listen()
 
 
-class ShoutsAround(LineRobot):
+class ShoutsAround(Sparrow):
     """Moves a Create 2: start, full control, wheels."""
 
-    greeting = bytes([128, 132, 145, 0, 100, 0, 100])
+    def write(self, wheels: WheelSpeeds) -> None:
+        if not self.heard:
+            self.line.write(bytes([128, 132, 145, 0, 100, 0, 100]))
+        super().write(wheels)
 
 
-class ClosesOnce(LineRobot):
+class ClosesOnce(Sparrow):
     def close(self) -> None:
-        if self.closed:
-            raise DriverError(f"{self._path}: closed already")
+        if self.line.descriptor < 0:
+            raise DriverError(f"{self.settings.port}: closed already")
         super().close()
 
 
-class MadeTwiceAtMost(LineRobot):
+class MadeTwiceAtMost(Sparrow):
     made: ClassVar[dict[str, list[int]]] = {}
 
     def __init__(self, context: DriverContext) -> None:
@@ -246,19 +270,19 @@ class MadeTwiceAtMost(LineRobot):
         super().__init__(context)
 
 
-class Spins(LineRobot):
+class Spins(Sparrow):
     def read(self) -> DriverReading:
         sum(range(100_000))
         return super().read()
 
 
-class LeavesADescriptor(LineRobot):
+class LeavesADescriptor(Sparrow):
     def __init__(self, context: DriverContext) -> None:
         super().__init__(context)
         self._left = os.open("/dev/null", os.O_RDONLY)
 
 
-class LeavesADescriptorWhenRefused(LineRobot):
+class LeavesADescriptorWhenRefused(Sparrow):
     def __init__(self, context: DriverContext) -> None:
         try:
             super().__init__(context)
@@ -267,7 +291,7 @@ class LeavesADescriptorWhenRefused(LineRobot):
             raise
 
 
-class RemembersEverything(LineRobot):
+class RemembersEverything(Sparrow):
     def read(self) -> DriverReading:
         reading = super().read()
         self.__dict__.setdefault("_past", []).append(reading)

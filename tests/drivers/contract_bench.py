@@ -43,7 +43,7 @@ class Subject(NamedTuple):
 
     driver: str
     twin: str | None  # None: the robot is simulated by its driver
-    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file
+    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file, from the working folder
     settings: Mapping[str, Any] = {}  # without the port
     encoders: bool = True  # False: the robot has none, and its driver says so by angles and speeds of 0
 
@@ -234,4 +234,6 @@ def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, faster: 
 
 
 def _config(subject: Subject, faster: float = 1.0) -> Config:
-    return _loaded(subject.driver, subject.twin, subject.vehicle, str(dict(subject.settings)), faster)
+    named = subject.vehicle.endswith(".yaml")
+    vehicle = str(Path(subject.vehicle).absolute()) if named else subject.vehicle
+    return _loaded(subject.driver, subject.twin, vehicle, str(dict(subject.settings)), faster)
