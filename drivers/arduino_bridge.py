@@ -9,15 +9,17 @@ Counts per frame are integers. What rounding leaves over is carried to the next 
 as they were told to; a wheel that is told 0 gets 0.
 
 A line that lost its end stays in the sketch, and swallows the next one. Therefore, while anything that was said is
-unanswered, the next line begins with a ``b`` of its own: it ends the broken rest, and its answer says to what the later
-ones belong. A broken ``m`` is carried out by that, until the line behind it is complete 2 ms later: with each wheel as
-fast as told at most, in no other direction. If the speed loop looks just then, it takes that for a frame, or stops.
+unanswered, the next line begins with a question of its own, ``?`` (which is no command) and ``b`` in turn: it ends the
+broken rest, and its answer says to what the later ones belong. A broken ``m`` is carried out by that, until the line
+behind it is complete 2 ms later: with each wheel as fast as told at most, in no other direction. If the speed loop
+looks just then, it takes that for a frame, or stops.
 
 The comma in ``m 12, 34`` ends the first number, and nothing else: no single wrong bit can then make one number out of
 two, which would be full speed. Wrong digits nobody notices: they hold until the next command, with as many digits at
 most.
 """
 
+import itertools
 import math
 import re
 from collections import deque
@@ -42,13 +44,15 @@ _STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
 _LONGEST = 64  # bytes of an answer
 _MOST_COUNTS = 32767  # per frame: the sketch's integers
 
-_MARK, _DONE, _COUNTS = "b", "OK", "e"
+_RATE, _WHAT, _DONE, _COUNTS = "baud rate", "invalid", "OK", "counts"
+_MARKS = (_WHAT, b"?\r"), (_RATE, b"b\r")
 _ANSWERS = {
-    _MARK: re.compile(rb" ?%d\r" % _BAUD),
+    _RATE: re.compile(rb" ?%d\r" % _BAUD),
+    _WHAT: re.compile(rb"Invalid Command\r"),
     _DONE: re.compile(rb"OK\r"),
     _COUNTS: re.compile(rb"(-?\d{1,10}) (-?\d{1,10})\r"),
 }
-_STAND = b"b\rm 0 0\r"
+_STAND = b"?\rm 0 0\r"
 
 
 class ArduinoBridge:
@@ -85,6 +89,7 @@ class ArduinoBridge:
         self._rest = b""
         self._talks = False  # it has said something, whatever that was
         self._unanswered: deque[tuple[str, int]] = deque()  # what, and when it was asked
+        self._marks = itertools.cycle(_MARKS)
         self._closed = False
         self._line = SerialPort(settings.port, _BAUD)
         try:
@@ -106,6 +111,7 @@ class ArduinoBridge:
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels [rad/s]; the same again is not told more than 50 times a second."""
         now_ns = self._alive()
+        wheels = self._dead_man.allow(wheels, now_ns)
         frames = min(1.0, max(0.0, (now_ns - self._aimed_ns) / self._frame_ns))
         per_frame = self._counts_per_rad * self._frame_ns * 1e-9
         target = self._left(wheels.left * per_frame, frames), self._right(wheels.right * per_frame, frames)
@@ -119,7 +125,9 @@ class ArduinoBridge:
         now_ns = self._alive()
         if self._asked_ns - self._encoders.at_ns > _SILENT_NS:
             raise DriverError(f"{self._name}: no encoder counts that can be: is the robot on, and its cable sound?")
-        if not 0 <= now_ns - self._asked_ns < _AGAIN_NS:
+        # a question behind a motion that was cut would end that one: the next motion, which is near, shall do it
+        moving = any(answer == _DONE for answer, _ in self._unanswered)
+        if not 0 <= now_ns - self._asked_ns < (_LOST_NS if moving else _AGAIN_NS):
             self._say(_COUNTS, b"e\r")
             self._asked_ns = now_ns
         return DriverReading(*self._encoders.angles, *self._encoders.speeds, math.nan, 0)
@@ -144,7 +152,7 @@ class ArduinoBridge:
 
     def _meet(self, settings: Settings) -> None:
         """Let the board start, let the robot stand, and find out what it has counted."""
-        told = [(_MARK, b"b\r"), (_DONE, b"m 0 0\r"), (_COUNTS, b"e\r")]
+        told = [(_RATE, b"b\r"), (_DONE, b"m 0 0\r"), (_COUNTS, b"e\r")]
         if settings.gains is not None:
             told.append((_DONE, b"u %d:%d:%d:%d\r" % settings.gains))
         until_ns = self._now_ns() + _BOOT_NS
@@ -171,10 +179,11 @@ class ArduinoBridge:
     def _say(self, answer: str, line: bytes) -> None:
         now_ns = self._now_ns()
         if self._unanswered:
-            line = b"b\r" + line
+            mark, question = next(self._marks)
+            line = question + line
             while self._unanswered and now_ns - self._unanswered[0][1] > _LOST_NS:
                 self._unanswered.popleft()
-            self._unanswered.append((_MARK, now_ns))
+            self._unanswered.append((mark, now_ns))
         self._line.write(line)
         self._unanswered.append((answer, now_ns))
 
@@ -213,52 +222,62 @@ class _Rounding:
 
 class _Sample(NamedTuple):
     at_ns: int
-    counts: tuple[int, int]  # left, right; as long as they are, without the wrap of 32 bits
+    counts: tuple[int, int]  # left, right; 32 bits
+    turned: tuple[int, int]  # since the first ones [counts]
 
 
 class _Encoders:
-    """What the wheels have turned, from counts that may be wrong."""
+    """What the wheels have turned, from counts that may be wrong, and that a wrong letter may have set to 0."""
 
     def __init__(self, counts_per_rad: float, max_wheel_speed: float) -> None:
         self._counts_per_rad, self._fastest = counts_per_rad, 2.0 * max_wheel_speed
         self._samples: deque[_Sample] = deque()
-        self._zero = (0, 0)
+        self._doubted: _Sample | None = None
 
     @property
     def at_ns(self) -> int:
         """When the newest counts were asked for that can be true."""
-        return self._samples[-1].at_ns if self._samples else 0
+        return self._samples[-1].at_ns
 
     @property
     def angles(self) -> WheelSpeeds:
         """Turned since the first counts [rad]."""
-        return self._turned(self._zero, self._samples[-1].counts, 1.0)
+        left, right = self._samples[-1].turned
+        return WheelSpeeds(left / self._counts_per_rad, right / self._counts_per_rad)
 
     @property
     def speeds(self) -> WheelSpeeds:
         """Mean over the last tenth of a second [rad/s]."""
         first, last = self._samples[0], self._samples[-1]
-        seconds = (last.at_ns - first.at_ns) * 1e-9
-        return self._turned(first.counts, last.counts, seconds) if seconds else STOP
+        if last.at_ns == first.at_ns:
+            return STOP
+        per_count = 1e9 / (self._counts_per_rad * (last.at_ns - first.at_ns))
+        left, right = (now - then for now, then in zip(last.turned, first.turned, strict=True))
+        return WheelSpeeds(left * per_count, right * per_count)
 
     def take(self, at_ns: int, left: int, right: int) -> None:
-        """Take counts, unless no wheel can have turned so far."""
+        """Take counts, unless no wheel can have turned so far; two that fit each other are believed."""
         if not self._samples:
-            self._zero = left, right
-            self._samples.append(_Sample(at_ns, self._zero))
+            self._samples.append(_Sample(at_ns, (left, right), (0, 0)))
             return
         last = self._samples[-1]
-        moves = [_wrapped(new - old) for new, old in zip((left, right), last.counts, strict=True)]
-        reach = 2.0 + self._fastest * self._counts_per_rad * (at_ns - last.at_ns) * 1e-9
-        if max(map(abs, moves)) > reach:
+        new = _Sample(at_ns, (left, right), last.turned)
+        moves = self._moves(last, new)
+        if moves is None and self._doubted is not None:
+            moves = self._moves(self._doubted, new)
+        if moves is None:
+            self._doubted = new
             return
-        self._samples.append(_Sample(at_ns, (last.counts[0] + moves[0], last.counts[1] + moves[1])))
+        self._doubted = None
+        self._samples.append(new._replace(turned=(last.turned[0] + moves[0], last.turned[1] + moves[1])))
         while self._samples[1].at_ns <= at_ns - _SPEED_NS:
             self._samples.popleft()
 
-    def _turned(self, since: tuple[int, int], until: tuple[int, int], seconds: float) -> WheelSpeeds:
-        per_count = 1.0 / (self._counts_per_rad * seconds)
-        return WheelSpeeds((until[0] - since[0]) * per_count, (until[1] - since[1]) * per_count)
+    def _moves(self, before: _Sample, after: _Sample) -> tuple[int, int] | None:
+        """Return how far the wheels have turned between them [counts]; None: no wheel can."""
+        left, right = (_wrapped(b - a) for a, b in zip(before.counts, after.counts, strict=True))
+        reach = 2.0 + self._fastest * self._counts_per_rad * (after.at_ns - before.at_ns) * 1e-9
+        return (left, right) if max(abs(left), abs(right)) <= reach else None
 
 
 def _wrapped(difference: int) -> int:

@@ -21,6 +21,8 @@ from pathlib import Path
 from drivers.dead_man_process import ALIVE, GOODBYE, READY, STOPPED
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 
+SILENT_S = 0.2
+"""A driver that gave no sign of life for so long hangs: its loop is 10 ms, and what a gate goes by is valid for 120."""
 _START_S = 5.0
 _END_S = 1.0
 _OLD_NS = 300_000_000  # longer than a gate takes to rest, and than what it goes by is valid
@@ -35,7 +37,7 @@ class DeadMan:
             self._process = subprocess.Popen(
                 [
                     *(sys.executable, "-I", "-S", str(Path(__file__).with_name("dead_man_process.py"))),
-                    *(str(descriptor), str(theirs.fileno()), stop.hex()),
+                    *(str(descriptor), str(theirs.fileno()), stop.hex(), str(SILENT_S)),
                 ],
                 pass_fds=(descriptor, theirs.fileno()),
                 stdin=subprocess.DEVNULL,

@@ -8,15 +8,17 @@ import select
 import signal
 import sys
 
-SILENT_S = 0.2  # a driver's loop is 0.01 s: it hangs
 AGAIN_S = 0.05  # between two stops: the line may lose one
 STOPS = 4  # after the driver's death
 READY, STOPPED = b"r", b"s"  # to the driver
 ALIVE, GOODBYE = b"a", b"g"  # from it
 
 
-def main(line: int, signs: int, stop: bytes) -> None:
-    """Watch until the driver says goodbye or dies: ``signs`` come from it, ``stop`` goes to ``line``."""
+def main(line: int, signs: int, stop: bytes, silent_s: float) -> None:
+    """Watch until the driver says goodbye or dies: ``signs`` come from it, ``stop`` goes to ``line``.
+
+    Without a sign for ``silent_s`` it hangs.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # meant for the driver, which says goodbye then
     os.write(signs, READY)
@@ -28,7 +30,7 @@ def main(line: int, signs: int, stop: bytes) -> None:
                 return
             if not heard:
                 break
-            patience = SILENT_S
+            patience = silent_s
         else:
             _write(line, stop)
             if patience != AGAIN_S:
@@ -54,4 +56,4 @@ def _write(descriptor: int, data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
+    main(int(sys.argv[1]), int(sys.argv[2]), bytes.fromhex(sys.argv[3]), float(sys.argv[4]))

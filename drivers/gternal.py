@@ -10,6 +10,7 @@ Its 500 ms stop starts anew with every ``write``, whatever is written, and with 
 nothing but what the gate tells it to: a lamp that blinks would keep a robot going that nobody drives any more.
 """
 
+import json
 import math
 from contextlib import suppress
 from typing import Annotated, Literal
@@ -29,6 +30,7 @@ _TRIES, _PATIENCE_S = 20, 0.1  # a firmware that waits for the rest of a broken 
 _STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
 _COAST_S = 0.4  # its motors without current
 _START = b'{"status"'
+_PIECES = 100  # in which an answer comes at most; who says more has another language
 _LONGEST = 512  # bytes of an answer; it gives less than a hundred
 _OTHER_ROBOT = 1.5  # times what is believed: it is another robot's, or in another unit
 
@@ -128,26 +130,26 @@ class GTernal:
         """Send one line and wait for its answer."""
         self._send(wheels, battery=True)
         asked = 1 if wheels is None else 2
-        while self._line.wait(patience_s):
+        for _ in range(_PIECES):
+            if not self._line.wait(patience_s):
+                return False
             if asked in self._listen():
                 return True
-            if len(self._received) == _LONGEST:
-                return False
         return False
 
     def _send(self, wheels: WheelSpeeds | None, *, battery: bool) -> None:
         if self._closed:
             raise DriverError(f"{self._port}: it is closed")
-        requests, interfaces, bodies = [], [], []
+        asked: list[tuple[str, str, dict[str, float]]] = []
         if wheels is not None:
             v, omega = body_from_wheels(*wheels, self._radius, self._base)
-            requests, interfaces, bodies = ['"write"'], ['"motor"'], [f'{{"v":{v:.5f},"w":{omega:.4f}}}']
+            asked.append(("write", "motor", {"v": round(v, 5), "w": round(omega, 4)}))
         if battery:
-            requests, interfaces, bodies = [*requests, '"read"'], [*interfaces, '"batt_volt"'], [*bodies, "{}"]
-        parts = ",".join(requests), ",".join(interfaces), ",".join(bodies)
-        # The firmware may lose the first byte, which it then was waiting for; after the last it starts to wait for a
-        # next line, with its stop held up for a second, if that is not the end.
-        self._line.write(b'\n{"request":[%s],"iface":[%s],"body":[%s]}' % tuple(part.encode() for part in parts))
+            asked.append(("read", "batt_volt", {}))
+        lists = dict(zip(("request", "iface", "body"), zip(*asked, strict=True), strict=True))
+        # The first byte may be lost: the firmware empties its input between its looks at it. After the last one must
+        # come nothing: a blank would begin its next line, and it does not look at its stop before it has the rest.
+        self._line.write(b"\n" + json.dumps(lists, separators=(",", ":")).encode())
         self._sent_ns = self._now_ns()
         if self._asked_ns is None:
             self._asked_ns = self._sent_ns

@@ -60,7 +60,10 @@ class LinkFault(Timed):
 
 
 class LineFault(Timed):
-    """Lines between a driver and a twin, both ways, lose their end, get bytes that nobody sent, or come late."""
+    """Lines between a driver and a twin, both ways, lose their end, get bytes that nobody sent, or come late.
+
+    A line is what is said at once, whatever the protocol: a write of the driver, an answer of the robot.
+    """
 
     kind: Literal["line_cut", "line_garbage", "line_late"]
     """``line_cut``: from some byte on; ``line_garbage``: some bytes are others; ``line_late``: by ``delay_s``."""

@@ -141,6 +141,12 @@ def _robots(view: View) -> list[tuple[str, str]]:
     return _few(list(zip(view.series.robots, view.colours, strict=True)))
 
 
+def _known(view: View) -> list[tuple[str, str]]:
+    """Return the robots whose truth is known."""
+    every = zip(view.series.robots, view.colours, view.series.run.known, strict=True)
+    return _few([(robot, colour) for robot, colour, known in every if known])
+
+
 def _few(legend: list[tuple[str, str]]) -> list[tuple[str, str]]:
     """Return a legend that can be read: of very many robots first, middle and last, whose colours lead over."""
     many = len(legend) > _LEGEND
@@ -200,7 +206,7 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
             "From the true poses that are known. Distance from the path; below, from where the point should be now. "
             "The axes show the part that counts: the start may lie above them. A robot that stands still keeps a small "
             "control error, but not these.",
-            _robots, _NO_TRUTH,
+            _known, _NO_TRUTH,
         ),
     ),
     "Poses": (
@@ -208,13 +214,13 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
             "The filter against the truth", poses,
             "How far the controller's idea of each robot is from where it really was at the tick. Peaks are moments "
             "without an image, or with a slip that the filter did not expect.",
-            _robots, _NO_TRUTH,
+            _known, _NO_TRUTH,
         ),
         Plot(
             "Distribution", pose_distribution,
             "Which share of the ticks had an error below a size: steep and far left is good, a long tail to the right "
             "means rare, large errors.",
-            _robots, _NO_TRUTH,
+            _known, _NO_TRUTH,
         ),
     ),
     "Timing": (

@@ -19,7 +19,7 @@ def summary_table(summary: Summary) -> Table:
     table = Table(
         title=Text(f"{summary['config']}: {summary['outcome']}{cause}", "bold"),
         title_justify="left",
-        caption=f"errors and deviations: mean (max), {_poses(summary)}; times: p50, p99",
+        caption=_caption(summary),
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -38,10 +38,11 @@ def _mode(s: Summary) -> str:
     return "simulation" if not s["estimated"] else "real" if len(s["estimated"]) == len(s["robots"]) else "mixed"
 
 
-def _poses(s: Summary) -> str:
+def _caption(s: Summary) -> str:
     if not s["estimated"]:
-        return "on the true poses"
-    return f"spacing as estimated: no truth is known of {', '.join(s['estimated'])}"
+        return "errors and deviations: mean (max), on the true poses; times: p50, p99"
+    estimated = f"estimated: no truth is known of {', '.join(s['estimated'])}"
+    return f"errors and deviations: mean (max); times: p50, p99\n{estimated}"
 
 
 def _errors(s: Summary) -> list[tuple[str, str, str, str]]:

@@ -99,6 +99,7 @@ class Ledger:
     def sent(self, data: bytes, now_ns: int) -> None:
         """The driver has written this."""
         self._healthy.receive(data, now_ns)
+        self._healthy.loop(now_ns)  # it may look at its newest orders then only, and the robot at any of them
         self._note(now_ns)
 
     def loop(self, now_ns: int) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 from unittest.mock import patch
 
+from drivers.dead_man import DeadMan
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.config import slices
 from robofleet.config.load import load_config
@@ -42,7 +43,7 @@ class Subject(NamedTuple):
 
     driver: str
     twin: str | None  # None: the robot is simulated by its driver
-    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file
+    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file, from the working folder
     settings: Mapping[str, Any] = {}  # without the port
     encoders: bool = True  # False: the robot has none, and its driver says so by angles and speeds of 0
 
@@ -94,6 +95,8 @@ class Bench:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             stack.enter_context(patch.dict(os.environ, {"XDG_RUNTIME_DIR": folder}))
             stack.enter_context(serial_world.shared(lambda: self.now_ns, self._pass_while_waiting))
+            # A dead man counts real seconds, and here none pass: without a sign of life it does not watch.
+            stack.enter_context(patch.object(DeadMan, "sign", lambda _: None))
             self.port = twin_port(self.config.arena.name, "r1")
             self._schedule = Schedule(self.config, self.clock)
             if self.config.robots[0].twin is not None:
@@ -231,4 +234,6 @@ def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, faster: 
 
 
 def _config(subject: Subject, faster: float = 1.0) -> Config:
-    return _loaded(subject.driver, subject.twin, subject.vehicle, str(dict(subject.settings)), faster)
+    named = subject.vehicle.endswith(".yaml")
+    vehicle = str(Path(subject.vehicle).absolute()) if named else subject.vehicle
+    return _loaded(subject.driver, subject.twin, vehicle, str(dict(subject.settings)), faster)

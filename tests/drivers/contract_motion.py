@@ -1,7 +1,9 @@
 """The contract's checks of motion: what is asked is what the wheels do, and no more."""
 
 import math
-from contextlib import suppress
+import os
+import tempfile
+from contextlib import ExitStack, suppress
 
 import pytest
 
@@ -9,7 +11,7 @@ from robofleet.vehicles.interface import DriverError, WheelSpeeds
 from tests.drivers.contract_bench import Bench, Moment, Subject
 
 CRUISE = 0.4  # of the fastest that a wheel may turn
-SETTLE_S = 0.6
+SETTLE_S, EVEN_S = 0.6, 0.5
 OFF = 0.02  # of what is asked: rounding, and wheels between two of their counts
 OFF_RAD_S = 0.05
 STOP_S = 0.1  # from a word to the motors' new target, at most
@@ -55,7 +57,7 @@ class Motion:
         with Bench(self.subject) as bench:
             bench.make()
             bench.drive(asked, SETTLE_S)
-            done = mean(bench.drive(asked, 1.0))
+            done = mean(bench.drive(asked, EVEN_S))
         assert done == pytest.approx(asked, rel=OFF, abs=OFF_RAD_S)
 
     def test_the_angles_that_it_reads_are_those_that_the_wheels_turned(self) -> None:
@@ -110,7 +112,7 @@ class Motion:
             with Bench(self.subject, faster=2.0) as bench:
                 bench.make()
                 bench.drive(WheelSpeeds(left, right), SETTLE_S)
-                done = mean(bench.drive(WheelSpeeds(left, right), 1.0))
+                done = mean(bench.drive(WheelSpeeds(left, right), EVEN_S))
             assert max(map(abs, done)) <= 1.01 * abs(left)  # what its gate allows
             assert abs(done.left + done.right) / 2.0 <= 1.01 * drive.max_speed / drive.wheel_radius
 
@@ -141,11 +143,13 @@ class Motion:
             assert bench.angles == pytest.approx(rest, abs=1e-3)
 
     def test_nothing_is_written_after_it_was_closed(self) -> None:
-        on_the_line(self.subject)  # and a robot of lockstep outlives its driver's process
-        with Bench(self.subject) as bench:
+        """Not to the robot, and not to a file that got the line's number since."""
+        on_the_line(self.subject)  # a robot of lockstep outlives its driver's process
+        with Bench(self.subject) as bench, ExitStack() as files:
             driver = bench.make()
             bench.drive(cruise(self.subject, 1.0, 1.0), SETTLE_S)
             bench.give_up()
+            others = [files.enter_context(tempfile.TemporaryFile()) for _ in range(5)]
             bench.let_pass(1.0)
             rest = bench.angles
             for _ in range(30):
@@ -156,3 +160,4 @@ class Motion:
                 assert bench.unheard() == 0
                 bench.let_pass(0.03)
             assert bench.angles == pytest.approx(rest, abs=1e-3)
+            assert [os.fstat(other.fileno()).st_size for other in others] == [0] * 5

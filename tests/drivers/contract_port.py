@@ -18,7 +18,7 @@ OTHERS = {
     "gternal": "gternal",
     "arduino_bridge": "arduino",
     "create2": "create2",
-    "tests.drivers.line_robot:LineFirmware": "gternal",
+    "tests.drivers.sparrow:SparrowFirmware": "gternal",
     "tests.drivers.strangers:Mute": "gternal",
     "tests.drivers.strangers:Echo": "gternal",
     "tests.drivers.strangers:Chatter": "gternal",

@@ -8,6 +8,7 @@ import termios
 import tty
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -48,13 +49,14 @@ class Bench:
         assert self._driver is not None
         return self._driver
 
-    def open(self, **settings: Any) -> Create2:
-        """Make the driver; while it waits for its robot, time passes."""
+    def open(self, silent_s: float = 600.0, **settings: Any) -> Create2:
+        """Make the driver; while it waits for its robot, time passes. Its dead man's patience is real time."""
         simulation = Simulation(CREATE2, CREATE2_IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
         made = Create2.Settings.model_validate({"port": self.port, **settings})
         self._opening = True
         try:
-            self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
+            with patch("drivers.dead_man.SILENT_S", silent_s):
+                self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
         finally:
             self._opening = False
         return self._driver
@@ -97,8 +99,8 @@ class Bench:
         """Let time pass; the driver is read, and told ``wheels``, every 10 ms. Returns what was read."""
         readings = []
         for _ in range(round(seconds * 100)):
-            self._pass(5 * MS)
-            self._pass(5 * MS)
+            self.let_pass(5 * MS)
+            self.let_pass(5 * MS)
             if wheels is not None:
                 self.write(*wheels)
             readings.append(self.read())
@@ -108,10 +110,11 @@ class Bench:
         if self._opening:
             self.hear(0.001)
             for _ in range(9):
-                self._pass(5 * MS)
+                self.let_pass(5 * MS)
         return self.now_ns
 
-    def _pass(self, duration_ns: int) -> None:
+    def let_pass(self, duration_ns: int) -> None:
+        """Let time pass, one loop of the robot at most."""
         self.now_ns += duration_ns
         self.plant.step(self.hardware.command, duration_ns * 1e-9)
         if self.now_ns >= self._loop_ns:

@@ -43,7 +43,8 @@ def shared(now_ns: Callable[[], int], pass_until: Callable[[int], int]) -> Itera
             pass_until(deadline_ns)
         return ready
 
-    with patch.object(os, "write", _write_and_arrive), patch.object(select, "select", wait):
+    patient = patch("drivers.dead_man.SILENT_S", 600.0)  # real time, in which nothing happens here
+    with patch.object(os, "write", _write_and_arrive), patch.object(select, "select", wait), patient:
         yield
 
 

@@ -3,6 +3,8 @@
 import itertools
 import math
 import select
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,11 +14,12 @@ import numpy as np
 import pytest
 
 from drivers.arduino_bridge import ArduinoBridge
-from robofleet.clock import MS, S, SimulatedClock
+from robofleet.clock import MS, S, SimulatedClock, WallClock
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, Simulation, WheelSpeeds
 from tests.robots import GTERNAL, IDEAL
+from tests.twins import TwinStand, config_of
 
 COUNTS_PER_TURN = 2000
 FRAME_S = 0.033  # 1000 / 30, in whole milliseconds
@@ -106,6 +109,19 @@ class Robot:
             thread.join()
 
 
+class NoDeadMan:
+    """The real one stops wheels by a clock that does not stand still: a test that is held up would see that."""
+
+    def __init__(self, descriptor: int, stop: bytes) -> None:
+        pass
+
+    def sign(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
 class Bench:
     """A driver and its robot."""
 
@@ -130,6 +146,11 @@ class Bench:
         self.robot.hear()
         return self.driver.read()
 
+    def look(self) -> None:
+        """Let the driver read once, whether it asks for counts or not."""
+        self.driver.read()
+        self.robot.take(0.0)
+
     def off(self, reading: DriverReading) -> float:
         """Return how far what was read is from what the wheels have turned [counts]."""
         read = (angle * COUNTS_PER_TURN / math.tau for angle in reading[:2])
@@ -139,6 +160,11 @@ class Bench:
         with self.robot.answering():
             self.driver.close()
         self.robot.line.unplug()
+
+
+@pytest.fixture(autouse=True)
+def undisturbed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.arduino_bridge.DeadMan", NoDeadMan)
 
 
 @pytest.fixture
@@ -314,6 +340,41 @@ def test_late_counts_are_not_taken_for_later_ones(bench: Bench) -> None:
             held.clear()
 
 
+def test_whatever_was_lost_answers_find_their_questions_again(bench: Bench) -> None:
+    def lost(_: bytes) -> bytes:
+        return b""
+
+    bench.write(34, 12)
+    for losses in itertools.product(("", "said", "answered"), repeat=3):
+        for loss in losses:
+            bench.robot.on_the_way = lost if loss == "said" else bytes
+            bench.robot.on_the_way_back = lost if loss == "answered" else bytes
+            bench.write(34, 12)
+            bench.look()
+        bench.robot.on_the_way = bench.robot.on_the_way_back = bytes
+        bench.write(34, 12)
+        bench.look()
+        bench.robot.take(0.01)
+        bench.robot.heard.clear()
+        bench.write(34, 12)
+        reading = bench.poll()
+        assert bench.robot.heard == [b"m 34, 12\r", b"e\r"], losses
+        assert bench.off(reading) <= 0.5
+
+
+def test_counters_that_a_wrong_letter_set_to_zero_are_gone_on_with(bench: Bench) -> None:
+    bench.write(120, 34)
+    for _ in range(40):
+        before = bench.poll()
+    bench.robot.firmware.receive(b"r\r", bench.robot.clock.now_ns())
+    bench.write(120, 34)
+    for _ in range(40):
+        reading = bench.poll()
+    # what it turned until its new counts were believed is lost
+    assert reading.left_angle - before.left_angle == pytest.approx(40 * 0.02 * reading.left_speed, rel=0.1)
+    assert reading.left_speed == pytest.approx(120 * RAD_S, rel=0.02)
+
+
 def test_a_robot_that_is_silent_for_half_a_second_is_said_to_be_lost(bench: Bench) -> None:
     bench.robot.on_the_way_back = lambda answer: b""
     for _ in range(20):
@@ -395,3 +456,38 @@ def test_encoders_that_cannot_drive_the_robot_are_refused(counts_per_turn: float
     assert key == "settings.counts_per_turn"
     assert "counts a frame" in why
     assert not ArduinoBridge.refusals(settings.model_copy(update={"counts_per_turn": 2000.0}), GTERNAL)
+
+
+DRIVER = f"""
+import sys, threading
+from types import SimpleNamespace
+from drivers.arduino_bridge import ArduinoBridge
+from robofleet.clock import WallClock
+from robofleet.vehicles.interface import WheelSpeeds
+settings = ArduinoBridge.Settings(port=sys.argv[1], counts_per_turn={COUNTS_PER_TURN})
+drive = SimpleNamespace(max_wheel_speed=12.0)
+driver = ArduinoBridge(SimpleNamespace(drive=drive, now_ns=WallClock().now_ns, settings=settings))
+while True:
+    driver.read()
+    driver.write(WheelSpeeds(3.0, 3.0))
+    threading.Event().wait(0.01)
+"""
+
+
+def test_wheels_stop_soon_after_a_driver_that_is_killed(tmp_path: Path) -> None:
+    clock = WallClock()
+    stand = TwinStand(config_of(twin="arduino_bridge", vehicle="arduino"), tmp_path, clock)
+
+    def wait_until(condition: Callable[[], bool], seconds: float) -> None:
+        until_ns = clock.now_ns() + round(seconds * S)
+        while not condition():
+            assert clock.now_ns() < until_ns
+            clock.sleep_until(clock.now_ns() + 5 * MS)
+
+    with stand.running():
+        process = subprocess.Popen([sys.executable, "-c", DRIVER, str(stand.port)])
+        wait_until(lambda: stand.twin.truth().v > 0.05, 30.0)
+        process.kill()
+        process.wait()
+        wait_until(lambda: stand.twin.truth().v < 0.005, 1.2)  # its own stop would take 2 s
+    stand.twin.close()

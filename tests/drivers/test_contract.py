@@ -7,10 +7,6 @@ class TestSimulated(Contract):
     subject = Subject("simulated", twin=None)
 
 
-class TestLineRobot(Contract):
-    subject = Subject("tests.drivers.line_robot:LineRobot", twin="tests.drivers.line_robot:LineFirmware")
-
-
 class TestGTernal(Contract):
     subject = Subject("gternal", twin="gternal", vehicle="gternal", encoders=False)
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
+from robofleet.clock import MS
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, DriverError, RobotFault, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
@@ -91,9 +92,9 @@ def test_what_the_robot_feels_is_its_fault_as_long_as_it_feels_it(bench: Bench, 
 
 def test_what_it_felt_for_one_frame_between_two_readings_is_read(bench: Bench) -> None:
     bench.hardware.feels = RobotFault.BUMPED
-    bench._pass(15_000_000)
+    bench.let_pass(15_000_000)
     bench.hardware.feels = RobotFault(0)
-    bench._pass(15_000_000)
+    bench.let_pass(15_000_000)
     assert bench.read().faults == RobotFault.BUMPED
     assert bench.pass_time(0.03)[-1].faults == 0
 
@@ -177,6 +178,24 @@ def test_a_command_from_before_a_hang_moves_nothing_after_its_dead_man_s_stop(be
     assert not any(reading.faults for reading in bench.pass_time(0.1, STOP))
     bench.write(*FORWARD)
     assert bench.hardware.command != STOP
+
+
+def test_after_a_hang_it_comes_back_into_its_mode_and_does_nothing_old() -> None:
+    bench = Bench()
+    try:
+        bench.open(silent_s=0.5)
+        bench.pass_time(0.2, FORWARD)
+        while bench.hardware.command != STOP:
+            bench.hear()  # from its dead man: we say nothing
+        assert bench.pass_time(0.1)[-1].faults == 0
+        assert bench.firmware.mode is Mode.SAFE
+        bench.write(*FORWARD)
+        assert bench.hardware.command == STOP
+        bench.now_ns += 300 * MS
+        bench.write(*FORWARD)
+        assert bench.hardware.command != STOP
+    finally:
+        bench.close()
 
 
 def test_a_line_that_is_pulled_out_is_an_error_at_once_and_closing_is_none(bench: Bench) -> None:

@@ -1,85 +1,24 @@
 """The GTernal's driver: what it says on the line, and what it makes of what comes back."""
 
 import math
-import select
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from drivers.gternal import GTernal
-from robofleet.clock import MS, SimulatedClock
-from robofleet.simulation.firmware import Hardware
-from robofleet.simulation.firmwares.gternal import GTernalFirmware
-from robofleet.simulation.serial_line import SerialLine
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, Simulation, WheelSpeeds
-from robofleet.vehicles.plant import Plant
-from tests.robots import GTERNAL, IDEAL
+from robofleet.clock import MS
+from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
+from tests.drivers.gternal_desk import Desk
+from tests.robots import GTERNAL
 
 AHEAD = WheelSpeeds(5.0, 4.0)
 BOUND = 5e-4  # of a wheel [rad/s]: the line's last decimals, by half
-HEARD_S = 1.0  # at most: a pseudo-terminal takes a moment
 wheel = st.floats(-12.5, 12.5)
-
-Result = TypeVar("Result")
-
-
-class Desk:
-    """A motor controller on a port. Time passes when the test lets it."""
-
-    def __init__(self, folder: Path) -> None:
-        self.clock = SimulatedClock()
-        self.port = folder / "gternal.tty"
-        self.line = SerialLine(self.port)
-        self.plant = Plant(GTERNAL, IDEAL, (0.0, 0.0, 0.0), np.random.default_rng(1))
-        self.hardware = Hardware(GTERNAL, IDEAL, self.plant)
-        self.firmware = GTernalFirmware(self.hardware)
-        self.lines: list[bytes] = []  # what the driver has written
-        self.answer: Callable[[bytes], bytes] = lambda data: self.firmware.receive(data, self.clock.now_ns())
-
-    def make(self) -> GTernal:
-        simulation = Simulation(GTERNAL, IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
-        own = GTernal.Settings(port=str(self.port))
-        return self.meanwhile(lambda: GTernal(DriverContext("r1", GTERNAL, simulation, self.clock.now_ns, own)))
-
-    def meanwhile(self, wait: Callable[[], Result]) -> Result:
-        """Answer what is written while something waits for it."""
-        with ThreadPoolExecutor(1) as pool:
-            result = pool.submit(wait)
-            while not result.done():
-                self.hear(0.005)
-            return result.result()
-
-    def hear(self, seconds: float = HEARD_S) -> None:
-        """Take what was written, waiting so long for it at most, and answer."""
-        if self.line.descriptor is None:
-            self.line.read()
-        heard = [] if self.line.descriptor is None else [self.line.descriptor]
-        select.select(heard, [], [], seconds)
-        if data := self.line.read():
-            self.lines.append(data)
-            self.line.write(self.answer(data))
-
-    def tell(self, driver: GTernal, wheels: WheelSpeeds) -> WheelSpeeds:
-        """Write, and return what the controller's motors are asked for then."""
-        driver.write(wheels)
-        self.hear()
-        self.firmware.loop(self.clock.now_ns())
-        return self.hardware.command
-
-    def let_pass(self, loops: int, driver: GTernal) -> None:
-        """Let time pass, 10 ms a loop; the driver is read in each of them, as its process does."""
-        for _ in range(loops):
-            self.clock.advance_to(self.clock.now_ns() + 10 * MS)
-            driver.read()
-            self.hear(0.0)
-            self.firmware.loop(self.clock.now_ns())
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +30,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
 
 @pytest.fixture
 def driver(desk: Desk) -> Iterator[GTernal]:
-    desk.answer = lambda data: desk.firmware.receive(data, desk.clock.now_ns())
+    desk.answer = desk.obey
     driver = desk.make()
     desk.lines.clear()
     yield driver
@@ -113,7 +52,8 @@ def test_it_asks_before_it_tells_and_lets_the_robot_stand(desk: Desk) -> None:
     desk.lines.clear()
     driver = desk.make()
     assert b"write" not in desk.lines[0]
-    assert any(b'{"v":0.00000,"w":0.0000}' in line for line in desk.lines)
+    assert any(b'{"v":0.0,"w":0.0}' in line for line in desk.lines)
+    assert desk.clock.now_ns() - desk.heard_ns >= 300 * MS  # motors without current: it rolls on
     assert driver.read() == (0.0, 0.0, 0.0, 0.0, pytest.approx(1.0, abs=0.01), 0)
     desk.meanwhile(driver.close)
 
@@ -146,7 +86,7 @@ def test_half_a_line_moves_nothing(
     desk.firmware.receive(line[: data.draw(st.integers(1, len(line) - 1))], desk.clock.now_ns())
     desk.firmware.loop(desk.clock.now_ns())
     assert desk.hardware.command == before
-    desk.answer = lambda line: desk.firmware.receive(line, desk.clock.now_ns())
+    desk.answer = desk.obey
     for _ in range(2):
         assert desk.tell(driver, WheelSpeeds(a, b)) in (before, pytest.approx((a, b), abs=BOUND), STOP)
     assert desk.tell(driver, WheelSpeeds(a, b)) in (pytest.approx((a, b), abs=BOUND), STOP)
@@ -160,7 +100,7 @@ def test_half_a_line_moves_nothing(
 @settings(deadline=None)
 def test_garbage_from_the_robot_is_no_news(steady: tuple[Desk, GTernal], chunks: list[bytes]) -> None:
     desk, driver = steady
-    desk.answer = lambda line: desk.firmware.receive(line, desk.clock.now_ns())
+    desk.answer = desk.obey
     for chunk in chunks:
         desk.line.write(chunk)
         battery = driver.read().battery
@@ -241,7 +181,7 @@ def test_closed_it_stands_even_if_a_line_is_lost_and_says_no_more(desk: Desk, dr
 
     def lose_the_first(data: bytes) -> bytes:
         if lost:
-            return desk.firmware.receive(data, desk.clock.now_ns())
+            return desk.obey(data)
         lost.append(data)
         return b""
 
@@ -271,6 +211,14 @@ def test_what_is_no_gternal_is_named_and_not_told_to_move(tmp_path: Path, says: 
     assert not any(b"write" in line for line in desk.lines)
 
 
+def test_one_that_talks_all_the_time_and_obeys_nothing_is_named(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.answer = lambda line: b""
+    desk.unasked = b'{"status":[1],"body":[{}]}'
+    with pytest.raises(DriverError, match="does not stop"):
+        desk.make()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [{"wheel_radius_m": 0.0}, {"wheel_base_m": math.nan}, {"wheel_radius_m": "16 mm"}, {"baud": 9600}, {"port": ""}],
@@ -286,3 +234,5 @@ def test_figures_of_another_robots_firmware_are_refused() -> None:
     ((where, why),) = GTernal.refusals(GTernal.Settings(port=port, wheel_radius_m=16.0), GTERNAL)
     assert where == "settings.wheel_radius_m"
     assert "16 in the firmware, but this robot has 0.016" in why
+    ((where, _),) = GTernal.refusals(GTernal.Settings(port=port, wheel_base_m=0.0525), GTERNAL)
+    assert where == "settings.wheel_base_m"

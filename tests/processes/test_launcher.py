@@ -1,8 +1,6 @@
 """Runs in real time, with every process of theirs: they work, they end, and nothing is left of them."""
 
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 
 import psutil
@@ -118,11 +116,3 @@ def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRu
     assert run.summary["ticks"] == 0
     assert "running" not in run.said
     assert len(list((run.folder / "log").iterdir())) < 5, "nobody else is started then"
-
-
-def test_a_driver_process_loads_neither_numba_nor_opencv() -> None:
-    imports = "robofleet.cli, robofleet.processes.child, robofleet.processes.driver, drivers.simulated"
-    heavy = "[name for name in ('numba', 'cv2', 'scipy') if name in sys.modules]"
-    code = f"import sys, {imports}, robofleet.comms.zenoh_bus; print({heavy}, 'zenoh' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[] True"

@@ -1,11 +1,14 @@
 """Fleets of which a camera sees only some: the others are told beside them, as if it did."""
 
+import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
@@ -17,6 +20,7 @@ from robofleet.processes.tracker import Tracker
 from robofleet.recording.metrics import summary
 
 Make = Callable[..., Any]
+MIXED = Path(__file__).parents[2] / "configs" / "mixed.yaml"
 TICK_NS = 33 * MS
 SPEED = 0.1  # of every robot [m/s]
 VIRTUAL = ["robots.1.reality=simulated", "robots.3.reality=simulated"]  # r2 and r4
@@ -155,3 +159,15 @@ def test_a_simulated_cameras_trouble_with_a_robot_that_it_does_not_see_is_refuse
     platoon_of(cover)
     with pytest.raises(ConfigError, match=r"covers.0.robot: r2 is in no image"):
         platoon_of(cover, *VIRTUAL)
+
+
+def test_a_twin_in_the_arena_leads_a_robot_that_only_the_computer_has(real_run: Make) -> None:
+    robots = json.dumps(yaml.safe_load(MIXED.read_text())["robots"][:2])
+    run = real_run("--set", f"robots={robots}", "--set", "groups.0.robots=[r1, r2]", "--set", "run.duration_s=4")
+    assert run.ended(120) == 0, run.said
+    s = run.summary
+    assert (s["outcome"], s["stops"], s["estimated"], s["tracker"]["false_ids"]) == ("completed", [], [], 0)
+    assert s["tracker"]["measured_fraction"] > 0.95
+    assert s["control_error_mm"]["mean"] <= 3.0
+    assert s["min_gap_mm"] > 50
+    assert run.nothing_is_left()

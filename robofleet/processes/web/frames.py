@@ -123,6 +123,7 @@ def _robot(config: Config, row: int) -> Frame:
     return {
         "id": robot.id,
         "tag": robot.tag,
+        "reality": robot.reality,
         "body_radius_m": body.radius,
         "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
     }

@@ -1,8 +1,8 @@
 """An iRobot Create 2 as its Open Interface describes it: opcodes with their data, modes, a stream every 15 ms.
 
 What the description leaves open is assumed: an unknown opcode is passed over, a speed beyond 500 mm/s is clipped,
-cleaning drives straight on, a reset takes 3 s. Opcodes that concern no wheel, no mode and no stream are taken with
-their data and do nothing.
+cleaning drives straight on, a reset takes 3 s. Opcodes that the driver has no use for are taken with their data and do
+nothing, the other ways to drive and another baud rate too.
 """
 
 import struct

@@ -12,6 +12,7 @@ export function robotsOf(hello, tick) {
     const robot = { ...hello.robots[row], row };
     hello.columns.forEach((column, k) => (robot[column] = values[k]));
     [robot.trouble, robot.words] = assess(robot);
+    if (robot.reality === "simulated") robot.words += " (in no image: simulated)";
     return robot;
   });
 }

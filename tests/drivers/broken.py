@@ -1,0 +1,298 @@
+"""The driver of drivers/README.md, broken on purpose: each class in one way, as ``test_contract_sabotage.py`` says."""
+
+import os
+import select
+from contextlib import suppress
+from pathlib import Path
+from typing import ClassVar
+
+from drivers.serial_port import SerialPort
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
+
+
+class Reversed(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        super().write(WheelSpeeds(-wheels.left, -wheels.right))
+
+
+class Swapped(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        super().write(WheelSpeeds(wheels.right, wheels.left))
+
+
+class CoarselyRounded(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        super().write(WheelSpeeds(round(wheels.left / 0.7) * 0.7, round(wheels.right / 0.7) * 0.7))
+
+
+class CountsBackwards(Sparrow):
+    def read(self) -> DriverReading:
+        reading = super().read()
+        return reading._replace(left_angle=-reading.left_angle)
+
+
+class DegreesPerSecond(Sparrow):
+    def read(self) -> DriverReading:
+        reading = super().read()
+        return reading._replace(right_speed=57.3 * reading.right_speed)
+
+
+class BatteryInVolts(Sparrow):
+    def read(self) -> DriverReading:
+        return super().read()._replace(battery=11.1)
+
+
+class MovesWhenMade(Sparrow):
+    def __init__(self, context: DriverContext) -> None:
+        super().__init__(context)
+        self.write(WheelSpeeds(1.0, 1.0))
+
+
+class RoundsUpAtTheLimit(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        factor = 1.03 if max(map(abs, wheels)) > 12.0 else 1.0
+        super().write(WheelSpeeds(factor * wheels.left, factor * wheels.right))
+
+
+class SaysItAgain(Sparrow):
+    """As a driver whose polling is as good as a command to its firmware."""
+
+    _told = STOP
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        self._told = wheels
+        super().write(wheels)
+
+    def read(self) -> DriverReading:
+        super().write(self._told)
+        return super().read()
+
+
+class LeavesItTurning(Sparrow):
+    def close(self) -> None:
+        self.line.close()
+
+
+class WritesWhenClosed(Sparrow):
+    closed = False
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        if not self.closed:
+            super().write(wheels)
+            return
+        self.line = SerialPort(self.settings.port, 115200)
+        super().write(wheels)
+        self.line.close()
+
+    def close(self) -> None:
+        if not self.closed:
+            super().close()
+        self.closed = True
+
+
+class WritesToItsOldNumber(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        if self.line.descriptor >= 0:
+            self.number = self.line.descriptor
+        super().write(wheels) if self.line.descriptor >= 0 else os.write(self.number, b"w 0 0")
+
+    def close(self) -> None:
+        if self.line.descriptor >= 0:
+            super().close()
+
+
+class BelievesEveryLine(Sparrow):
+    def listen(self) -> bool:
+        *lines, self.rest = (self.rest + self.line.read())[-4096:].split(b"\n")
+        for line in lines:
+            if line.startswith(b"s "):
+                self.heard = [*self.heard[-9:], (self.now_ns(), *map(int, line.split()[1:4]))]
+        return bool(self.heard)
+
+
+class MiscountsBadLines(Sparrow):
+    def listen(self) -> bool:
+        before = self.heard[-1:]
+        heard = super().listen()
+        if before and self.heard[-1][0] - before[0][0] > 15_000_000:
+            at_ns, left, right, charge = self.zero
+            self.zero = at_ns, left + 500, right, charge
+        return heard
+
+
+class NeverMissesIt(Sparrow):
+    def listen(self) -> bool:
+        super().listen()
+        if self.heard:
+            self.heard[-1] = (self.now_ns(), *self.heard[-1][1:])
+        return bool(self.heard)
+
+
+class WritesIntoTheVoid(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        with suppress(DriverError):
+            super().write(wheels)
+
+
+class ReadsFromTheVoid(Sparrow):
+    def listen(self) -> bool:
+        with suppress(DriverError):
+            super().listen()
+        return bool(self.heard)
+
+
+class SeesNoPlug(WritesIntoTheVoid, ReadsFromTheVoid):
+    pass
+
+
+class ComesBackOnce(Sparrow):
+    lost: ClassVar[set[str]] = set()
+
+    def __init__(self, context: DriverContext) -> None:
+        if context.settings.port in self.lost:
+            raise DriverError(f"{context.settings.port}: lost for good")
+        super().__init__(context)
+
+    def listen(self) -> bool:
+        try:
+            return super().listen()
+        except DriverError:
+            self.lost.add(self.settings.port)
+            raise
+
+
+class GoesOn(Sparrow):
+    """Where it was interrupted by a plug."""
+
+    told: ClassVar[dict[str, WheelSpeeds]] = {}
+
+    def __init__(self, context: DriverContext) -> None:
+        super().__init__(context)
+        self.again = self.told.pop(self.settings.port, None)
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        self.last = wheels
+        super().write(wheels)
+
+    def read(self) -> DriverReading:
+        if self.again is not None:
+            super().write(self.again)
+        return super().read()
+
+    def listen(self) -> bool:
+        try:
+            return super().listen()
+        except DriverError:
+            self.told[self.settings.port] = self.last
+            raise
+
+
+class GreetsWithoutAStop(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        if self.heard:
+            super().write(wheels)
+
+
+class WaitsForRoom(Sparrow):
+    def write(self, wheels: WheelSpeeds) -> None:
+        select.select([], [self.line.descriptor], [])
+        super().write(wheels)
+
+
+class WaitsForAnAnswer(Sparrow):
+    def read(self) -> DriverReading:
+        self.line.wait(0.02)
+        return super().read()
+
+
+class TakesAnySetting(Sparrow):
+    class Settings(Sparrow.Settings, extra="allow"):
+        pass
+
+
+class GuessesItsPort(Sparrow):
+    class Settings(Sparrow.Settings):
+        port: str = "/dev/ttyUSB0"
+
+
+class TakesAnyNumber(Sparrow):
+    class Settings(Sparrow.Settings):
+        counts_per_turn: float = 2800.0
+
+
+class NamelessWhenAbsent(Sparrow):
+    def __init__(self, context: DriverContext) -> None:
+        if not Path(context.settings.port).exists():
+            raise DriverError("there is no such port")
+        super().__init__(context)
+
+
+class NamelessWhenBusy(Sparrow):
+    def __init__(self, context: DriverContext) -> None:
+        try:
+            super().__init__(context)
+        except DriverError as error:
+            raise DriverError(str(error) if "another program" not in str(error) else "it is busy") from error
+
+
+class MeetsAnybody(Sparrow):
+    def listen(self) -> bool:
+        if not self.heard:
+            self.heard = [(self.now_ns(), 0, 0, 0)]
+        return super().listen()
+
+
+class ShoutsAround(Sparrow):
+    """Moves a Create 2: start, full control, wheels."""
+
+    def write(self, wheels: WheelSpeeds) -> None:
+        if not self.heard:
+            self.line.write(bytes([128, 132, 145, 0, 100, 0, 100]))
+        super().write(wheels)
+
+
+class ClosesOnce(Sparrow):
+    def close(self) -> None:
+        if self.line.descriptor < 0:
+            raise DriverError(f"{self.settings.port}: closed already")
+        super().close()
+
+
+class MadeTwiceAtMost(Sparrow):
+    made: ClassVar[dict[str, list[int]]] = {}
+
+    def __init__(self, context: DriverContext) -> None:
+        times = self.made.setdefault(context.settings.port, [])
+        times.append(context.now_ns())
+        if len(times) == 3 and times[-1] - times[0] > 1_900_000_000 and times[-1] - times[0] < 2_500_000_000:
+            raise DriverError(f"{context.settings.port}: not once more")
+        super().__init__(context)
+
+
+class Spins(Sparrow):
+    def read(self) -> DriverReading:
+        sum(range(100_000))
+        return super().read()
+
+
+class LeavesADescriptor(Sparrow):
+    def __init__(self, context: DriverContext) -> None:
+        super().__init__(context)
+        self._left = os.open("/dev/null", os.O_RDONLY)
+
+
+class LeavesADescriptorWhenRefused(Sparrow):
+    def __init__(self, context: DriverContext) -> None:
+        try:
+            super().__init__(context)
+        except DriverError:
+            self._left = os.open("/dev/null", os.O_RDONLY)
+            raise
+
+
+class RemembersEverything(Sparrow):
+    def read(self) -> DriverReading:
+        reading = super().read()
+        self.__dict__.setdefault("_past", []).append(reading)
+        return reading

@@ -1,0 +1,12 @@
+"""The driver that the README shows keeps the contract, as it stands there."""
+
+from tests.drivers.contract import Contract, Subject
+from tests.drivers.sparrow import CODE
+
+
+class TestExample(Contract):
+    subject = Subject("tests.drivers.sparrow:Sparrow", twin="tests.drivers.sparrow:SparrowFirmware")
+
+
+def test_it_is_forty_lines() -> None:
+    assert len([line for line in CODE.splitlines() if line]) <= 40
