@@ -109,19 +109,6 @@ class Robot:
             thread.join()
 
 
-class NoDeadMan:
-    """The real one stops wheels by a clock that does not stand still: a test that is held up would see that."""
-
-    def __init__(self, descriptor: int, stop: bytes) -> None:
-        pass
-
-    def sign(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 class Bench:
     """A driver and its robot."""
 
@@ -164,7 +151,8 @@ class Bench:
 
 @pytest.fixture(autouse=True)
 def undisturbed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.arduino_bridge.DeadMan", NoDeadMan)
+    """A dead man's clock does not stand still while a test is held up; without a sign of life he watches nobody."""
+    monkeypatch.setattr("drivers.dead_man.DeadMan.sign", lambda _: None)
 
 
 @pytest.fixture
