@@ -8,6 +8,8 @@ Its loop looks at the serial line, then at its 500 ms stop, then at its wheels. 
 - An object that is not whole does nothing, and is answered with empty lists.
 - Any ``write`` starts the stop's time anew, no ``read`` does. A request that is neither is what the last one was.
 - It clips nothing; motors that can do no more do no more. It tells nothing of its encoders.
+
+Of its sensors it has the battery and the charger here; what else can be read is answered as unknown.
 """
 
 import json
@@ -86,8 +88,8 @@ class GTernalFirmware:
         self._begin()
         status: list[int] = []
         body: list[dict[str, Any]] = []
-        interfaces, bodies = _list(asked, "iface"), _list(asked, "body")
-        for index, request in enumerate(_list(asked, "request")):
+        interfaces, bodies = _member(asked, "iface"), _member(asked, "body")
+        for index, request in enumerate(_member(asked, "request")):
             if request in ("read", "write"):
                 self._writes = request == "write"
             interface = interfaces[index] if index < len(interfaces) else None
@@ -177,7 +179,7 @@ class _Reader:
         return self._byte
 
 
-def _list(asked: Any, name: str) -> list[Any]:
+def _member(asked: Any, name: str) -> list[Any]:
     found = asked.get(name)
     return found if isinstance(found, list) else []
 
