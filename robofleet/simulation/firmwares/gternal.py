@@ -72,11 +72,15 @@ class GTernalFirmware:
             answer = self._obey({}, now_ns)
         if self._byte_ns is None and now_ns - self._written_ns > self.watchdog_s * 1e9:
             self._v = self._w = 0.0
+        self._follow()
+        return answer
+
+    def _follow(self) -> None:
+        """Aim at the wheels that v and omega make."""
         drive = self._hardware.drive
         stands = abs(self._v) < _LEAST_V and abs(self._w) < _LEAST_W
         wheels = wheels_from_body(self._v, self._w, drive.wheel_radius, drive.wheel_base)
         self._hardware.command = STOP if stands else WheelSpeeds(*wheels)
-        return answer
 
     def _begin(self) -> None:
         self._byte_ns = None
@@ -97,6 +101,7 @@ class GTernalFirmware:
             known, said = self._write(interface, given, now_ns) if self._writes else self._read(interface)
             status += [1] * known
             body.append(said)
+        self._follow()
         return json.dumps({"status": status, "body": body}, separators=(",", ":")).encode()
 
     def _write(self, interface: Any, given: Any, now_ns: int) -> tuple[bool, dict[str, Any]]:
