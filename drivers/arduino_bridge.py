@@ -24,14 +24,15 @@ import math
 import re
 from collections import deque
 from contextlib import suppress
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.arduino_counts import Encoders, Rounding
 from drivers.dead_man import DeadMan
 from drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
 
 _BAUD = 57600
 _BOOT_NS = 6_000_000_000  # of patience: opening the port resets the board, whose boot loader takes up to 2 s
@@ -39,10 +40,11 @@ _ASK_AGAIN_S = 0.3
 _AGAIN_NS = 20_000_000  # the wheels are told the same, and the counts asked for, so often: half of the line is free
 _LOST_NS = 100_000_000  # what is unanswered for so long gets no answer any more
 _SILENT_NS = 500_000_000
-_SPEED_NS = 100_000_000  # over which speeds are means: with 2000 counts a turn, one of them is 0.03 rad/s
 _STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
 _LONGEST = 64  # bytes of an answer
 _MOST_COUNTS = 32767  # per frame: the sketch's integers
+_Gain = Annotated[int, Field(ge=0, le=999)]  # older sketches hold 15 characters of all four
+_Divisor = Annotated[int, Field(ge=1, le=999)]
 
 _RATE, _WHAT, _DONE, _COUNTS = "baud rate", "invalid", "OK", "counts"
 _MARKS = (_WHAT, b"?\r"), (_RATE, b"b\r")
@@ -69,7 +71,7 @@ class ArduinoBridge:
         """Encoder counts in one turn of a wheel, gear included."""
         pid_rate_hz: Annotated[int, Field(ge=1, le=1000)] = 30
         """As compiled into its sketch (``PID_RATE``)."""
-        gains: Annotated[tuple[int, int, int, int] | None, Field(strict=False)] = None
+        gains: Annotated[tuple[_Gain, _Gain, _Gain, _Divisor] | None, Field(strict=False)] = None
         """Kp, Kd, Ki, Ko of its speed loop, told at opening; null: those of the sketch."""
 
         @property
@@ -82,9 +84,9 @@ class ArduinoBridge:
         self._now_ns, self._name = context.now_ns, settings.port
         self._frame_ns = settings.frame_s * 1e9
         self._counts_per_rad = settings.counts_per_turn / math.tau
-        self._left, self._right = _Rounding(), _Rounding()
+        self._left, self._right = Rounding(), Rounding()
         self._said, self._said_ns, self._aimed_ns = (0, 0), 0, 0
-        self._encoders = _Encoders(self._counts_per_rad, context.drive.max_wheel_speed)
+        self._encoders = Encoders(self._counts_per_rad, context.drive.max_wheel_speed)
         self._asked_ns = 0
         self._rest = b""
         self._talks = False  # it has said something, whatever that was
@@ -105,12 +107,12 @@ class ArduinoBridge:
         fastest = drive.max_wheel_speed * settings.frame_s * settings.counts_per_turn / math.tau
         if 1.0 <= fastest <= _MOST_COUNTS:
             return []
-        why = f"its fastest wheel makes {fastest:.3g} counts a frame, but 1 to {_MOST_COUNTS} can be told: mend it"
+        why = f"its fastest wheel makes {fastest:.3g} counts a frame; 1 to {_MOST_COUNTS} can be told: mend it"
         return [("settings.counts_per_turn", why)]
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels [rad/s]; the same again is not told more than 50 times a second."""
-        now_ns = self._alive()
+        now_ns = self._listen()
         wheels = self._dead_man.allow(wheels, now_ns)
         frames = min(1.0, max(0.0, (now_ns - self._aimed_ns) / self._frame_ns))
         per_frame = self._counts_per_rad * self._frame_ns * 1e-9
@@ -122,7 +124,8 @@ class ArduinoBridge:
 
     def read(self) -> DriverReading:
         """Return angles and speeds; the battery it cannot tell."""
-        now_ns = self._alive()
+        now_ns = self._listen()
+        self._dead_man.sign()
         if self._asked_ns - self._encoders.at_ns > _SILENT_NS:
             raise DriverError(f"{self._name}: no encoder counts that can be: is the robot on, and its cable sound?")
         # a question behind a motion that was cut would end that one: the next motion, which is near, shall do it
@@ -141,14 +144,6 @@ class ArduinoBridge:
         self._closed = True
         self._dead_man.close()
         self._line.close()
-
-    def _alive(self) -> int:
-        """Give a sign of life and take what has come; returns the instant."""
-        if self._closed:
-            raise DriverError(f"{self._name}: it is closed")
-        self._dead_man.sign()
-        self._listen()
-        return self._now_ns()
 
     def _meet(self, settings: Settings) -> None:
         """Let the board start, let the robot stand, and find out what it has counted."""
@@ -187,7 +182,10 @@ class ArduinoBridge:
         self._line.write(line)
         self._unanswered.append((answer, now_ns))
 
-    def _listen(self) -> None:
+    def _listen(self) -> int:
+        """Take what has come; returns the instant."""
+        if self._closed:
+            raise DriverError(f"{self._name}: it is closed")
         heard = self._line.read()
         self._talks = self._talks or bool(heard)
         *lines, rest = (self._rest + heard).split(b"\n")
@@ -196,6 +194,7 @@ class ArduinoBridge:
             for kind, shape in _ANSWERS.items():
                 if words := shape.fullmatch(line):
                     self._take(kind, words)
+        return self._now_ns()
 
     def _take(self, kind: str, words: re.Match[bytes]) -> None:
         """Take an answer, to the oldest question that it can belong to; those before will get none any more."""
@@ -205,81 +204,3 @@ class ArduinoBridge:
                 if kind == _COUNTS:
                     self._encoders.take(asked_ns, int(words[1]), int(words[2]))
                 return
-
-
-class _Rounding:
-    """One wheel's counts per frame, whole, such that in the long run it turns as far as it was told to."""
-
-    def __init__(self) -> None:
-        self._told, self._given, self._owed = 0.0, 0, 0.0
-
-    def __call__(self, told: float, frames: float) -> int:
-        """Return what to say instead of ``told``, ``frames`` of the speed loop after the last time (1 at most)."""
-        self._owed += frames * (self._told - self._given)
-        self._told, self._given = told, round(told + self._owed) if told else 0
-        return self._given
-
-
-class _Sample(NamedTuple):
-    at_ns: int
-    counts: tuple[int, int]  # left, right; 32 bits
-    turned: tuple[int, int]  # since the first ones [counts]
-
-
-class _Encoders:
-    """What the wheels have turned, from counts that may be wrong, and that a wrong letter may have set to 0."""
-
-    def __init__(self, counts_per_rad: float, max_wheel_speed: float) -> None:
-        self._counts_per_rad, self._fastest = counts_per_rad, 2.0 * max_wheel_speed
-        self._samples: deque[_Sample] = deque()
-        self._doubted: _Sample | None = None
-
-    @property
-    def at_ns(self) -> int:
-        """When the newest counts were asked for that can be true."""
-        return self._samples[-1].at_ns
-
-    @property
-    def angles(self) -> WheelSpeeds:
-        """Turned since the first counts [rad]."""
-        left, right = self._samples[-1].turned
-        return WheelSpeeds(left / self._counts_per_rad, right / self._counts_per_rad)
-
-    @property
-    def speeds(self) -> WheelSpeeds:
-        """Mean over the last tenth of a second [rad/s]."""
-        first, last = self._samples[0], self._samples[-1]
-        if last.at_ns == first.at_ns:
-            return STOP
-        per_count = 1e9 / (self._counts_per_rad * (last.at_ns - first.at_ns))
-        left, right = (now - then for now, then in zip(last.turned, first.turned, strict=True))
-        return WheelSpeeds(left * per_count, right * per_count)
-
-    def take(self, at_ns: int, left: int, right: int) -> None:
-        """Take counts, unless no wheel can have turned so far; two that fit each other are believed."""
-        if not self._samples:
-            self._samples.append(_Sample(at_ns, (left, right), (0, 0)))
-            return
-        last = self._samples[-1]
-        new = _Sample(at_ns, (left, right), last.turned)
-        moves = self._moves(last, new)
-        if moves is None and self._doubted is not None:
-            moves = self._moves(self._doubted, new)
-        if moves is None:
-            self._doubted = new
-            return
-        self._doubted = None
-        self._samples.append(new._replace(turned=(last.turned[0] + moves[0], last.turned[1] + moves[1])))
-        while self._samples[1].at_ns <= at_ns - _SPEED_NS:
-            self._samples.popleft()
-
-    def _moves(self, before: _Sample, after: _Sample) -> tuple[int, int] | None:
-        """Return how far the wheels have turned between them [counts]; None: no wheel can."""
-        left, right = (_wrapped(b - a) for a, b in zip(before.counts, after.counts, strict=True))
-        reach = 2.0 + self._fastest * self._counts_per_rad * (after.at_ns - before.at_ns) * 1e-9
-        return (left, right) if max(abs(left), abs(right)) <= reach else None
-
-
-def _wrapped(difference: int) -> int:
-    """Return a difference of two integers of 32 bits."""
-    return (difference + 0x80000000) % 0x100000000 - 0x80000000

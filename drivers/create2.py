@@ -35,7 +35,7 @@ MODE_LOST = RobotFault.OWN
 
 _BAUD = 115200
 _FASTEST_MM_S = 500
-_MODES = {"safe": 2, "full": 3}  # as packet 35 says them; their opcodes are 129 more
+_PASSIVE, _MODES = 1, {"safe": 2, "full": 3}  # as packet 35 says them; the latters' opcodes are 129 more
 _START, _MODE, _DRIVE, _STREAM, _STOP_OI = 128, 129, 145, 148, 173
 _LACK = bytes(4)  # what a broken command lacks at most
 _LIST_LACK = bytes(16)  # what a broken subscription lacks
@@ -48,6 +48,7 @@ _ANSWER_NS, _STALE_NS = 1_000_000_000, 500_000_000
 _SILENT_NS = _GREET_NS = 100_000_000
 _TOLD_NS = 100_000_000  # it may still go by what it was told so long ago: lines are late
 _MODE_LOST_NS = 100_000_000
+_STOP_PATIENCE_NS, _STOP_TRIES = 50_000_000, 4
 _OVERCURRENT_NS = 300_000_000  # shorter ones are a motor's start, or noise
 _SPEED_NS = 100_000_000  # one count in it is 0.12 rad/s
 _FASTEST_RAD_S = 30.0  # twice what its motors do: pushed by hand
@@ -130,9 +131,20 @@ class Create2:
             return
         self._closed = True
         with contextlib.suppress(DriverError):  # the line is gone: nobody can tell it anything
-            self._port.write(MOTORS_OFF + bytes((_STOP_OI,)))
+            any(self._obeys_motors_off() for _ in range(_STOP_TRIES))
+            self._port.write(bytes((_STOP_OI,)))
         self._dead_man.close()
         self._port.close()
+
+    def _obeys_motors_off(self) -> bool:
+        """Take its motors; returns whether it then says that it is passive."""
+        self._port.write(MOTORS_OFF)
+        until_ns = self._now_ns() + _STOP_PATIENCE_NS
+        while (left_ns := until_ns - self._now_ns()) > 0 and self._port.wait(left_ns * 1e-9):
+            self._listen(self._now_ns())
+            if self._frame is not None and self._frame.mode == _PASSIVE:
+                return True
+        return False
 
     def _wait_for_answer(self) -> None:
         began_ns = self._now_ns()

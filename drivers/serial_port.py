@@ -54,7 +54,7 @@ class SerialPort:
         """Wait until something has come, so long at most; only while a driver is being made."""
         try:
             return bool(select.select([self.descriptor], [], [], max(0.0, seconds))[0])
-        except (OSError, TypeError) as error:
+        except (OSError, TypeError, ValueError) as error:
             raise self._gone() from error
 
     def close(self) -> None:

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 PARAMETERS = ("forward_m", "left_m", "heading_deg", "wheel_radius_m", "wheel_base_m")
 
 _SMOOTHED = 15  # poses
+_STEADIED = 25  # statuses: half a second
 _ROUNDS = 6  # of leaving outliers out
 _IN_TIME_S = 2e-4
 _LEAST_TURN = 1.5 * math.pi  # each way [rad]
@@ -67,32 +68,22 @@ class Offsets:
 
 
 def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
-    """Find a robot's offsets, by its encoders or by what its wheels were told, whichever determines them better.
-
-    Encoders are read from time to time, and where they come late or seldom they say less than the commands do.
+    """Find a robot's offsets: by what its wheels were told, put right by its encoders where it has some.
 
     Raises:
         CalibrationError: the drive does not determine them.
     """
     refuse_unusable(drive)
-    found: list[Offsets] = []
-    refusals: list[CalibrationError] = []
-    for by_encoders in (True, False) if len(drive.encoders_s) > 2 else (False,):
-        try:
-            found.append(_by(drive, believed, by_encoders=by_encoders))
-        except CalibrationError as refused:
-            refusals.append(refused)
-    if not found:
-        raise refusals[0]
-    return min(found, key=lambda one: float(np.log(one.sigma).sum()))
-
-
-def _by(drive: RobotDrive, believed: DifferentialDrive, *, by_encoders: bool) -> Offsets:
-    """Find them by the wheels' angles, or by what they were told and follow with the drive's own lag."""
+    by_encoders = len(drive.encoders_s) > _STEADIED
+    try:
+        lag_s = latency.find(drive).motor_lag_s
+    except CalibrationError:
+        if not by_encoders:
+            raise
+        lag_s = believed.motor_lag  # what is wrong with it the encoders put right
+    at_s, angles = drive.told_s, lagging(drive.told_s, drive.told_rad, lag_s)
     if by_encoders:
-        at_s, angles = drive.encoders_s, drive.encoders_rad
-    else:
-        at_s, angles = drive.told_s, lagging(drive.told_s, drive.told_rad, latency.find(drive).motor_lag_s)
+        at_s, angles = drive.encoders_s, _put_right(at_s, angles, drive.encoders_s, drive.encoders_rad)
     late_s = 0.0  # of their instants: what the bus takes at least, and what the robot does
     kept = np.ones(len(drive.poses_s), dtype=np.bool_)
     try:
@@ -127,7 +118,7 @@ class _Fit:
         sides = np.column_stack([-self._angles[:, 0], self._angles[:, 1], -self._rate * turn])
         self._turning = solve(sides[None], self.inc.turn[None], self.inc)
         reckoned = np.concatenate([[0.0], np.cumsum(sides @ self._turning.values)])
-        self.heading = reckoned + _smoothed(measured - reckoned)
+        self.heading = reckoned + _smoothed(measured - reckoned, _SMOOTHED)
         self._shifting = self._shifts(self._turning.values)
 
     def _shifts(self, per_side: Array) -> Solution:
@@ -203,12 +194,27 @@ def _between(at_s: Array, angles: Array, asked_s: Array) -> Array:
     return np.asarray(angles[k] + u * rise + u * (1.0 - u) * ((1.0 - u) * start + u * end))
 
 
-def _smoothed(error: Array) -> Array:
-    """Return the running mean of what dead reckoning misses: it changes slowly, the poses' noise does not."""
-    sums = np.concatenate([[0.0], np.cumsum(error)])
-    k = np.arange(len(error))
-    before, after = np.maximum(k - _SMOOTHED // 2, 0), np.minimum(k + _SMOOTHED // 2 + 1, len(error))
-    return np.asarray((sums[after] - sums[before]) / (after - before))
+def _put_right(told_s: Array, expected: Array, at_s: Array, counted: Array) -> Array:
+    """Return what was expected of the wheels with what encoders (E, 2) say slowly: half a second's mean.
+
+    A robot is asked for its counts, or says them in its own time, so the newest are up to 30 ms old, now more, now
+    less: taken as they are they would make every turn look smaller. First the mean of that age is found.
+    """
+    late_s = 0.0
+    for _ in range(_ROUNDS):
+        model = _between(told_s, expected, at_s - late_s)
+        speed, error = np.gradient(model, at_s, axis=0), counted - model
+        quick, off = speed - _smoothed(speed, _STEADIED), error - _smoothed(error, _STEADIED)
+        late_s -= float((off * quick).sum() / (quick * quick).sum())
+    return model + _smoothed(error, _STEADIED)
+
+
+def _smoothed(values: Array, width: int) -> Array:
+    """Return the running mean of values (n, ...), which change slowly, while their noise does not."""
+    sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+    k = np.arange(len(values))
+    before, after = np.maximum(k - width // 2, 0), np.minimum(k + width // 2 + 1, len(values))
+    return np.asarray(((sums[after] - sums[before]).T / (after - before)).T)
 
 
 def _refuse(found: Offsets, fit: _Fit) -> None:

@@ -67,11 +67,11 @@ def speeds(view: View) -> Figure | None:
     _robots_lines(reference, view, speed)
     fastest = min(drive.max_speed for drive in drives)
     zoomed(reference, speed[view.counted(view.config.run.settle_s)], fastest) if len(speed) > 1 else None
-    level(reference, fastest, f"the body's limit, {fastest:g} m/s")
+    level(reference, fastest, f"the slowest body's limit, {fastest:g} m/s")
     _robots_lines(wheels, view, np.maximum(abs(run.items["left_rad_s"]), abs(run.items["right_rad_s"])))
     limit = min(drive.max_wheel_speed for drive in drives)
-    wheels.set_ylim(0.0, 1.08 * limit)
-    level(wheels, limit, f"the wheels' limit, {limit:g} rad/s")
+    wheels.set_ylim(0.0, 1.08 * max(drive.max_wheel_speed for drive in drives))
+    level(wheels, limit, f"the slowest wheels' limit, {limit:g} rad/s")
     return figure
 
 

@@ -196,7 +196,8 @@ class GreetsWithoutAStop(Sparrow):
 
 class WaitsForRoom(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
-        select.select([], [self.line.descriptor], [])
+        if self.line.descriptor >= 0:
+            select.select([], [self.line.descriptor], [])
         super().write(wheels)
 
 

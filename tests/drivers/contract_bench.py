@@ -43,7 +43,7 @@ class Subject(NamedTuple):
 
     driver: str
     twin: str | None  # None: the robot is simulated by its driver
-    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file
+    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file, from the working folder
     settings: Mapping[str, Any] = {}  # without the port
     encoders: bool = True  # False: the robot has none, and its driver says so by angles and speeds of 0
 
@@ -75,9 +75,8 @@ class Bench:
     """
 
     def __init__(self, subject: Subject, *faults: Any, faster: float = 1.0) -> None:
-        believed = _config(subject)
         self.config = _config(subject, faster).model_copy(update={"faults": faults})
-        self.drive_of = slices.drive(believed.robots[0])
+        self.believed = subject.drive
         self.clock = SimulatedClock()
         self.clock.advance_to(5 * S)
         self.angles = STOP  # that the wheels have truly turned [rad]
@@ -85,7 +84,7 @@ class Bench:
         self.waited_ns = 0  # by drivers
         self.driver: Driver | None = None
         self._made: list[Driver] = []
-        self._schedule: Schedule | None = None
+        self._schedule = Schedule(self.config, self.clock)
         self._next_ns = self._seen_ns = self.now_ns
         self._stack = ExitStack()
         self.twin: Twin | None = None
@@ -98,7 +97,6 @@ class Bench:
             # A dead man counts real seconds, and here none pass: without a sign of life it does not watch.
             stack.enter_context(patch.object(DeadMan, "sign", lambda _: None))
             self.port = twin_port(self.config.arena.name, "r1")
-            self._schedule = Schedule(self.config, self.clock)
             if self.config.robots[0].twin is not None:
                 self.twin = Twin(self.config, "r1", self.port, self.now_ns, self._schedule)
                 stack.callback(self.twin.close)
@@ -119,14 +117,13 @@ class Bench:
         robot = self.config.robots[0]
         simulation = slices.simulation(self.config, robot, None)
         settings = driver_settings.of(self.config, robot)
-        context = DriverContext("r1", self.drive_of, simulation, self.clock.now_ns, settings)
+        context = DriverContext("r1", self.believed, simulation, self.clock.now_ns, settings)
         self.driver = load("robofleet.drivers", robot.driver)(context)
         self._made.append(self.driver)
         return self.driver
 
     def strike(self) -> None:
         """Let the faults begin."""
-        assert self._schedule is not None
         self._schedule.begin(self.now_ns)
 
     def let_pass(self, seconds: float) -> None:
@@ -207,7 +204,7 @@ class Bench:
         if truth is None or not passed_s:
             return
         self._seen_ns = self.now_ns
-        turn = wheels_from_body(truth.v, truth.omega, self.drive_of.wheel_radius, self.drive_of.wheel_base)
+        turn = wheels_from_body(truth.v, truth.omega, self.believed.wheel_radius, self.believed.wheel_base)
         self.fastest = max(self.fastest, *map(abs, turn))
         self.angles = WheelSpeeds(*(angle + speed * passed_s for angle, speed in zip(self.angles, turn, strict=True)))
 
@@ -234,4 +231,6 @@ def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, faster: 
 
 
 def _config(subject: Subject, faster: float = 1.0) -> Config:
-    return _loaded(subject.driver, subject.twin, subject.vehicle, str(dict(subject.settings)), faster)
+    named = subject.vehicle.endswith(".yaml")
+    vehicle = str(Path(subject.vehicle).absolute()) if named else subject.vehicle
+    return _loaded(subject.driver, subject.twin, vehicle, str(dict(subject.settings)), faster)

@@ -19,7 +19,7 @@ from robofleet.config.troubles import LineFault, LinkFault
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch
-from robofleet.vehicles.interface import DriverError, WheelSpeeds
+from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
 from tests.drivers.contract_bench import LOOP_NS, Bench, Moment, Subject
 from tests.drivers.contract_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
 
@@ -160,9 +160,10 @@ class BadLines:
             finally:
                 with suppress(ExceptionGroup):  # its line is gone
                     process.close()
-        statuses = [(at_ns, ROBOT_STATUS.decode(payload)) for at_ns, payload in said]
-        failed = [at_ns for at_ns, status in statuses if status is not None and status.latch == Latch.DRIVER_FAILED]
-        assert statuses[0][0] < healthy_ns < failed[0] <= healthy_ns + TOLD_NS
+        told = [(at_ns, status) for at_ns, payload in said if (status := ROBOT_STATUS.decode(payload)) is not None]
+        lost = [at_ns for at_ns, status in told if status.faults & RobotFault.UNREACHABLE]
+        latched = [at_ns for at_ns, status in told if status.latch == Latch.DRIVER_FAILED]
+        assert told[0][0] < healthy_ns < lost[0] == latched[0] <= healthy_ns + TOLD_NS
 
     def test_a_robot_that_takes_nothing_keeps_nobody_waiting(self) -> None:
         """A tty's buffer that is full: each call returns or raises, and none waits."""

@@ -36,7 +36,7 @@ class Bench:
         self.plant = Plant(CREATE2, imperfections, (0.0, 0.0, 0.0), np.random.default_rng(1))
         self.hardware = Hardware(CREATE2, imperfections, self.plant)
         self.firmware = Create2Firmware(self.hardware)
-        self.now_ns, self._loop_ns, self._opening = 0, LOOP_NS, False
+        self.now_ns, self._loop_ns, self._waits = 0, LOOP_NS, False
         self.to_robot: Line = unchanged
         self.to_driver: Line = unchanged
         self.robot_end, self._terminal = os.openpty()  # held open, or the driver's end would hang up when it closes
@@ -53,20 +53,28 @@ class Bench:
         """Make the driver; while it waits for its robot, time passes. Its dead man's patience is real time."""
         simulation = Simulation(CREATE2, CREATE2_IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
         made = Create2.Settings.model_validate({"port": self.port, **settings})
-        self._opening = True
+        self._waits = True
         try:
             with patch("drivers.dead_man.SILENT_S", silent_s):
                 self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
         finally:
-            self._opening = False
+            self._waits = False
         return self._driver
 
     def close(self) -> None:
-        if self._driver is not None:
-            self._driver.close()
+        self.close_driver()
         for descriptor in (self.robot_end, self._terminal):
             if descriptor >= 0:
                 os.close(descriptor)
+
+    def close_driver(self) -> None:
+        if self._driver is not None and self.robot_end >= 0:
+            self._waits = True
+            self._driver.close()
+            self._waits = False
+            self.hear(0.0)
+        elif self._driver is not None:
+            self._driver.close()
 
     def unplug(self) -> None:
         os.close(self.robot_end)
@@ -99,21 +107,22 @@ class Bench:
         """Let time pass; the driver is read, and told ``wheels``, every 10 ms. Returns what was read."""
         readings = []
         for _ in range(round(seconds * 100)):
-            self._pass(5 * MS)
-            self._pass(5 * MS)
+            self.let_pass(5 * MS)
+            self.let_pass(5 * MS)
             if wheels is not None:
                 self.write(*wheels)
             readings.append(self.read())
         return readings
 
     def _now_ns(self) -> int:
-        if self._opening:
+        if self._waits:
             self.hear(0.001)
             for _ in range(9):
-                self._pass(5 * MS)
+                self.let_pass(5 * MS)
         return self.now_ns
 
-    def _pass(self, duration_ns: int) -> None:
+    def let_pass(self, duration_ns: int) -> None:
+        """Let time pass, one loop of the robot at most."""
         self.now_ns += duration_ns
         self.plant.step(self.hardware.command, duration_ns * 1e-9)
         if self.now_ns >= self._loop_ns:

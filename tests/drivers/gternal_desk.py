@@ -33,6 +33,8 @@ class Desk:
         self.hardware = Hardware(GTERNAL, IDEAL, Plant(GTERNAL, IDEAL, (0.0, 0.0, 0.0), np.random.default_rng(1)))
         self.firmware = GTernalFirmware(self.hardware)
         self.lines: list[bytes] = []
+        self.heard_ns = 0  # when the newest of them came
+        self.unasked = b""  # what is said all the time while a driver waits
         self.answer: Callable[[bytes], bytes] = self.obey
 
     def obey(self, data: bytes) -> bytes:
@@ -75,6 +77,7 @@ class Desk:
 
     def _pass_until(self, deadline_ns: int) -> int:
         self._answer()
+        self.line.write(self.unasked)
         self.clock.advance_to(min(deadline_ns, self.clock.now_ns() + LOOP_NS))
         self.firmware.loop(self.clock.now_ns())
         return self.clock.now_ns()
@@ -82,4 +85,5 @@ class Desk:
     def _answer(self) -> None:
         if data := self.line.read():
             self.lines.append(data)
+            self.heard_ns = self.clock.now_ns()
             self.line.write(self.answer(data))

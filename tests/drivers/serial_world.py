@@ -28,10 +28,10 @@ _write, _select = os.write, select.select
 
 
 @contextmanager
-def shared(now_ns: Callable[[], int], pass_until: Callable[[int], int]) -> Iterator[None]:
-    """Let bytes arrive when they are written, and time pass by ``pass_until(deadline)`` while a driver waits.
+def shared(now_ns: Callable[[], int], pass_time: Callable[[int], None]) -> Iterator[None]:
+    """Let bytes arrive when they are written, and ``pass_time`` let a step of time pass while a driver waits.
 
-    ``pass_until`` lets a step of time pass, not beyond the deadline [ns], and returns the instant.
+    It is given the instant that it must not pass [ns].
     """
 
     def wait(reads: Any, writes: Any, errors: Any, timeout: float | None = None) -> Any:
@@ -40,10 +40,11 @@ def shared(now_ns: Callable[[], int], pass_until: Callable[[int], int]) -> Itera
         assert timeout is not None, "it waits for its robot for ever"
         deadline_ns = now_ns() + math.ceil(timeout * S)
         while not any(ready := _select(reads, writes, errors, 0.0)) and now_ns() < deadline_ns:
-            pass_until(deadline_ns)
+            pass_time(deadline_ns)
         return ready
 
-    with patch.object(os, "write", _write_and_arrive), patch.object(select, "select", wait):
+    patient = patch("drivers.dead_man.SILENT_S", 600.0)  # real time, in which nothing happens here
+    with patch.object(os, "write", _write_and_arrive), patch.object(select, "select", wait), patient:
         yield
 
 

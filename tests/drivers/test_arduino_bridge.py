@@ -3,6 +3,8 @@
 import itertools
 import math
 import select
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,11 +14,12 @@ import numpy as np
 import pytest
 
 from drivers.arduino_bridge import ArduinoBridge
-from robofleet.clock import MS, S, SimulatedClock
+from robofleet.clock import MS, S, SimulatedClock, WallClock
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, Simulation, WheelSpeeds
 from tests.robots import GTERNAL, IDEAL
+from tests.twins import TwinStand, config_of
 
 COUNTS_PER_TURN = 2000
 FRAME_S = 0.033  # 1000 / 30, in whole milliseconds
@@ -144,6 +147,12 @@ class Bench:
         with self.robot.answering():
             self.driver.close()
         self.robot.line.unplug()
+
+
+@pytest.fixture(autouse=True)
+def undisturbed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dead man's clock does not stand still while a test is held up; without a sign of life he watches nobody."""
+    monkeypatch.setattr("drivers.dead_man.DeadMan.sign", lambda _: None)
 
 
 @pytest.fixture
@@ -324,16 +333,15 @@ def test_whatever_was_lost_answers_find_their_questions_again(bench: Bench) -> N
         return b""
 
     bench.write(34, 12)
-    for losses in itertools.product(("", "said", "answered"), repeat=4):
+    for losses in itertools.product(("", "said", "answered"), repeat=3):
         for loss in losses:
             bench.robot.on_the_way = lost if loss == "said" else bytes
             bench.robot.on_the_way_back = lost if loss == "answered" else bytes
             bench.write(34, 12)
             bench.look()
         bench.robot.on_the_way = bench.robot.on_the_way_back = bytes
-        for _ in range(5):
-            bench.write(34, 12)
-            bench.look()
+        bench.write(34, 12)
+        bench.look()
         bench.robot.take(0.01)
         bench.robot.heard.clear()
         bench.write(34, 12)
@@ -436,3 +444,38 @@ def test_encoders_that_cannot_drive_the_robot_are_refused(counts_per_turn: float
     assert key == "settings.counts_per_turn"
     assert "counts a frame" in why
     assert not ArduinoBridge.refusals(settings.model_copy(update={"counts_per_turn": 2000.0}), GTERNAL)
+
+
+DRIVER = f"""
+import sys, threading
+from types import SimpleNamespace
+from drivers.arduino_bridge import ArduinoBridge
+from robofleet.clock import WallClock
+from robofleet.vehicles.interface import WheelSpeeds
+settings = ArduinoBridge.Settings(port=sys.argv[1], counts_per_turn={COUNTS_PER_TURN})
+drive = SimpleNamespace(max_wheel_speed=12.0)
+driver = ArduinoBridge(SimpleNamespace(drive=drive, now_ns=WallClock().now_ns, settings=settings))
+while True:
+    driver.read()
+    driver.write(WheelSpeeds(3.0, 3.0))
+    threading.Event().wait(0.01)
+"""
+
+
+def test_wheels_stop_soon_after_a_driver_that_is_killed(tmp_path: Path) -> None:
+    clock = WallClock()
+    stand = TwinStand(config_of(twin="arduino_bridge", vehicle="arduino"), tmp_path, clock)
+
+    def wait_until(condition: Callable[[], bool], seconds: float) -> None:
+        until_ns = clock.now_ns() + round(seconds * S)
+        while not condition():
+            assert clock.now_ns() < until_ns
+            clock.sleep_until(clock.now_ns() + 5 * MS)
+
+    with stand.running():
+        process = subprocess.Popen([sys.executable, "-c", DRIVER, str(stand.port)])
+        wait_until(lambda: stand.twin.truth().v > 0.05, 30.0)
+        process.kill()
+        process.wait()
+        wait_until(lambda: stand.twin.truth().v < 0.005, 1.2)  # its own stop would take 2 s
+    stand.twin.close()

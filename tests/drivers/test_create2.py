@@ -92,9 +92,9 @@ def test_what_the_robot_feels_is_its_fault_as_long_as_it_feels_it(bench: Bench, 
 
 def test_what_it_felt_for_one_frame_between_two_readings_is_read(bench: Bench) -> None:
     bench.hardware.feels = RobotFault.BUMPED
-    bench._pass(15_000_000)
+    bench.let_pass(15_000_000)
     bench.hardware.feels = RobotFault(0)
-    bench._pass(15_000_000)
+    bench.let_pass(15_000_000)
     assert bench.read().faults == RobotFault.BUMPED
     assert bench.pass_time(0.03)[-1].faults == 0
 
@@ -160,14 +160,21 @@ def test_a_robot_that_falls_silent_is_asked_again_then_it_is_an_error(bench: Ben
 
 def test_after_its_end_the_robot_rests_and_is_told_nothing_more(bench: Bench) -> None:
     bench.pass_time(0.2, FORWARD)
-    bench.driver.close()
-    bench.hear()
+    bench.close_driver()
     assert bench.hardware.command == STOP
     assert bench.firmware.mode is Mode.OFF
-    bench.driver.close()
+    bench.close_driver()
     with pytest.raises(DriverError):
         bench.driver.write(FORWARD)
     assert bench.heard(0.05) == b""
+
+
+def test_closing_is_said_again_when_the_robot_has_not_heard_it(bench: Bench) -> None:
+    bench.pass_time(0.2, FORWARD)
+    heard = iter([b"", b""])
+    bench.to_robot = lambda data: next(heard, data) if data else data
+    bench.close_driver()
+    assert bench.hardware.command == STOP
 
 
 def test_a_command_from_before_a_hang_moves_nothing_after_its_dead_man_s_stop(bench: Bench) -> None:

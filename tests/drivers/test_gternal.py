@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from drivers.gternal import GTernal
+from robofleet.clock import MS
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.gternal_desk import Desk
 from tests.robots import GTERNAL
@@ -52,6 +53,7 @@ def test_it_asks_before_it_tells_and_lets_the_robot_stand(desk: Desk) -> None:
     driver = desk.make()
     assert b"write" not in desk.lines[0]
     assert any(b'{"v":0.0,"w":0.0}' in line for line in desk.lines)
+    assert desk.clock.now_ns() - desk.heard_ns >= 300 * MS  # motors without current: it rolls on
     assert driver.read() == (0.0, 0.0, 0.0, 0.0, pytest.approx(1.0, abs=0.01), 0)
     desk.meanwhile(driver.close)
 
@@ -209,6 +211,14 @@ def test_what_is_no_gternal_is_named_and_not_told_to_move(tmp_path: Path, says: 
     assert not any(b"write" in line for line in desk.lines)
 
 
+def test_one_that_talks_all_the_time_and_obeys_nothing_is_named(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.answer = lambda line: b""
+    desk.unasked = b'{"status":[1],"body":[{}]}'
+    with pytest.raises(DriverError, match="does not stop"):
+        desk.make()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [{"wheel_radius_m": 0.0}, {"wheel_base_m": math.nan}, {"wheel_radius_m": "16 mm"}, {"baud": 9600}, {"port": ""}],
@@ -224,3 +234,5 @@ def test_figures_of_another_robots_firmware_are_refused() -> None:
     ((where, why),) = GTernal.refusals(GTernal.Settings(port=port, wheel_radius_m=16.0), GTERNAL)
     assert where == "settings.wheel_radius_m"
     assert "16 in the firmware, but this robot has 0.016" in why
+    ((where, _),) = GTernal.refusals(GTernal.Settings(port=port, wheel_base_m=0.0525), GTERNAL)
+    assert where == "settings.wheel_base_m"

@@ -118,6 +118,14 @@ def test_a_fleet_of_both_drives_as_one_platoon(platoon_of: Make) -> None:
     assert s["min_gap_mm"] > 50
 
 
+def test_a_robot_in_no_image_can_be_lost_as_any_other(platoon_of: Make) -> None:
+    faults = "faults=[{robot: r2, kind: pose_dropout, at_s: 2, duration_s: 2}]"
+    run = Lockstep(platoon_of(*VIRTUAL, "run.duration_s=6", faults))
+    outcome, cause = run.run()
+    s = summary(run.recording, name="mixed", mode="lockstep", outcome=outcome, cause=cause)
+    assert "r2" in {stop["robot"] for stop in s["stops"]}
+
+
 def test_a_simulated_robot_that_comes_too_near_is_kept_off_a_real_one(platoon_of: Make) -> None:
     """r2 is sent after r1, which stands: one barrier for both."""
     faults = "faults=[{robot: r1, kind: motor_stuck, at_s: 3, duration_s: 100}]"

@@ -17,7 +17,8 @@ def started(config: Config, folder: Path, clock: Clock) -> Children:
     tracker.compile_kernels(config)
     fleet = Children(folder, file)
     try:
-        fleet.start("router", "router")
+        for name in ("router", *(["twins"] if config.twins else [])):
+            fleet.start(name, name)
         wait_ready(fleet, clock)
         for name in ("supervisor", "tracker", "controller"):
             fleet.start(name, name)

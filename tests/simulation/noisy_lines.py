@@ -2,7 +2,9 @@
 
     python -m tests.simulation.noisy_lines --runs 20 [--first K] [--seconds 20] [--share 0.01] [CONFIG]
 
-Real processes, one run after the other, with seeds K, K + 1, ... A wrong motion is a target that a wheel-speed loop
+Real processes, one run after the other, with seeds K, K + 1, ... The lines are disturbed from the moment when the fleet
+runs: before, the checks refuse a robot that noise moves. Of a run that did not complete, the drivers' logs are shown.
+A wrong motion is a target that a wheel-speed loop
 took, and that a firmware which heard every byte well did not have within 0.3 s before.
 """
 
@@ -26,7 +28,7 @@ _STRUCK = re.compile(r"(\d+) lines were struck")
 def run(config: Path, folder: Path, seed: int, seconds: float, share: float) -> tuple[dict[str, Any], str]:
     """Return a run's summary, and what its twins said in the end."""
     faults = folder / "faults.yaml"
-    lines = [f"  - {{kind: {kind}, share: {share}}}" for kind in KINDS]
+    lines = [f"  - {{kind: {kind}, share: {share}, at_s: 0}}" for kind in KINDS]
     faults.write_text("\n".join(["faults:", *lines]))
     command = [
         sys.executable, "-m", "robofleet", "run", str(config), "--out", str(folder / "run"), "--json", "--quiet",
@@ -35,7 +37,11 @@ def run(config: Path, folder: Path, seed: int, seconds: float, share: float) -> 
     done = subprocess.run(command, env=own_folders(folder), capture_output=True, text=True, check=False)
     if done.returncode not in (0, 1):
         raise SystemExit(done.stderr)
-    return json.loads(done.stdout), (folder / "run" / "log" / "twins.log").read_text()
+    logs = folder / "run" / "log"
+    summary: dict[str, Any] = json.loads(done.stdout)
+    if summary["outcome"] != "completed":
+        print(*(line for log in sorted(logs.glob("driver-*")) for line in log.read_text().splitlines()), sep="\n")
+    return summary, (logs / "twins.log").read_text()
 
 
 def main() -> None:

@@ -80,6 +80,7 @@ def test_it_answers_each_request_of_a_line_in_its_place(bench: Bench) -> None:
 def test_what_it_does_not_know_has_no_status(bench: Bench) -> None:
     assert bench.say(line(("read", "encoders", {}))) == {"status": [], "body": [{}]}
     assert bench.say(b'{"body": {}}') == NOTHING
+    assert bench.say(b'{"body":' + b"[" * 9999) == NOTHING
 
 
 def test_it_stops_when_nothing_is_written_for_half_a_second(bench: Bench) -> None:

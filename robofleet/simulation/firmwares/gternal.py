@@ -8,6 +8,8 @@ Its loop looks at the serial line, then at its 500 ms stop, then at its wheels. 
 - An object that is not whole does nothing, and is answered with empty lists.
 - Any ``write`` starts the stop's time anew, no ``read`` does. A request that is neither is what the last one was.
 - It clips nothing; motors that can do no more do no more. It tells nothing of its encoders.
+
+Of its sensors it has the battery and the charger here; what else can be read is answered as unknown.
 """
 
 import json
@@ -70,11 +72,15 @@ class GTernalFirmware:
             answer = self._obey({}, now_ns)
         if self._byte_ns is None and now_ns - self._written_ns > self.watchdog_s * 1e9:
             self._v = self._w = 0.0
+        self._follow()
+        return answer
+
+    def _follow(self) -> None:
+        """Aim at the wheels that v and omega make."""
         drive = self._hardware.drive
         stands = abs(self._v) < _LEAST_V and abs(self._w) < _LEAST_W
         wheels = wheels_from_body(self._v, self._w, drive.wheel_radius, drive.wheel_base)
         self._hardware.command = STOP if stands else WheelSpeeds(*wheels)
-        return answer
 
     def _begin(self) -> None:
         self._byte_ns = None
@@ -86,8 +92,8 @@ class GTernalFirmware:
         self._begin()
         status: list[int] = []
         body: list[dict[str, Any]] = []
-        interfaces, bodies = _list(asked, "iface"), _list(asked, "body")
-        for index, request in enumerate(_list(asked, "request")):
+        interfaces, bodies = _member(asked, "iface"), _member(asked, "body")
+        for index, request in enumerate(_member(asked, "request")):
             if request in ("read", "write"):
                 self._writes = request == "write"
             interface = interfaces[index] if index < len(interfaces) else None
@@ -95,6 +101,7 @@ class GTernalFirmware:
             known, said = self._write(interface, given, now_ns) if self._writes else self._read(interface)
             status += [1] * known
             body.append(said)
+        self._follow()
         return json.dumps({"status": status, "body": body}, separators=(",", ":")).encode()
 
     def _write(self, interface: Any, given: Any, now_ns: int) -> tuple[bool, dict[str, Any]]:
@@ -177,7 +184,7 @@ class _Reader:
         return self._byte
 
 
-def _list(asked: Any, name: str) -> list[Any]:
+def _member(asked: Any, name: str) -> list[Any]:
     found = asked.get(name)
     return found if isinstance(found, list) else []
 
