@@ -27,6 +27,7 @@ class Cable:
         self.plugged, self.events = True, list[Any]()
         self.attempts_ns = list[int]()
         self.angles = 0.0, 0.0
+        self.closing_s = 0.0
 
     def __call__(self) -> "Cable":
         self.attempts_ns.append(CLOCK.now_ns())
@@ -44,6 +45,7 @@ class Cable:
         return DriverReading(*self.angles, 0.0, 0.0, 0.5, 0)
 
     def close(self) -> None:
+        threading.Event().wait(self.closing_s)
         self.events.append("closed")
 
     def _heard(self) -> None:
@@ -143,7 +145,7 @@ def test_what_was_closed_is_told_nothing_more(cable: Cable, attached: Attached) 
 
 
 def test_a_driver_that_fails_as_its_process_ends_is_closed_all_the_same(cable: Cable, attached: Attached) -> None:
-    cable.plugged = False
+    cable.plugged, cable.closing_s = False, 0.1
     with pytest.raises(LostError):
         attached.write(STOP)
     attached.close()

@@ -6,7 +6,7 @@ import threading
 import tty
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import pytest
 import yaml
@@ -26,6 +26,8 @@ HERE = f"{__name__}:Echo"
 
 class Echo:
     """A robot that answers every byte with the same one, and whose board takes a while to start."""
+
+    closed: ClassVar[list["Echo"]] = []
 
     class Settings(BaseModel):
         model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
@@ -56,6 +58,7 @@ class Echo:
 
     def close(self) -> None:
         self._line.close()
+        self.closed.append(self)
 
 
 class Eye:
@@ -100,8 +103,10 @@ def told(*changes: str) -> list[tuple[str, str]]:
 
 
 def test_a_robot_that_answers_is_accepted_and_let_go(port: str) -> None:
+    Echo.closed.clear()
     for _ in range(2):
         assert told(*robots({"port": port})) == []
+    assert len(Echo.closed) == 2
 
 
 @pytest.mark.parametrize(

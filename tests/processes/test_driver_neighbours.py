@@ -101,7 +101,7 @@ def test_a_wired_stop_acts_within_a_loop_and_holds(stand: Any) -> None:
     assert (stand.newest("r1").latch, stand.newest("r1").latch_id) == (Latch.WIRED_STOP, status.latch_id)
     stand.made["r1"].faults = 0
     stand.run(S // 5)
-    assert stand.newest("r1").gate == GateStatus.LATCHED
+    assert (stand.newest("r1").gate, stand.newest("r1").faults) == (GateStatus.LATCHED, 0)  # it is pressed no more
     stand.enable("r1", clear=status.latch_id)
     stand.run(S // 5)
     assert stand.newest("r1").gate == GateStatus.OPEN
