@@ -3,7 +3,8 @@
 Nothing in the interface tells an opcode from data, nothing is acknowledged, and no command has a checksum.
 
 Lost bytes. A broken command would eat those of the next one, and what is left of that would be opcodes: 135, of
-135 mm/s, starts to clean. So each write begins with as many zeros as a broken command can lack. They complete it: a
+135 mm/s, starts to clean. So a write begins with as many zeros as a broken command can lack, unless the robot has shown
+that it went by the last one: a zero that is changed may be any opcode. They complete it: a
 wheel that was to go forward stands or is slower, one that was to go backward gets -256 mm/s. As opcodes they are none.
 The command behind them heals it 0.8 ms after the first of them.
 
@@ -89,6 +90,9 @@ class Create2:
         self._wheels = STOP
         self._asked = (0, 0)  # the same: right, left [mm/s]
         self._told: dict[tuple[int, int], int] = {}  # and lately, with when last
+        self._new = False  # it was not told that before, lately
+        self._proof: tuple[int, int] | None = None  # what nothing but the newest command can have made it say,
+        self._obeyed = False  # and it has said that since: so that command was whole
         self._closed = False
         self._port = SerialPort(settings.port, _BAUD)
         try:
@@ -171,12 +175,15 @@ class Create2:
         self._wheels = self._dead_man.allow(wheels, now_ns)
         self._asked = self._mm_s(self._wheels.right), self._mm_s(self._wheels.left)
         self._told = {asked: at_ns for asked, at_ns in self._told.items() if now_ns - at_ns <= _TOLD_NS}
+        self._new = self._asked not in self._told
         self._told[self._asked] = now_ns
 
     def _tell(self, more: bytes = b"") -> None:
         """Say it, and bring the robot back into its mode if that must be."""
         mode = bytes((_MODE + self._mode,)) if self._astray else b""
-        self._port.write(_LACK + mode + struct.pack(">Bhh", _DRIVE, *self._asked) + more)
+        lack = b"" if self._obeyed else _LACK
+        self._obeyed, self._proof = False, self._asked if self._new else None
+        self._port.write(lack + mode + struct.pack(">Bhh", _DRIVE, *self._asked) + more)
 
     @property
     def _astray(self) -> bool:
@@ -207,6 +214,7 @@ class Create2:
             return False
         self._turned = (self._turned[0] + left, self._turned[1] + right)
         self._frame, self._at_ns = frame, now_ns
+        self._obeyed = self._obeyed or self._proof == (frame.right_asked, frame.left_asked)
         if self._past and self._past[-1][0] == now_ns:
             self._past.pop()
         self._past.append((now_ns, self._turned))
