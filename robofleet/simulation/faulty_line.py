@@ -61,11 +61,11 @@ class LineTroubles:
         return line, late_ns
 
 
-def _cut(line: bytes, rng: np.random.Generator) -> bytes:
+def cut(line: bytes, rng: np.random.Generator) -> bytes:
     return line[: rng.integers(len(line))]
 
 
-def _garbled(line: bytes, rng: np.random.Generator) -> bytes:
+def garbled(line: bytes, rng: np.random.Generator) -> bytes:
     received = np.frombuffer(line, np.uint8).copy()
     which = rng.random(len(line)) < _GARBLED
     which[rng.integers(len(line))] = True
@@ -73,7 +73,7 @@ def _garbled(line: bytes, rng: np.random.Generator) -> bytes:
     return received.tobytes()
 
 
-_SPOILT = {"line_cut": _cut, "line_garbage": _garbled}
+_SPOILT = {"line_cut": cut, "line_garbage": garbled}
 
 
 class Ledger:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from robofleet.clock import MS
-from robofleet.simulation.faulty_line import _cut, _garbled
+from robofleet.simulation.faulty_line import cut, garbled
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
 
@@ -39,7 +39,7 @@ def drive(seed: int, share: float, count: Count) -> str:
     rng = np.random.default_rng(seed)
 
     def spoil(line: bytes) -> bytes:
-        for trouble in (_cut, _garbled):
+        for trouble in (cut, garbled):
             if line and rng.random() < share:
                 line = trouble(line, rng)
         return line
