@@ -4,9 +4,9 @@ Nothing in the interface tells an opcode from data, nothing is acknowledged, and
 
 Lost bytes. A broken command would eat those of the next one, and what is left of that would be opcodes: 135, of
 135 mm/s, starts to clean. So a write begins with as many zeros as a broken command can lack, unless the robot has shown
-that it went by the last one: a zero that is changed may be any opcode. They complete it: a
-wheel that was to go forward stands or is slower, one that was to go backward gets -256 mm/s. As opcodes they are none.
-The command behind them heals it 0.8 ms after the first of them.
+that it went by the last one; and what it goes by already is not said again: each byte that noise can change may become
+any opcode. The zeros complete a broken command: a wheel that was to go forward stands or is slower, one that was to go
+backward gets -256 mm/s. As opcodes they are none. The command behind them heals it 0.8 ms after the first of them.
 
 Changed bytes cannot be told from right ones, and the robot does what they say: wrong wheel speeds, another mode, even
 to clean. It says by which wheel speeds it goes, and in which mode: what it was never told is answered with the command
@@ -92,7 +92,7 @@ class Create2:
         self._told: dict[tuple[int, int], int] = {}  # and lately, with when last
         self._new = False  # it was not told that before, lately
         self._proof: tuple[int, int] | None = None  # what nothing but the newest command can have made it say,
-        self._obeyed = False  # and it has said that since: so that command was whole
+        self._obeyed = False  # and it has said that since: it need not be told again
         self._closed = False
         self._port = SerialPort(settings.port, _BAUD)
         try:
@@ -112,8 +112,11 @@ class Create2:
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels [rad/s], rounded to 1 mm/s: in a platoon that costs 0.001 mm, so none is carried."""
-        self._aim(wheels, self._now_ns())
-        self._tell()
+        now_ns = self._now_ns()
+        self._aim(wheels, now_ns)
+        self._listen(now_ns)
+        if not (self._obeyed and self._asked == self._proof):
+            self._tell()
 
     def read(self) -> DriverReading:
         """Return what it streamed last, with all that it felt since the last call."""

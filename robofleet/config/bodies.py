@@ -7,7 +7,7 @@ from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.tree import Config
 
 _MEASURED = 1.5  # a calibration that is this many times its vehicle's value, or less than its inverse, is wrong
-_HELD_BACK = 2.0  # a robot's wheels may be allowed less than its top speed takes, but not so much less
+_HELD_BACK = 4.0  # a robot's wheels may be allowed less than its top speed takes, but not so much less
 _MM = 1000.0  # a length that fits when it is divided by this was meant in millimetres,
 _LEAST = 0.01  # if it is not less than this share of what it may be
 _ROUNDING = 1e-9

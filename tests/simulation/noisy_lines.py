@@ -4,8 +4,8 @@
 
 Real processes, one run after the other, with seeds K, K + 1, ... The lines are disturbed from the moment when the fleet
 runs: before, the checks refuse a robot that noise moves. Of a run that did not complete, the drivers' logs are shown.
-A wrong motion is a target that a wheel-speed loop
-took, and that a firmware which heard every byte well did not have within 0.3 s before.
+A wrong motion is a target that a wheel-speed loop took, and that a firmware which heard every byte well did not have
+within 0.3 s before.
 """
 
 import argparse
