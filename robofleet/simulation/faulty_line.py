@@ -62,10 +62,12 @@ class LineTroubles:
 
 
 def cut(line: bytes, rng: np.random.Generator) -> bytes:
+    """Return a line that has lost its end."""
     return line[: rng.integers(len(line))]
 
 
 def garbled(line: bytes, rng: np.random.Generator) -> bytes:
+    """Return a line of which some bytes are others."""
     received = np.frombuffer(line, np.uint8).copy()
     which = rng.random(len(line)) < _GARBLED
     which[rng.integers(len(line))] = True

@@ -63,6 +63,43 @@ def test_each_wheel_is_told_its_own_speed_to_half_a_millimetre_a_second(
     assert bench.hardware.command == STOP
 
 
+def test_what_it_goes_by_already_is_not_said_again_until_it_goes_by_something_else(bench: Bench) -> None:
+    said: list[bytes] = []
+
+    def overheard(data: bytes) -> bytes:
+        said.append(data)
+        return data
+
+    def drive(ticks: int) -> None:
+        for _ in range(ticks):
+            bench.write(*FORWARD)
+            for _ in range(3):
+                bench.let_pass(11 * MS)
+                bench.read()
+
+    bench.to_robot = overheard
+    bench.pass_time(0.1, STOP)
+    drive(4)
+    assert b"\x91" in b"".join(said)
+    said.clear()
+    drive(30)
+    assert not b"".join(said)
+    bench.firmware.receive(bytes((145, 0, 10, 0, 10)), bench.now_ns)  # nobody's command
+    drive(3)
+    assert bench.hardware.command == pytest.approx(FORWARD, abs=MM_S)
+
+
+def test_a_command_that_was_cut_is_completed_however_often_it_was_said_before(bench: Bench) -> None:
+    bench.pass_time(0.2, FORWARD)
+    for length in range(1, 5):
+        bench.to_robot = lambda data, length=length: data[:length]  # type: ignore[misc]
+        bench.write(3.0 + length, 2.0)
+        bench.to_robot = bytes
+        bench.write(3.0 + length, 2.0)
+        assert bench.hardware.command == pytest.approx((3.0 + length, 2.0), abs=MM_S)
+        bench.pass_time(0.2, WheelSpeeds(3.0 + length, 2.0))
+
+
 def test_angles_are_those_of_the_wheels_through_their_counters_overflow(bench: Bench) -> None:
     opened = bench.plant.reading()
     for wheels in (WheelSpeeds(13.0, -13.0), WheelSpeeds(-13.0, -6.0)):
