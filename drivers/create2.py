@@ -49,6 +49,7 @@ _ANSWER_NS, _STALE_NS = 1_000_000_000, 500_000_000
 _SILENT_NS = _GREET_NS = 100_000_000
 _TOLD_NS = 100_000_000  # it may still go by what it was told so long ago: lines are late
 _MODE_LOST_NS = 100_000_000
+_AGAIN_NS = 30_000_000  # the gate tells its ramp every 5 ms, which is often the same in mm/s
 _STOP_PATIENCE_NS, _STOP_TRIES = 50_000_000, 4
 _OVERCURRENT_NS = 300_000_000  # shorter ones are a motor's start, or noise
 _SPEED_NS = 100_000_000  # one count in it is 0.12 rad/s
@@ -90,6 +91,8 @@ class Create2:
         self._wheels = STOP
         self._asked = (0, 0)  # the same: right, left [mm/s]
         self._told: dict[tuple[int, int], int] = {}  # and lately, with when last
+        self._said: tuple[int, int] | None = None  # by the newest command, and when
+        self._said_ns = 0
         self._new = False  # it was not told that before, lately
         self._proof: tuple[int, int] | None = None  # what nothing but the newest command can have made it say,
         self._obeyed = False  # and it has said that since: it need not be told again
@@ -115,8 +118,8 @@ class Create2:
         now_ns = self._now_ns()
         self._aim(wheels, now_ns)
         self._listen(now_ns)
-        if not (self._obeyed and self._asked == self._proof):
-            self._tell()
+        if self._asked != self._said or not (self._obeyed or now_ns - self._said_ns < _AGAIN_NS):
+            self._tell(now_ns)
 
     def read(self) -> DriverReading:
         """Return what it streamed last, with all that it felt since the last call."""
@@ -129,7 +132,7 @@ class Create2:
         if silent_ns > _SILENT_NS:
             self._greet(now_ns)
         elif self._astray or self._misled:
-            self._tell(_SWALLOWED)
+            self._tell(now_ns, _SWALLOWED)
         return self._reading()
 
     def close(self) -> None:
@@ -171,6 +174,8 @@ class Create2:
         if now_ns - self._greeted_ns < _GREET_NS:
             return
         self._greeted_ns = now_ns
+        self._said = self._proof = None
+        self._obeyed = False
         self._port.write(MOTORS_OFF + bytes((_MODE + self._mode,)) + _SUBSCRIPTION)
 
     def _aim(self, wheels: WheelSpeeds, now_ns: int) -> None:
@@ -181,10 +186,11 @@ class Create2:
         self._new = self._asked not in self._told
         self._told[self._asked] = now_ns
 
-    def _tell(self, more: bytes = b"") -> None:
+    def _tell(self, now_ns: int, more: bytes = b"") -> None:
         """Say it, and bring the robot back into its mode if that must be."""
         mode = bytes((_MODE + self._mode,)) if self._astray else b""
         lack = b"" if self._obeyed else _LACK
+        self._said, self._said_ns = self._asked, now_ns
         self._obeyed, self._proof = False, self._asked if self._new else None
         self._port.write(lack + mode + struct.pack(">Bhh", _DRIVE, *self._asked) + more)
 

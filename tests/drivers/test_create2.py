@@ -95,6 +95,8 @@ def test_a_command_that_was_cut_is_completed_however_often_it_was_said_before(be
         bench.to_robot = lambda data, length=length: data[:length]  # type: ignore[misc]
         bench.write(3.0 + length, 2.0)
         bench.to_robot = bytes
+        for _ in range(3):
+            bench.let_pass(11 * MS)
         bench.write(3.0 + length, 2.0)
         assert bench.hardware.command == pytest.approx((3.0 + length, 2.0), abs=MM_S)
         bench.pass_time(0.2, WheelSpeeds(3.0 + length, 2.0))

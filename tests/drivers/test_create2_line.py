@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.create2_stream import Stream
+from robofleet.clock import MS
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
@@ -28,7 +29,8 @@ def bench() -> Iterator[Bench]:
 
 
 def written(bench: Bench, wheels: WheelSpeeds) -> bytes:
-    """Return what the driver writes for this; the robot does not hear it."""
+    """Return what the driver writes for this, a tick after the last command; the robot does not hear it."""
+    bench.now_ns += 33 * MS
     bench.driver.write(wheels)
     return bench.heard()
 
