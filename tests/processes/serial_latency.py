@@ -10,6 +10,7 @@ process that does both: both ends' wakings are in it.
 import argparse
 import tempfile
 from bisect import bisect_left
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from robofleet.safety.gate import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.processes.serialstand import MOTION, commanded, ticks
 
-_WHEELS = WheelSpeeds(2.0, 2.5)
+_WHEELS = WheelSpeeds(2.0, 2.5), WheelSpeeds(2.1, 2.4)  # in turn: what is no news need not be said
 _SETTLED = 20  # commands until it drives
 
 
@@ -27,7 +28,8 @@ def measure(driver: str, seconds: float, folder: Path) -> list[float]:
     """Return the times of all commands [ms]."""
     with commanded(driver, folder) as (commander, far, _):
         sent = list[int]()
-        ticks(seconds, lambda: sent.append(commander.command(_WHEELS)))
+        wheels = cycle(_WHEELS)
+        ticks(seconds, lambda: sent.append(commander.command(next(wheels))))
         assert commander.look().gate == GateStatus.OPEN, commander.status
     came = far.commanded_ns
     return [(came[bisect_left(came, at_ns)] - at_ns) / MS for at_ns in sent[_SETTLED:-1]]
