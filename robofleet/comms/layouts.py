@@ -4,18 +4,29 @@ numpy is imported where many messages are read at once, and not before: `robofle
 
 ``decode`` checks length, version and finiteness and returns None for a message that fails; the caller counts it and
 does nothing else with it.
+
+``encode`` never raises, and what it returns can be decoded: a number that its field cannot hold becomes the nearest one
+that it can, and what is not a number becomes the least. So a wrong speed or pose is far outside every limit, a wrong
+permission permits nothing, and a counter that is used up repeats its last value, which nobody takes for a newer one.
 """
 
 import math
+from collections.abc import Iterable
 from functools import cached_property
-from struct import Struct
+from struct import Struct, error
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
 
-VERSION = 3
+VERSION = 4
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
+_BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
+_RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
+_RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
+_MOST = 1e300  # so many of them have a finite sum, by which decoding judges
+_MOST_ITEMS = _RANGES["H"][1]
+_TOO_LARGE = (error, OverflowError)  # what packing raises
 
 M = TypeVar("M", bound=NamedTuple)
 Description = tuple[str, dict[str, Any]]  # of a layout, in words that numpy reads
@@ -24,6 +35,18 @@ Description = tuple[str, dict[str, Any]]  # of a layout, in words that numpy rea
 def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
     """Pair a named tuple's fields with the types of a layout's letters."""
     return [(name, _NUMPY[letter]) for name, letter in zip(make._fields, fields, strict=False)]
+
+
+def _nearest(letter: str, value: float) -> float:
+    """Return the nearest number that a field can hold; for what is not a number, the least."""
+    if letter == "d":
+        return min(max(-_MOST, value), _MOST)  # in this order: no comparison with NaN is true
+    low, high = _RANGES[letter]
+    return int(min(max(low, value), high))
+
+
+def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
+    return tuple(map(_nearest, letters, values))
 
 
 class Layout(Generic[M]):
@@ -49,7 +72,13 @@ class Layout(Generic[M]):
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
-        return self._struct.pack(VERSION, *message)
+        try:
+            payload = self._struct.pack(VERSION, *message)
+        except _TOO_LARGE:
+            return self._struct.pack(VERSION, *_fitted(self._fields, message))
+        if self._doubles and not math.isfinite(sum(message[-self._doubles :])):
+            return self._struct.pack(VERSION, *_fitted(self._fields, message))
+        return payload
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length, version or finiteness is wrong."""
@@ -67,6 +96,7 @@ class ListLayout(Generic[M]):
     def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
         self._make, self._make_item = make, make_item
         self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
+        self._head_letters, self._item_letters = head, item
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
         self._item_columns = _columns(make_item, item)
 
@@ -104,11 +134,28 @@ class ListLayout(Generic[M]):
     def encode(self, message: M) -> bytes:
         """Return the payload."""
         *head, items = message
-        return self.encode_parts(tuple(head), len(items), b"".join(self._item.pack(*item) for item in items))
+        try:
+            packed = b"".join([self._item.pack(*item) for item in items])
+        except _TOO_LARGE:
+            packed = self._packed(items)
+        return self.encode_parts(tuple(head), len(items), packed)
 
     def encode_parts(self, head: tuple[Any, ...], count: int, items: bytes) -> bytes:
-        """Return the payload from items that are packed already."""
-        return self._head.pack(VERSION, *head, count) + items
+        """Return the payload from items that are packed already; of too many the first ones."""
+        if count > _MOST_ITEMS:
+            count, items = _MOST_ITEMS, items[: _MOST_ITEMS * self._item.size]
+        try:
+            packed = self._head.pack(VERSION, *head, count)
+        except _TOO_LARGE:
+            head = _fitted(self._head_letters, head)
+            packed = self._head.pack(VERSION, *head, count)
+        if not math.isfinite(sum(head) + sum(map(sum, self._item.iter_unpack(items)))):
+            items = self._packed(self._item.iter_unpack(items))
+            packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
+        return packed + items
+
+    def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
+        return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length, version or finiteness is wrong."""
@@ -127,7 +174,7 @@ class BlobLayout(Generic[M]):
     """A layout with bytes at its end: version byte, the head's fields, then whatever is left is the last field."""
 
     def __init__(self, make: type[M], head: str) -> None:
-        self._make, self._head = make, Struct(f"<B{head}")
+        self._make, self._head, self._letters = make, Struct(f"<B{head}"), head
         self._columns = [("version", "u1"), *_columns(make, head)]
 
     def describe(self) -> Description:
@@ -137,7 +184,7 @@ class BlobLayout(Generic[M]):
     def encode(self, message: M) -> bytes:
         """Return the payload."""
         *head, blob = message
-        return self._head.pack(VERSION, *head) + bytes(blob)
+        return self._head.pack(VERSION, *_fitted(self._letters, head)) + bytes(blob)
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length or version is wrong."""

@@ -221,15 +221,16 @@ class LeaseAnswer(NamedTuple):
     session: int  # who holds it; 0: nobody
 
 
-WHEEL_COMMAND = Layout(WheelCommand, "IIQQQq", 2)
-ROBOT_STATUS = Layout(RobotStatus, "IIIQQQqqqIBBIBIqq", 9)
-ENABLE = Layout(Enable, "IIQQBBI", 1)
-TRUTH = Layout(Truth, "IIq", 5)
-TRACKER_NEWS = Layout(TrackerNews, "IIqBH", 1)
-RECORDER_STATUS = Layout(RecorderStatus, "IIQQB", 0)
+# Whatever counts has 64 bits: at a million a second it ends after 292,000 years. What is drawn has those it needs.
+WHEEL_COMMAND = Layout(WheelCommand, "QQQQQq", 2)
+ROBOT_STATUS = Layout(RobotStatus, "QQIQQQqqqQBBQBIqq", 9)
+ENABLE = Layout(Enable, "QQQQBBQ", 1)
+TRUTH = Layout(Truth, "QQq", 5)
+TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
+RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
-LEASE_ANSWER = Layout(LeaseAnswer, "BIQ", 0)
-FLEET_POSES = ListLayout(FleetPoses, "IIIqqIqqI", TagPose, "Hiiddd")
-TICK_RECORD = ListLayout(TickRecord, "IIIiqIIqIIIBIqq", RobotTick, "d" * 18)
-PICTURE = BlobLayout(Picture, "IIqHH")
-RUN_STATE = ListLayout(RunState, "IIBHHdBHB", RobotState, "BBH")
+LEASE_ANSWER = Layout(LeaseAnswer, "BQQ", 0)
+FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hiiddd")
+TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBQqq", RobotTick, "d" * 18)
+PICTURE = BlobLayout(Picture, "IQqHH")
+RUN_STATE = ListLayout(RunState, "IQBHHdBHB", RobotState, "BBH")

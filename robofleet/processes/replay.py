@@ -211,7 +211,7 @@ def _compare_commands(
 
     Where the next record is missing it is unknown which are the tick's, but for each robot's first one.
     """
-    done = recorded["tick"].astype(np.int64) - recorded["overruns"]
+    done = recorded["tick"] - recorded["overruns"]
     closed = np.append(done[1:] == done[:-1] + 1, [False])
     wheels = np.full((len(recorded), len(recording.config.platoon), 2), np.nan)
     wheels[known] = _columns(now)[..., _WHEELS]

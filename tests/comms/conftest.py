@@ -21,6 +21,7 @@ LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
     "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
     "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
     "TrackerNews": (messages.TRACKER_NEWS, messages.TrackerNews),
+    "RecorderStatus": (messages.RECORDER_STATUS, messages.RecorderStatus),
     "LeaseRequest": (messages.LEASE_REQUEST, messages.LeaseRequest),
     "LeaseAnswer": (messages.LEASE_ANSWER, messages.LeaseAnswer),
 }

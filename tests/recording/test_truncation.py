@@ -120,8 +120,8 @@ def foreign(file: Path, profile: str, library: str) -> None:
     [
         ("ros2", "libmcap 1.4.0", "no recording of robofleet's: it was made by libmcap 1.4.0"),
         ("robofleet", "robofleet", "no recording of robofleet's"),
-        ("robofleet", LIBRARY.format("0.1.0", 2), "wire version 2 of robofleet 0.1.0; this one reads 3: install that"),
-        ("robofleet", LIBRARY.format("9.1.0", 4), "wire version 4 of robofleet 9.1.0; this one reads 3: install that"),
+        ("robofleet", LIBRARY.format("0.1.0", 2), "wire version 2 of robofleet 0.1.0; this one reads 4: install that"),
+        ("robofleet", LIBRARY.format("9.1.0", 5), "wire version 5 of robofleet 9.1.0; this one reads 4: install that"),
     ],
 )
 def test_a_file_of_somebody_else_is_refused_in_a_line(profile: str, library: str, says: str, tmp_path: Path) -> None:
