@@ -6,13 +6,22 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import count
 from struct import pack, unpack_from
+from typing import Any
 
 import numpy as np
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Bus, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic, named
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.simulation.faults import Injection, Schedule, struck
+
+
+def _offset(layout: np.dtype[Any], field: str) -> int:
+    """Return the bytes before a field."""
+    return int((layout.fields or {})[field][1])
+
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
 _OF_ONE_ROBOT = (COMMAND, ENABLE, STATUS)
@@ -20,7 +29,11 @@ _SENDERS = {
     COMMAND: "controller", LEASE: "controller", TICK: "controller", ENABLE: "supervisor", STATE: "supervisor",
     POSES: "tracker", NEWS: "tracker", REQUEST: "operator",
 }  # fmt: skip
-_STAMPS = {TRUTH: 9, TICK: 17}  # bytes before the stamp by which a simulated world and its camera are timed
+_STAMPS = {  # bytes before the stamp by which a simulated world and its camera are timed
+    TRUTH: _offset(TRUTH_LAYOUT.dtype, "stamp_ns"),
+    TICK: _offset(TICK_RECORD.head_dtype, "stamp_ns"),
+}
+_DETAIL = _offset(RUN_STATE.head_dtype, "detail")  # the only double of a run's state stands in its head
 _HELD = 1024  # messages of one subscription
 _APART_NS = 30_000  # between messages that were held back: what a router needs for each
 _AGAIN_NS = MS  # after a message its copy comes
@@ -188,7 +201,7 @@ class _Fate:
 
     def __init__(self, schedule: Schedule, process: str, topic: Topic, name: str, cuts: tuple[Injection, ...]) -> None:
         self._rng = schedule.rng(process, topic.key, name)
-        self._at_nan = 14 if topic is STATE else -8  # the only double of a run's state stands in its head
+        self._at_nan = _DETAIL if topic is STATE else -8
         self._cuts = cuts
         self._behind: bytes | None = None
         self._held_until_ns = 0
