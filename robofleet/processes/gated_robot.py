@@ -36,7 +36,7 @@ _NO_LINK_NS = S // 2  # it is not a bad one
 _HURRY_NS = 60 * S
 _LATCHES = tuple(Latch)
 _ACTIONS = tuple(LeaseAction)
-_U32 = 1 << 32
+_LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
 
 Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
 
@@ -96,7 +96,7 @@ class GatedRobot:
         """Let the gate decide on what arrived, and write the wheels."""
         command, enable = self._commands.take(), self._enables.take()
         quiet = command is None and enable is None and self._health.latch <= self._gate.latch
-        due = self.deadline_ns is not None and now_ns >= self.deadline_ns
+        due = self.deadline_ns is not None and now_ns >= min(self.deadline_ns, self._gate.at_ns + _LOOK_NS)
         if quiet and not due and now_ns >= self._gate.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
         self._opened = self._opened or self._status is GateStatus.OPEN
@@ -126,7 +126,7 @@ class GatedRobot:
 
     def publish(self, now_ns: int, *, status: bool) -> None:
         """Publish the robot's status, and the truth of a simulated one."""
-        self._seq = (self._seq + 1) % _U32
+        self._seq += 1
         if self._publish_truth is not None:
             self._publish_truth(TRUTH_LAYOUT.encode(Truth(self._gate.epoch, self._seq, now_ns, *self._truth())))
         if status:
@@ -209,7 +209,7 @@ class GatedRobot:
         battery = reading.battery if math.isfinite(reading.battery) else -1.0
         return RobotStatus(
             state.epoch, self._seq, self._build, state.session, state.boot_id, now_ns, now_ns,
-            *self._applied, rejected % _U32, self._status, state.latch, state.latch_id,
+            *self._applied, rejected, self._status, state.latch, state.latch_id,
             int(self.hurries), self._health.faults(state.latch), state.target_after_ns, state.output_after_ns,
             reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output,
             *self._told_until(now_ns), battery,

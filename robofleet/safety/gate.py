@@ -8,8 +8,12 @@ message changes a counter and feeds no watchdog.
 The target is what is allowed now: the command, or zero. The output, which is what the wheels are given, follows it
 with limited acceleration, along the straight line between the two: towards zero both wheels fall by one ratio, so a
 robot that stops stays on its arc and neither wheel reverses.
+
+A gate that let its wheels turn and was then not stepped for 120 ms does not go on from there: its robot has long been
+stopped by other means. Its output is zero at once, and what was issued before counts no more.
 """
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -45,6 +49,7 @@ class Latch(IntEnum):
     DRIVER_FAILED = 4  # the robot could not be written to or read from
     MEMORY_LOST = 5  # nobody knows what held it before its driver was started again
     ROBOT_FAULT = 6  # the robot says what is wrong with it
+    RUNAWAY = 7  # a wheel turns that is told to stand
 
 
 class LeaseAction(IntEnum):
@@ -105,6 +110,7 @@ class GateState(NamedTuple):
     target: WheelSpeeds = STOP
     output: WheelSpeeds = STOP
     at_ns: int = 0  # of the last step
+    since_ns: int = _NEVER  # what was issued before counts no more: the gate was held up
     moved_by: int = _NEVER  # older one of the two nonces by which the target was last not zero
     target_after_ns: int = UNKNOWN  # last stop: that nonce's issue to zero target
     output_after_ns: int = UNKNOWN  # and to zero output
@@ -125,6 +131,8 @@ def step(state: GateState, drive: DifferentialDrive, inputs: Inputs, now_ns: int
     """Take what arrived since the last step and return the wheel speeds that are allowed now."""
     if now_ns < state.at_ns:
         state = _started_anew(state, now_ns)
+    elif now_ns - state.at_ns > VALID_NS and not state.output == STOP == state.target:
+        state = _held_up(state, now_ns)
     at_rest = state.output == STOP and not inputs.turning
     if inputs.latch:
         state = _latched(state, inputs.latch)
@@ -144,9 +152,15 @@ def step(state: GateState, drive: DifferentialDrive, inputs: Inputs, now_ns: int
 
 def _started_anew(state: GateState, now_ns: int) -> GateState:
     """The clock was set back: no nonce that was given out before says anything any more."""
-    return state._replace(
+    forgetting = state._replace(
         boot_id=state.boot_id + 1, heard_ns=now_ns, command_nonce=_NEVER, enabled=(_NEVER, 0), moved_by=_NEVER
     )
+    return forgetting._replace(since_ns=_NEVER)
+
+
+def _held_up(state: GateState, now_ns: int) -> GateState:
+    """Nobody asked the gate while it let its wheels turn: they stand now, and no nonce of before is valid."""
+    return _follow(state, STOP, math.inf, now_ns)._replace(since_ns=now_ns)
 
 
 def _latched(state: GateState, latch: Latch) -> GateState:
@@ -200,7 +214,8 @@ def _take_command(state: GateState, drive: DifferentialDrive, command: Command, 
 
 
 def _fresh(state: GateState, message: Command | Permission, now_ns: int) -> bool:
-    return message.boot_id == state.boot_id and message.nonce <= now_ns < message.nonce + VALID_NS
+    newest = state.since_ns <= message.nonce <= now_ns < message.nonce + VALID_NS
+    return message.boot_id == state.boot_id and newest
 
 
 def _within(drive: DifferentialDrive, wheels: WheelSpeeds) -> bool:

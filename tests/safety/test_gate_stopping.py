@@ -1,5 +1,6 @@
 """How the gate's output follows its target, what a stop took, and a clock that is set back."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -63,8 +64,141 @@ def test_who_was_held_up_on_its_way_catches_up_by_20_ms_at_most(step: Step) -> N
     assert gate.give().output.left == pytest.approx(3.75)
     gate.now += 60 * MS
     assert gate.give().output.left == pytest.approx(6.75)
-    gate.now += 3_000 * MS
+    gate.now += VALID_NS
     assert gate.give().output.left == pytest.approx(3.75)
+
+
+def driving(step: Step) -> Gate:
+    """Return a gate at its command, both nonces of now."""
+    return opened(step, FAST)
+
+
+def ramping_up(step: Step) -> Gate:
+    gate = Gate(step)
+    gate.lease()
+    gate.enable()
+    gate.command(wheels=FAST)
+    gate.now += 5 * MS
+    gate.enable()
+    gate.command(wheels=FAST)
+    assert STOP != gate.out.output != gate.out.target
+    return gate
+
+
+def told_and_not_yet_turning(step: Step) -> Gate:
+    gate = Gate(step)
+    gate.lease()
+    gate.enable()
+    gate.command(wheels=FAST)
+    assert gate.out.output == STOP != gate.out.target
+    return gate
+
+
+def ramping_down(step: Step) -> Gate:
+    gate = opened(step, FAST)
+    gate.now += 5 * MS
+    gate.give(latch=Latch.WIRED_STOP)
+    assert gate.out.output != STOP == gate.out.target
+    return gate
+
+
+@pytest.mark.parametrize("before", [driving, ramping_up, told_and_not_yet_turning, ramping_down])
+@pytest.mark.parametrize("held_ns", [VALID_NS + 1, 130 * MS, 1_000 * MS, 3_600_000 * MS])
+def test_who_was_not_stepped_for_120_ms_outputs_zero_at_once(
+    step: Step, before: Callable[[Step], Gate], held_ns: int
+) -> None:
+    gate = before(step)
+    gate.now += held_ns
+    out = gate.give()
+    assert (out.output, out.target) == (STOP, STOP)
+    assert [output for _, output in written(gate, 500 * MS)] == [STOP]
+
+
+@pytest.mark.parametrize("before", [driving, ramping_down])
+def test_who_was_not_stepped_for_less_ramps(step: Step, before: Callable[[Step], Gate]) -> None:
+    gate = before(step)
+    gate.now += VALID_NS
+    assert gate.give().output != STOP
+    assert gate.out.target == STOP
+
+
+@pytest.mark.parametrize("before", [driving, ramping_up, told_and_not_yet_turning])
+def test_what_was_issued_before_a_gate_was_held_up_counts_no_more(
+    step: Step, before: Callable[[Step], Gate]
+) -> None:
+    """A nonce that it gave out after its last step is younger than 120 ms, and old all the same."""
+    gate = before(step)
+    issued = gate.now + 30 * MS
+    gate.now += VALID_NS + 1
+    woke = gate.now
+    gate.give()
+    for nonce in (issued, woke - 1):
+        assert gate.refuses(permission=gate.an_enable(nonce=nonce))
+        assert gate.refuses(command=gate.a_command(nonce=nonce))
+    gate.enable(nonce=woke)
+    assert gate.command(nonce=woke).target == WHEELS
+
+
+def test_messages_that_waited_for_a_gate_that_was_held_up_move_nothing(step: Step) -> None:
+    gate = driving(step)
+    issued = gate.now + VALID_NS
+    gate.now += VALID_NS + 30 * MS
+    out = gate.give(command=gate.a_command(nonce=issued), permission=gate.an_enable(nonce=issued))
+    assert (out.output, out.target, out.status) == (STOP, STOP, GateStatus.NO_ENABLE)
+
+
+def test_a_command_alone_does_not_reopen_who_was_held_up(step: Step) -> None:
+    gate = driving(step)
+    gate.now += VALID_NS + 1
+    gate.give()
+    assert gate.command().target == STOP
+    gate.enable()
+    assert gate.out.target == WHEELS
+
+
+def test_who_stood_and_was_asked_to_stand_was_not_held_up(step: Step) -> None:
+    """A closed gate is stepped when something comes: what came first is valid."""
+    gate = Gate(step)
+    gate.lease()
+    issued = gate.now + 950 * MS
+    gate.now += 1_000 * MS
+    gate.give(permission=gate.an_enable(nonce=issued), command=gate.a_command(nonce=issued))
+    assert gate.out.target == WHEELS
+
+
+def test_a_stop_by_being_held_up_is_timed_as_it_was(step: Step) -> None:
+    gate = driving(step)
+    issued = gate.now
+    gate.now += 400 * MS
+    gate.give()
+    assert (gate.state.target_after_ns, gate.state.output_after_ns) == (400 * MS, 400 * MS)
+    assert issued + 400 * MS == gate.now
+    gate = ramping_down(step)
+    gate.now += 400 * MS
+    gate.give()
+    assert (gate.state.target_after_ns, gate.state.output_after_ns) == (5 * MS, 405 * MS)
+
+
+def test_being_held_up_ends_no_lease_and_clears_no_latch(step: Step) -> None:
+    gate = ramping_down(step)
+    before = gate.state
+    gate.now += 500 * MS
+    gate.give()
+    after = gate.state
+    assert (after.session, after.epoch, after.seq, after.boot_id) == (
+        before.session, before.epoch, before.seq, before.boot_id,
+    )  # fmt: skip
+    assert (after.latch, after.latch_id) == (Latch.WIRED_STOP, 1)
+
+
+def test_a_clock_that_is_set_back_forgets_that_the_gate_was_held_up(step: Step) -> None:
+    gate = driving(step)
+    gate.now += VALID_NS + 1
+    gate.give()
+    gate.now -= 60_000 * MS
+    gate.give()
+    gate.enable()
+    assert gate.command().target == WHEELS
 
 
 def test_who_had_arrived_has_nothing_to_catch_up_with(step: Step) -> None:
