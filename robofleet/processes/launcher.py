@@ -1,6 +1,6 @@
 """Runs a platoon in real time: starts the processes, arms, runs, stops, and leaves nothing behind."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.advice import advised
 from robofleet.safety.arming import Stage
+from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
@@ -200,7 +201,8 @@ class Launcher:
         stopped = emergency_stop(self._bus, self._clock, self._robots)
         next_step = ""
         if not stopped.silent:
-            self._rest()
+            with suppress(RunError):  # whoever is silent or gone: every gate is latched
+                self._rest()
             next_step = ": look at the robots, then start with --reset"
         return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
 
@@ -239,7 +241,8 @@ class Launcher:
             gone = "the page is gone, the run goes on: `robofleet web` opens another one"
             self._terminal.page = gone if self._page.died else f"the operator's page: {self._page.said}"
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
-            raise RunError(f"the supervisor went silent: see {self._folder}/log/supervisor.log")
+            silent = f"the supervisor went silent: see {self._folder}/log/supervisor.log"
+            raise EmergencyError(f"at the gates; {silent}") if self._stopped_at_gates() else RunError(silent)
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)
         return state
@@ -276,6 +279,11 @@ class Launcher:
     def _newest(self, full: str, layout: Any) -> Any:
         messages = self.recording.messages.get(full)
         return layout.decode(messages[-1]) if messages else None
+
+    def _stopped_at_gates(self) -> bool:
+        """Whether an emergency stop has reached a gate."""
+        statuses = [self._newest(full, ROBOT_STATUS) for full in self._status_keys]
+        return any(status is not None and status.latch == Latch.EMERGENCY_STOP for status in statuses)
 
     def _at_rest(self) -> bool:
         statuses = [self._newest(full, ROBOT_STATUS) for full in self._status_keys]

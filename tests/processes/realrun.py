@@ -75,6 +75,11 @@ class RealRun:
         if terminal:
             os.close(theirs)
 
+    def begin(self, *arguments: str) -> "subprocess.Popen[bytes]":
+        """Begin to do something to the run from another terminal."""
+        command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
+        return subprocess.Popen(command, env=self._environment, stdout=subprocess.DEVNULL)
+
     def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Do something to the run from another terminal."""
         command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
