@@ -18,7 +18,7 @@ from robofleet.processes.child_faults import ChildFaults
 from robofleet.processes.children import Child, Children, RunError
 from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
-from robofleet.processes.terminal import Interrupts, Terminal, interrupts
+from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.advice import advised
@@ -119,7 +119,7 @@ class Launcher:
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
-        fleet.wait_ready(self._clock, self._heed)
+        fleet.wait_ready(self._clock, self._listen)
         if self._web:
             self._page = fleet.start("web", "web", needed=False)
         for name in ("supervisor", "tracker"):
@@ -128,13 +128,15 @@ class Launcher:
         ours = self._config.driven if self._config.drivers.started_by == "run" else {}
         for name, robots in ours.items():
             fleet.start(name, "driver", "--robots", ",".join(robots))
-        fleet.wait_ready(self._clock, self._heed)
+        fleet.wait_ready(self._clock, self._listen)
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         held.callback(bus.close)  # after the router has ended: leaving one that is stopped takes many seconds
         self._bus, self._fleet = bus, fleet
         self._faults = ChildFaults(self._config, self._clock, fleet)
+        self._terminal.emergency = self._stop_now
+        held.callback(setattr, self._terminal, "emergency", lambda: None)
         try:
             self._stream = bus.stream(everything(self._arena), _STREAM)
             self._heard_ns = self._clock.now_ns()
@@ -179,6 +181,7 @@ class Launcher:
     def _outcome(self, state: RunState) -> Outcome:
         cause = advised(run_cause(state, self._robots), state.cause)
         if state.phase == Phase.ESTOP:
+            self._listen()  # it may be our own operator's
             raise EmergencyError(cause)
         if state.cause == Event.ARMED_TOO_LONG:
             cause = f"{cause}: {missing(self.recording)}"
@@ -188,7 +191,7 @@ class Launcher:
         """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
         self._phase, self._ending = "stopping", True
         try:
-            asked(self._bus, self._clock, "supervisor", b"stop", self._heed)
+            asked(self._bus, self._clock, "supervisor", b"stop", self._listen)
             self._rest()
         except TimeoutError:  # then nobody renews the permissions, and the gates close
             pass
@@ -227,6 +230,7 @@ class Launcher:
         keys = self._terminal.keys(self._clock, self._clock.now_ns() + _POLL_NS)
         if self._phase != _EMERGENCY:
             self._obey(keys)
+            self._ask_by_key(keys)
             self._heed()
             self._attend()
         for at_ns, full, payload in self._stream.drain():
@@ -258,11 +262,23 @@ class Launcher:
             raise InterruptedRunError("the operator interrupted")
 
     def _obey(self, keys: str) -> None:
-        """Do what the keys ask for."""
-        if "e" in keys or " " in keys:
+        """Raise what the keys ask for."""
+        if EMERGENCY_KEYS.intersection(keys):
             raise EmergencyError("by key")
         if "q" in keys and not self._ending:
             raise InterruptedRunError("the operator ended it")
+
+    def _listen(self) -> None:
+        """Raise what signals and keys ask for, where the run waits for something else."""
+        self._heed()
+        self._obey(self._terminal.keys(self._clock, self._clock.now_ns()))
+
+    def _stop_now(self) -> None:
+        """Stop every robot, from the thread that hears the keys: the run's own one hears of it when it can."""
+        with suppress(Exception):  # the bus is being left
+            emergency_stop(self._bus, self._clock, self._robots)
+
+    def _ask_by_key(self, keys: str) -> None:
         for pressed in keys:
             if pressed in _ASKED_BY_KEY:
                 self._answer = self._bus.ask(REQUEST, "supervisor", _ASKED_BY_KEY[pressed])

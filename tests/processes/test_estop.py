@@ -1,4 +1,4 @@
-"""The emergency stop with a supervisor that is frozen, gone or flooded: every gate latches all the same, and stays so."""
+"""The emergency stop with a supervisor that is frozen, gone or flooded: every gate latches all the same."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
