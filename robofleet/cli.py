@@ -12,6 +12,7 @@ import typer
 from robofleet.clock import WallClock, utc_now
 from robofleet.experiments import trials
 from robofleet.processes import commands, run_commands
+from robofleet.processes.outlet import unhindered
 from robofleet.processes.refusal import (
     LAB_MODULES,
     WEB_PACKAGES,
@@ -51,6 +52,7 @@ Overrides = Annotated[
 
 
 @app.command()
+@unhindered()
 def run(
     config: ConfigFile,
     lockstep: Annotated[

@@ -3,6 +3,7 @@
 A driver process loads neither numba nor OpenCV: each process imports what it is made of when it starts.
 """
 
+import os
 import shutil
 import sys
 import threading
@@ -106,19 +107,32 @@ def twins(config: Config, lifeline: Lifeline) -> None:
 
 
 def supervisor(config: Config, lifeline: Lifeline, folder: Path) -> None:
-    """The supervisor; ``folder`` is where the run is recorded."""
+    """The supervisor; ``folder`` is where the run is recorded; RefusedError where it is not there."""
     from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
 
+    try:
+        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)  # this very folder, whatever it is called later
+    except OSError as error:
+        raise RefusedError(f"{folder}: {error.strerror}: a run is recorded in a folder of its own") from error
+
     def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> Supervisor:
-        def free_bytes() -> int:
-            return 0 if faults is not None and faults.disk_is_full() else shutil.disk_usage(folder).free
+        def room() -> int:
+            return 0 if faults is not None and faults.disk_is_full() else free_bytes(held)
 
         return Supervisor(
-            config, bus, clock, waker, entropy(config.run.seed, "supervisor"), free_bytes=free_bytes,
+            config, bus, clock, waker, entropy(config.run.seed, "supervisor"), free_bytes=room,
             attended=config.run.attended, say=lambda line: print(line, file=sys.stderr, flush=True),
         )  # fmt: skip
 
     _run("supervisor", config, lifeline, make, _SUPERVISOR_PRIORITY)
+
+
+def free_bytes(folder: int) -> int:
+    """Return the room left where a folder is, by its descriptor; none where that is not known: then the fleet holds."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return 0
 
 
 def recorder(config: Config, lifeline: Lifeline, folder: Path) -> None:

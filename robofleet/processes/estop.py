@@ -1,16 +1,24 @@
-"""The emergency stop, from whoever asks for it: asked for until it is answered, and the robots' own word for it."""
+"""The emergency stop, from whoever asks for it, by two ways at once.
+
+The supervisor is asked until it answers. Every gate is told itself, at each new word of its robot, until that word says
+that the gate is latched: a supervisor that is frozen, dead or flooded delays no wheel and loses no latch.
+"""
 
 from typing import NamedTuple
 
 from robofleet.clock import MS, Clock
-from robofleet.comms.bus import Answer, Bus, Inbox
-from robofleet.comms.keys import REQUEST, STATUS
-from robofleet.comms.messages import ROBOT_STATUS
+from robofleet.comms.bus import Answer, Bus
+from robofleet.comms.keys import ENABLE, REQUEST
+from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
+from robofleet.comms.messages import Enable, RobotStatus
+from robofleet.comms.statuses import Statuses
 from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import Phase
 
 _WITHIN_NS = 200 * MS  # then who has not answered is named
 _AGAIN_NS = 40 * MS
 _POLL_NS = MS
+_LAST_SEQ = (1 << 32) - 1  # a gate takes it whatever the supervisor has said with the same nonce
 
 
 class Stopped(NamedTuple):
@@ -26,21 +34,42 @@ class Stopped(NamedTuple):
         return f"NOT acknowledged within {_WITHIN_NS // MS} ms by {', '.join(self.silent)}: stop them by hand"
 
 
+class EmergencyStop:
+    """One that is on its way: ``step`` it again and again."""
+
+    def __init__(self, bus: Bus, robots: tuple[str, ...], now_ns: int) -> None:
+        """Ask the supervisor; the gates follow with the robots' next words."""
+        self._bus, self._robots, self._started_ns = bus, robots, now_ns
+        self._answer: Answer | None = bus.ask(REQUEST, "supervisor", b"estop")
+        self._again_ns = now_ns + _AGAIN_NS
+        self._statuses = Statuses(bus, robots)
+        self._tell = [bus.publisher(ENABLE, robot) for robot in robots]
+        self._after_ms: dict[str, float] = {}
+
+    def step(self, now_ns: int) -> Stopped | None:
+        """Say again what is not answered; returns what came of it, None while that is open."""
+        if self._answer is not None and self._answer.take() is not None:
+            self._answer = None  # it need not be asked again
+        if self._answer is not None and now_ns >= self._again_ns:
+            self._answer, self._again_ns = self._bus.ask(REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
+        for row, status in self._statuses.take():
+            if status.latch not in (Latch.NONE, Latch.DRILL):
+                self._after_ms.setdefault(self._robots[row], (now_ns - self._started_ns) / MS)
+            else:
+                self._tell[row](ENABLE_LAYOUT.encode(_latching(status)))
+        silent = tuple(robot for robot in self._robots if robot not in self._after_ms)
+        return None if silent and now_ns < self._started_ns + _WITHIN_NS else Stopped(self._after_ms, silent)
+
+
 def emergency_stop(bus: Bus, clock: Clock, robots: tuple[str, ...]) -> Stopped:
-    """Ask the supervisor for the emergency stop, and wait until every gate is latched, or for 200 ms."""
-    started_ns = clock.now_ns()
-    answer: Answer | None = bus.ask(REQUEST, "supervisor", b"estop")
-    again_ns = started_ns + _AGAIN_NS
-    heard = {robot: Inbox(bus.newest(STATUS, robot), ROBOT_STATUS) for robot in robots}
-    after_ms: dict[str, float] = {}
-    while len(after_ms) < len(robots) and (now_ns := clock.now_ns()) < started_ns + _WITHIN_NS:
-        if answer is not None and answer.take() is not None:
-            answer = None  # it need not be asked again
-        if answer is not None and now_ns >= again_ns:
-            answer, again_ns = bus.ask(REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
-        for robot, inbox in heard.items():
-            status = inbox.take()
-            if status is not None and status.latch not in (Latch.NONE, Latch.DRILL):
-                after_ms.setdefault(robot, (clock.now_ns() - started_ns) / MS)
+    """Stop every robot and latch its gate; returns when each has said so, or after 200 ms."""
+    stop = EmergencyStop(bus, robots, clock.now_ns())
+    while (stopped := stop.step(now_ns := clock.now_ns())) is None:
         clock.sleep_until(now_ns + _POLL_NS)
-    return Stopped(after_ms, tuple(robot for robot in robots if robot not in after_ms))
+    return stopped
+
+
+def _latching(status: RobotStatus) -> Enable:
+    """Return what closes the gate of a robot that has just said this; that takes no lease, only the newest nonce."""
+    latch, none = Latch.EMERGENCY_STOP, 0
+    return Enable(status.epoch, _LAST_SEQ, status.boot_id, status.nonce, Phase.ESTOP, latch, none, 0.0)

@@ -1,6 +1,6 @@
 """Runs a platoon in real time: starts the processes, arms, runs, stops, and leaves nothing behind."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,12 @@ from robofleet.processes.child_faults import ChildFaults
 from robofleet.processes.children import Child, Children, RunError
 from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
-from robofleet.processes.terminal import Interrupts, Terminal, interrupts
+from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.advice import advised
 from robofleet.safety.arming import Stage
+from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
@@ -118,7 +119,7 @@ class Launcher:
         controller.compile_kernels(self._config)
         tracker.compile_kernels(self._config)
         self._watch(self.recording, "starting")
-        fleet.wait_ready(self._clock, self._heed)
+        fleet.wait_ready(self._clock, self._listen)
         if self._web:
             self._page = fleet.start("web", "web", needed=False)
         for name in ("supervisor", "tracker"):
@@ -127,13 +128,15 @@ class Launcher:
         ours = self._config.driven if self._config.drivers.started_by == "run" else {}
         for name, robots in ours.items():
             fleet.start(name, "driver", "--robots", ",".join(robots))
-        fleet.wait_ready(self._clock, self._heed)
+        fleet.wait_ready(self._clock, self._listen)
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         held.callback(bus.close)  # after the router has ended: leaving one that is stopped takes many seconds
         self._bus, self._fleet = bus, fleet
         self._faults = ChildFaults(self._config, self._clock, fleet)
+        self._terminal.emergency = self._stop_now
+        held.callback(setattr, self._terminal, "emergency", lambda: None)
         try:
             self._stream = bus.stream(everything(self._arena), _STREAM)
             self._heard_ns = self._clock.now_ns()
@@ -178,6 +181,7 @@ class Launcher:
     def _outcome(self, state: RunState) -> Outcome:
         cause = advised(run_cause(state, self._robots), state.cause)
         if state.phase == Phase.ESTOP:
+            self._listen()  # it may be our own operator's
             raise EmergencyError(cause)
         if state.cause == Event.ARMED_TOO_LONG:
             cause = f"{cause}: {missing(self.recording)}"
@@ -187,7 +191,7 @@ class Launcher:
         """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
         self._phase, self._ending = "stopping", True
         try:
-            asked(self._bus, self._clock, "supervisor", b"stop", self._heed)
+            asked(self._bus, self._clock, "supervisor", b"stop", self._listen)
             self._rest()
         except TimeoutError:  # then nobody renews the permissions, and the gates close
             pass
@@ -200,7 +204,8 @@ class Launcher:
         stopped = emergency_stop(self._bus, self._clock, self._robots)
         next_step = ""
         if not stopped.silent:
-            self._rest()
+            with suppress(RunError):  # whoever is silent or gone: every gate is latched
+                self._rest()
             next_step = ": look at the robots, then start with --reset"
         return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
 
@@ -225,6 +230,7 @@ class Launcher:
         keys = self._terminal.keys(self._clock, self._clock.now_ns() + _POLL_NS)
         if self._phase != _EMERGENCY:
             self._obey(keys)
+            self._ask_by_key(keys)
             self._heed()
             self._attend()
         for at_ns, full, payload in self._stream.drain():
@@ -239,7 +245,8 @@ class Launcher:
             gone = "the page is gone, the run goes on: `robofleet web` opens another one"
             self._terminal.page = gone if self._page.died else f"the operator's page: {self._page.said}"
         if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
-            raise RunError(f"the supervisor went silent: see {self._folder}/log/supervisor.log")
+            silent = f"the supervisor went silent: see {self._folder}/log/supervisor.log"
+            raise EmergencyError(f"at the gates; {silent}") if self._stopped_at_gates() else RunError(silent)
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)
         return state
@@ -255,11 +262,23 @@ class Launcher:
             raise InterruptedRunError("the operator interrupted")
 
     def _obey(self, keys: str) -> None:
-        """Do what the keys ask for."""
-        if "e" in keys or " " in keys:
+        """Raise what the keys ask for."""
+        if EMERGENCY_KEYS.intersection(keys):
             raise EmergencyError("by key")
         if "q" in keys and not self._ending:
             raise InterruptedRunError("the operator ended it")
+
+    def _listen(self) -> None:
+        """Raise what signals and keys ask for, where the run waits for something else."""
+        self._heed()
+        self._obey(self._terminal.keys(self._clock, self._clock.now_ns()))
+
+    def _stop_now(self) -> None:
+        """Stop every robot, from the thread that hears the keys: the run's own one hears of it when it can."""
+        with suppress(Exception):  # the bus is being left
+            emergency_stop(self._bus, self._clock, self._robots)
+
+    def _ask_by_key(self, keys: str) -> None:
         for pressed in keys:
             if pressed in _ASKED_BY_KEY:
                 self._answer = self._bus.ask(REQUEST, "supervisor", _ASKED_BY_KEY[pressed])
@@ -276,6 +295,11 @@ class Launcher:
     def _newest(self, full: str, layout: Any) -> Any:
         messages = self.recording.messages.get(full)
         return layout.decode(messages[-1]) if messages else None
+
+    def _stopped_at_gates(self) -> bool:
+        """Whether an emergency stop has reached a gate."""
+        statuses = [self._newest(full, ROBOT_STATUS) for full in self._status_keys]
+        return any(status is not None and status.latch == Latch.EMERGENCY_STOP for status in statuses)
 
     def _at_rest(self) -> bool:
         statuses = [self._newest(full, ROBOT_STATUS) for full in self._status_keys]

@@ -9,7 +9,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.live import LiveView
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.terminal import Terminal
+from robofleet.processes.terminal import Terminal, hangup_interrupts
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import RecordingError, read
@@ -18,7 +18,8 @@ from robofleet.recording.run import Recording
 
 def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict[str, Any]:
     """Run on a simulated clock and return the summary."""
-    with LiveView(config, WallClock(), Terminal(), quiet=quiet) as view, RunLog(folder / FILE, config) as log:
+    view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
+    with hangup_interrupts(), view_of as view, RunLog(folder / FILE, config) as log:
         run = Lockstep(config, log=log)
         outcome, cause = run.run(view)
         log.end(run.recording.ending())

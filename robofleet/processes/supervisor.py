@@ -24,6 +24,7 @@ from robofleet.safety.wiggle import PROBE_RAD_S
 
 _PERIOD_NS = 40 * MS
 _ACKNOWLEDGED_WITHIN_NS = 200 * MS
+_MOST_REQUESTS = 32  # of a step: a flood of them does not keep it from publishing
 _CLEARED_WITHIN_NS = 500 * MS  # some enables and statuses; a latch that is still there was made anew
 
 _REQUESTS = {
@@ -41,7 +42,8 @@ class Supervisor:
     """Requests of the operator and what is seen of the fleet drive one transition table.
 
     ``free_bytes`` returns the room left where the run is recorded, ``attended`` asks for signs of the operator's life,
-    and ``say`` is given a line for each change of the run and for each robot that is stopped.
+    and ``say`` is given a line for each change of the run and for each robot that is stopped. A disk or a reader that
+    takes no line delays no stop: what a step decides is published before anything is said or answered.
     """
 
     def __init__(
@@ -69,6 +71,8 @@ class Supervisor:
             build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
         )
         self._say = say
+        self._lines: list[str] = []  # of this step
+        self._replies: list[tuple[Request, str]] = []
         self._listener = FleetListener(config, bus, free_bytes)
         self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
         self._publish_state = bus.publisher(STATE)
@@ -107,17 +111,29 @@ class Supervisor:
         )
         for happening in self._standing:
             self._happen(happening)
+        served = 0
         while request is not None:
             self._serve(request)
-            request = self._request()
+            served += 1
+            request = self._request() if served < _MOST_REQUESTS else None
         self._arm()
         self._finish_resets()
         self._judge_robots()
         if now_ns >= self._next_ns or (self._status, self._checks, self._robots, self._clear) != before:
             self._publish()
+        self._speak()
         if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
         return self._wakes_ns(now_ns)
+
+    def _speak(self) -> None:
+        """Answer and say what this step left."""
+        replies, self._replies = self._replies, []
+        lines, self._lines = self._lines, []
+        for request, answer in replies:
+            request.reply(answer.encode())
+        for line in lines:
+            self._say(line)
 
     def _wakes_ns(self, now_ns: int) -> int:
         return min(self._next_ns, now_ns + HURRY_NS) if self._listener.statuses.hurried() else self._next_ns
@@ -128,7 +144,7 @@ class Supervisor:
     def _happen(self, happening: Happening) -> None:
         before, self._status = self._status, supervisor.step(self._status, happening)
         if self._status.phase is not before.phase:
-            self._say(f"{before.phase.name} -> {self._status.phase.name}: {self._status.describe(self._ids)}")
+            self._lines.append(f"{before.phase.name} -> {self._status.phase.name}: {self._status.describe(self._ids)}")
             self._checks, self._start = None, False
             self._naming_ns = None
             if self._status.phase is Phase.ESTOP:
@@ -149,24 +165,26 @@ class Supervisor:
 
     def _serve(self, request: Request) -> None:
         """Do what an operator asks for, or say why not."""
+        answer: str | None = "ok"
         if request.payload == b"status":
-            request.reply(f"ok: {self._describe()}".encode())
+            answer = f"ok: {self._describe()}"
         elif request.payload == b"attended":
             self._operator_ns = self._view.now_ns
-            request.reply(b"ok")
         elif (event := _REQUESTS.get(request.payload)) is None:
             known = ", ".join(name.decode() for name in (*_REQUESTS, b"status"))
-            request.reply(f"refused: {request.payload!r} is not one of {known}".encode())
+            answer = f"refused: {request.payload!r} is not one of {known}"
         elif (why := self._refusal(event)) is not None:
-            request.reply(f"refused: {why}".encode())
+            answer = f"refused: {why}"
         elif event is Event.RESET:
             self._reset(request)
+            answer = None  # when the gates have followed
         else:
             self._happen(Happening(event))
             if event in (Event.ARM_REQUESTED, Event.START_REQUESTED):
                 self._operator_ns = self._view.now_ns
                 self._start = self._start or event is Event.START_REQUESTED
-            request.reply(b"ok")
+        if answer is not None:
+            self._replies.append((request, answer))
 
     def _refusal(self, event: Event) -> str | None:
         unready = arming.unready(self._arming, self._view) if self._proved else None
@@ -188,7 +206,7 @@ class Supervisor:
             return
         answer = f"refused: {', '.join(held)}: the gate stays latched: look at the robot, then reset" if held else "ok"
         for request in self._resets:
-            request.reply((answer if phase is Phase.IDLE else f"refused: {WAY_OUT[phase]}").encode())
+            self._replies.append((request, answer if phase is Phase.IDLE else f"refused: {WAY_OUT[phase]}"))
         self._resets, self._clear = [], [0] * len(self._ids)
 
     def _describe(self) -> str:
@@ -224,11 +242,11 @@ class Supervisor:
         )
         for row, (old, new) in enumerate(zip(before, self._robots, strict=True)):
             if new.cause not in (old.cause, Event.NOTHING) and self._status.phase is Phase.RUNNING:
-                self._say(f"stands: {describe(causes[row], self._ids)}")
+                self._lines.append(f"stands: {describe(causes[row], self._ids)}")
         if self._naming_ns is not None and self._view.now_ns >= self._naming_ns:
             self._naming_ns = None
             if unanswered := self._unanswered():
-                self._say(f"the emergency stop is not acknowledged by {', '.join(unanswered)}")
+                self._lines.append(f"the emergency stop is not acknowledged by {', '.join(unanswered)}")
 
     def _limit(self, row: int) -> float:
         """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""

@@ -165,7 +165,9 @@ def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
     causes = faults_told(robot.faults)
     yield from (Happening(event, row, detail) for event, detail in causes)
     if robot.latch and not (pressed or causes or (robot.latch == Latch.DRILL and phase is Phase.ARMED)):
-        yield Happening(Event.GATE_LATCHED, row, robot.latch)
+        # before a start a latch waits for its reset, and in an emergency stop it is what was asked for
+        past = robot.latch == Latch.EMERGENCY_STOP and phase not in (Phase.IDLE, Phase.ESTOP)
+        yield Happening(Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, row, robot.latch)
     if 0.0 <= robot.battery < LOWEST_BATTERY:
         yield Happening(Event.BATTERY_LOW, row, robot.battery)
 

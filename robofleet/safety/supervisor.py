@@ -71,6 +71,7 @@ class Event(IntEnum):
     OVERCURRENT = 45
     CHARGING = 46
     UNREACHABLE = 47
+    STOPPED_AT_GATE = 48  # an emergency stop that the supervisor had not heard of
     # the checks before a start
     NOT_AT_REST = 50
     ESTOP_UNANSWERED = 51
@@ -116,6 +117,7 @@ CAUSES = {
     Event.CAMERA_MOVED: "the camera moved: calibrate its place again",
     Event.WIRED_STOP: "the robot's own e-stop",
     Event.GATE_LATCHED: "its gate is latched: look at the robot, then reset",
+    Event.STOPPED_AT_GATE: "an emergency stop closed its gate past the supervisor: look at the robots, then reset",
     Event.ROBOT_FAULT: "the robot reports a fault ({detail:.0f})",
     Event.BUMPED: "a bumper is hit",
     Event.CLIFF: "there is no floor before it",
@@ -180,6 +182,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.CAMERA_MOVED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.WIRED_STOP:           (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.GATE_LATCHED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.STOPPED_AT_GATE:      (_SAME, _E,    _E,    _E,    _E,    _SAME),
     Event.ROBOT_FAULT:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.BUMPED:               (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CLIFF:                (_SAME, _F,    _F,    _F,    _SAME, _SAME),

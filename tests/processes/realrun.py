@@ -9,6 +9,7 @@ import subprocess
 import sys
 import termios
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,29 +52,51 @@ def own_folders(folder: Path) -> dict[str, str]:
     return os.environ | {"XDG_RUNTIME_DIR": str(folder / "runtime"), "XDG_STATE_HOME": str(folder / "state")}
 
 
+def fill(descriptor: int) -> None:
+    """Write to a terminal or a pipe until it takes nothing more."""
+    os.set_blocking(descriptor, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(descriptor, b"nobody reads this\n")
+    os.set_blocking(descriptor, True)
+
+
 def _take_terminal() -> None:
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
 class RealRun:
-    """A run; with ``terminal`` it has one of its own, whose other end is ``keyboard``."""
+    """A run; with ``terminal`` it has one of its own, whose other end is ``keyboard``.
+
+    What it says goes into two files, or to ``screen``: a descriptor, or "terminal"; "full terminal" takes nothing more.
+    """
 
     def __init__(
-        self, folder: Path, *arguments: str, terminal: bool = False, name: str = "run", config: Path = PLATOON
-    ) -> None:
+        self, folder: Path, *arguments: str, terminal: bool = False, screen: int | str | None = None,
+        nohup: bool = False, name: str = "run", config: Path = PLATOON,
+    ) -> None:  # fmt: skip
         self._environment = own_folders(folder)
         self._stdout, self._stderr, self.folder = folder / f"{name}.stdout", folder / f"{name}.stderr", folder / name
         self.latches = folder / "state" / "robofleet" / "platoon"
         command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(config), "--out", str(self.folder)]
         self.keyboard, theirs = pty.openpty() if terminal else (None, subprocess.DEVNULL)
+        if screen == "full terminal":
+            fill(theirs)
         with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
+            said = theirs if isinstance(screen, str) else screen
             self.launcher = subprocess.Popen(
-                [*command, "--json", *arguments], stdin=theirs, stdout=out, stderr=err, env=self._environment,
+                [*(["nohup"] if nohup else []), *command, *(["--json"] if screen is None else []), *arguments],
+                stdin=theirs, stdout=said or out, stderr=said or err, env=self._environment,
                 start_new_session=terminal,
                 preexec_fn=_take_terminal if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
             )  # fmt: skip
         if terminal:
             os.close(theirs)
+
+    def begin(self, *arguments: str) -> "subprocess.Popen[bytes]":
+        """Begin to do something to the run from another terminal."""
+        command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
+        return subprocess.Popen(command, env=self._environment, stdout=subprocess.DEVNULL)
 
     def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Do something to the run from another terminal."""

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import WallClock
+from robofleet.clock import S, WallClock
 from robofleet.config.tree import Config
 from robofleet.processes import arena_file, operator
 from robofleet.processes.arena_file import ArenaBusyError, claimed, running
-from tests.processes.realrun import ALONE, GONE_WITHIN_S, PLATOON, RealRun, wait
+from tests.processes.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, wait
 
 Start = Callable[..., RealRun]
 ConfigOf = Callable[..., Config]
@@ -85,6 +85,42 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     assert run.ended(20) == 1
     assert run.latched() == {"r1": 2}
     assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
+
+
+def test_with_a_frozen_supervisor_a_stop_latches_every_gate_and_the_next_run_waits_for_a_reset(real_run: Start) -> None:
+    run = real_run(*of_robots("r1", "r2"))
+    run.wait_until_running()
+    (supervisor,) = run.children("supervisor")
+    supervisor.send_signal(signal.SIGSTOP)
+    stopped = run.robofleet("stop")
+    assert (stopped.returncode, stopped.stderr) == (0, "")
+    assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
+    assert run.ended(20) == 1
+    assert run.latched() == {"r1": 2, "r2": 2}
+    assert run.summary["outcome"] == "stopped"
+    assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent: see ")
+    again = real_run(*of_robots("r1", "r2"), name="again")
+    assert again.ended(60) == 1
+    assert "fault: start was refused: r1, r2: the gate is latched: " in again.said
+    assert again.latched() == {"r1": 2, "r2": 2}
+
+
+@pytest.mark.parametrize("frozen_s", [0.3, 1.2])
+def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, frozen_s: float) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    (supervisor,) = run.children("supervisor")
+    supervisor.send_signal(signal.SIGSTOP)
+    stopping = run.begin("stop")
+    run.wait_for(lambda: run.latched() == {"r1": 2})
+    CLOCK.sleep_until(CLOCK.now_ns() + round(frozen_s * S))
+    supervisor.send_signal(signal.SIGCONT)
+    assert stopping.wait(20) == 0
+    assert run.ended(20) == 1
+    assert run.latched() == {"r1": 2}
+    assert run.summary["outcome"] == "stopped"
+    causes = "emergency stop requested", "r1: an emergency stop closed its gate past the supervisor: "
+    assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in causes))
 
 
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:

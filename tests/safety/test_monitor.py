@@ -272,6 +272,13 @@ def test_a_wired_stop_that_was_pressed_shortly_is_seen_by_its_latch_but_can_be_r
     assert told(robot(0, faults=WIRED_STOP), Phase.IDLE) == [Happening(Event.WIRED_STOP, 0)]
 
 
+@pytest.mark.parametrize("phase", list(Phase))
+def test_an_emergency_stop_that_only_the_gates_know_of_ends_whatever_is_under_way(phase: Phase) -> None:
+    under_way = phase not in (Phase.IDLE, Phase.ESTOP)
+    event = Event.STOPPED_AT_GATE if under_way else Event.GATE_LATCHED
+    assert told(robot(0, latch=Latch.EMERGENCY_STOP), phase) == [Happening(event, 0, Latch.EMERGENCY_STOP)]
+
+
 def test_a_latch_of_another_version_is_a_latch() -> None:
     assert told(robot(0, latch=200)) == [Happening(Event.GATE_LATCHED, 0, 200)]
 
@@ -368,5 +375,5 @@ def test_everything_that_is_wrong_is_told_at_once() -> None:
         return view
 
     assert {h.event for h in told(worse)} == {
-        Event.BATTERY_LOW, Event.DRIVER_RESTARTED, Event.GATE_LATCHED, Event.TRACKER_SILENT, Event.DISK_FULL,
+        Event.BATTERY_LOW, Event.DRIVER_RESTARTED, Event.STOPPED_AT_GATE, Event.TRACKER_SILENT, Event.DISK_FULL,
     }  # fmt: skip

@@ -48,6 +48,7 @@ UNDER_WAY = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
 
 def expected(phase: Phase, event: Event) -> Phase | None:
     rules = [
+        (Phase.ESTOP, event is Event.STOPPED_AT_GATE and phase not in (Phase.IDLE, Phase.ESTOP)),
         (Phase.ESTOP, event in EMERGENCIES and phase is not Phase.ESTOP),
         (Phase.ESTOP, event is Event.OPERATOR_LOST and phase in UNDER_WAY),
         (Phase.FAULT, event in ENDS - {Event.TAG_LOST} and phase in UNDER_WAY),
@@ -81,7 +82,8 @@ def test_only_a_reset_leaves_an_emergency_stop_and_it_leads_to_idle() -> None:
 
 def test_a_fault_is_left_for_idle_by_a_reset_alone_and_otherwise_only_for_an_emergency_stop() -> None:
     leaves = {(e, to) for (phase, e), to in TRANSITIONS.items() if phase is Phase.FAULT}
-    assert leaves == {(Event.RESET, Phase.IDLE), *((event, Phase.ESTOP) for event in EMERGENCIES)}
+    emergencies = EMERGENCIES | {Event.STOPPED_AT_GATE}
+    assert leaves == {(Event.RESET, Phase.IDLE), *((event, Phase.ESTOP) for event in emergencies)}
 
 
 def test_no_transition_leads_where_the_run_already_is() -> None:

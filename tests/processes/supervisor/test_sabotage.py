@@ -62,7 +62,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_request_wakes_it"),
     (supervisor, " or (self._status, self._checks, self._robots, self._clear) != before", "",
      "test_a_state_every_40_ms_and_at_once_when_it_changes"),
-    (supervisor, "self._operator_ns = self._view.now_ns\n            request.reply(b\"ok\")", "request.reply(b\"ok\")",
+    (supervisor, "\"attended\":\n            self._operator_ns = self._view.now_ns", "\"attended\":\n            pass",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
     (supervisor, "speeds, attended)", "speeds, False)",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),

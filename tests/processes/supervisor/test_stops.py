@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
+from robofleet.comms import bus
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
 from robofleet.comms.messages import LEASE_REQUEST, Enable, LeaseRequest, WheelCommand
 from robofleet.processes.driver import DriverProcess
@@ -235,3 +236,24 @@ def test_a_camera_that_is_too_slow_stops_the_run_by_name(truth: Make) -> None:
     figures = truth("run.duration_s=3", "camera.trigger=free", "camera.rate_hz=1")
     assert figures["outcome"] == "fault"
     assert figures["cause"].startswith(("the tracker went silent", "r1: the tracker lost the robot"))
+
+
+@pytest.mark.parametrize("what", ["a line", "an answer"])
+def test_a_stop_is_published_before_anything_is_said(stand: Stand, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    """A full disk, or a reader of the log that is gone, must not come between a stop and the gates."""
+    stand.running()
+    told: list[int] = []
+
+    def fails(*_: object) -> None:
+        told.append(stand.enable("r4").latch)
+        raise OSError("no space left on device")
+
+    if what == "a line":
+        monkeypatch.setattr(stand.node, "_say", fails)
+    else:
+        monkeypatch.setattr(bus._MemoryRequest, "reply", fails)
+    with pytest.raises(OSError, match="no space"):
+        stand.ask("estop")
+    assert told == [Latch.EMERGENCY_STOP]
+    assert stand.cause == (Phase.ESTOP, Event.ESTOP_REQUESTED, NOBODY)
+    assert {stand.enable(robot).latch for robot in ROBOTS} == {Latch.EMERGENCY_STOP}
