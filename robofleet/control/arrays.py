@@ -1,28 +1,21 @@
 """How the flow's functions are compiled, and what they do with small arrays without allocating."""
 
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-import robofleet.kernels  # noqa: F401  (it says where numba keeps what is compiled)
+from robofleet.kernels import INFINITE
+from robofleet.kernels import infinite_kernel as cached
 
-P = ParamSpec("P")
-R = TypeVar("R")
 Array = NDArray[np.float64]
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a function; a division by zero is an infinity, which is then reported."""
-    return numba.njit(error_model="numpy")(function)
-
-
-def cached(function: Callable[P, R]) -> Callable[P, R]:
-    """As ``compiled``, kept on disk: for what closes over no function."""
-    result: Callable[P, R] = numba.njit(error_model="numpy", cache=True)(function)
-    return result
+    """Compile a part of a model; a division by zero is an infinity, which is then reported."""
+    return numba.njit(**INFINITE)(function)
 
 
 @cached

@@ -18,7 +18,6 @@ w <- w + c (x - Phi(x_before, u_before; w)) / step, c = 1 - exp(-step / T), and 
   the prediction made T ago would put a delay T into the loop.)
 """
 
-import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -202,7 +201,6 @@ class MemorylessFlow:
         return self._flow.control_error
 
 
-@functools.cache
 def _memoryless_plant(g: Callable[[Array], Array], m: int, g_u: Callable[[Array], Array] | None) -> Plant:
     compiled_g = compiled(g)
     jacobian = difference_jacobian(compiled(lambda u, x: compiled_g(u)))

@@ -3,7 +3,6 @@
 Everything that the step reads and writes lies in one array, ``memory``: a call costs what its arguments cost.
 """
 
-import functools
 from enum import IntEnum
 from typing import Any
 
@@ -22,6 +21,7 @@ from robofleet.control.prediction import (
     compile_plant,
     needed_steps,
 )
+from robofleet.kernels import model
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,6 @@ def _advance(u: Array, e: Array, inverse: Array, memory: Array, lower: Array, up
     copy(history[-1], u)
 
 
-@functools.cache
 def compile_step(plant: Plant, by_hand: bool) -> Any:
     """Return ``step(x, r, memory) -> Status``; compiled at its first call. by_hand: predict by ``plant.fused``."""
     parts = compile_plant(plant)
@@ -115,7 +114,7 @@ def compile_step(plant: Plant, by_hand: bool) -> Any:
         _advance(u, e, dg, memory, lower, upper, history)
         return Status.FINE.value
 
-    return step
+    return model(step)
 
 
 def _adaptive(parts: Compiled, hand: Any) -> Any:

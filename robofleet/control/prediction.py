@@ -8,7 +8,6 @@ state, so that the size of the output is not what is rounded (m + 1, forward dif
 w (n,) is the disturbance of the state equation that ``offset_free`` estimates, else zero.
 """
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from robofleet.control.sensitivity import (
     difference_output,
     difference_slopes,
 )
+from robofleet.kernels import model
 
 __all__ = ["MAX_STEPS", "Compiled", "Plant", "compile_plant", "compiled"]
 
@@ -62,9 +62,8 @@ class Compiled:
     fastest_rate: Any  # (x, u) -> float [1/s]
 
 
-@functools.cache
 def compile_plant(plant: Plant) -> Compiled:
-    """Return the compiled parts of a plant; compiled at their first call, once for equal plants."""
+    """Return the compiled parts of a plant; compiled at their first call, once for plants that mean the same now."""
     f, h = compiled(plant.f), compiled(plant.h)
     if plant.f_x is not None and plant.f_u is not None:
         f_x = compiled(plant.f_x)
@@ -74,7 +73,7 @@ def compile_plant(plant: Plant) -> Compiled:
         along = difference_slopes(f)
     output = difference_output(h) if plant.h_x is None else analytic_output(compiled(plant.h_x))
     rate = spectral_radius_bound(f_x) if plant.fastest_rate is None else compiled(plant.fastest_rate)
-    return Compiled(_predictor(f, h, along, output, rate), _rollout(f, rate), rate)
+    return Compiled(*(model(part) for part in (_predictor(f, h, along, output, rate), _rollout(f, rate), rate)))
 
 
 @cached

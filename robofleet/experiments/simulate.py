@@ -4,7 +4,6 @@ Plant: RK4 with a fixed step. Controller: every ``control_step`` it is given the
 of ``control/flow.py``); its input is held between (zero-order hold) and acts a whole number of control steps later.
 """
 
-import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow, Plant
 from robofleet.control.flow_step import Slot, Status, layout
 from robofleet.control.prediction import compiled
 from robofleet.experiments.curves import Reference
+from robofleet.kernels import model
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,6 @@ def _driven(flow: NewtonRaphsonFlow, loop: Loop, start: Array, r: Array, t: Arra
     return states, inputs[: len(t)], error
 
 
-@functools.cache
 def _closed_loop(plant: Plant, step: Any) -> Any:
     """Return the compiled loop of a plant and its flow's step.
 
@@ -131,4 +130,4 @@ def _closed_loop(plant: Plant, step: Any) -> Any:
                 advance(x, u, h, moved)
         return len(r), 0
 
-    return run
+    return model(run)

@@ -1,0 +1,234 @@
+"""What decides the machine code of a function: its bytecode, and every value that it reads, recursively.
+
+numba freezes the globals and closure cells that a function reads, and those of the functions that it calls. Its own
+cache looks at the function's file alone. Here a digest is taken of all of them: bytecode, constants, defaults, globals,
+cells, attributes of modules, options of compilation. What cannot be taken a digest of is refused, by name.
+"""
+
+import builtins
+import dis
+import enum
+import functools
+import hashlib
+import inspect
+import sys
+import types
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+# what they compile to is known from their name and the version
+_LIBRARIES = {"numpy", "numba", "math", "cmath", "operator", "builtins"}
+_VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
+_PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
+
+
+class UnknownMeaningError(TypeError):
+    """A function reads a value of which nobody can tell whether it changed; the message names both."""
+
+
+def meaning(function: Callable[..., Any], options: object) -> str:
+    """Return the digest of what a function, compiled with ``options``, means now.
+
+    Raises:
+        UnknownMeaningError: it reads a value of which no digest can be taken.
+    """
+    return _Walk(copies=False).digest(function, options)
+
+
+def snapshot(function: Callable[..., Any], options: dict[str, Any]) -> tuple[Callable[..., Any], str]:
+    """Return a copy of a function as it means now, and its digest.
+
+    Functions that it calls are copied too, compiled anew with their own options, or with ``options`` where they are
+    plain Python: a compiled one of the user's may hold old values. Kernels of this project stay: theirs are constants.
+
+    Raises:
+        UnknownMeaningError: it reads a value of which no digest can be taken.
+    """
+    walk = _Walk(copies=True, options=options)
+    digest = walk.digest(function, options)
+    for copy in walk.copies_made:  # numba names machine code after it: two models in one process must not share names
+        copy.__qualname__ = f"{copy.__qualname__}_{digest}"
+    return walk.top, digest
+
+
+class _Walk:
+    """Goes through a function and all that it reads, once."""
+
+    def __init__(self, *, copies: bool, options: dict[str, Any] | None = None) -> None:
+        self._copies, self._options = copies, options or {}
+        self._hash = hashlib.blake2b(digest_size=16)
+        self._met: dict[int, tuple[int, Any]] = {}  # by identity: a number, and what takes its place in the copy
+        self._alive: list[Any] = []
+        self.copies_made: list[types.FunctionType] = []
+        self.top: Any = None
+
+    def digest(self, function: Callable[..., Any], options: object) -> str:
+        self._say("versions", *_VERSIONS, "options", repr(options))
+        plain = function.py_func if isinstance(function, Dispatcher) else function
+        if not isinstance(plain, types.FunctionType):
+            raise UnknownMeaningError(f"expected a Python function, got a {type(function).__name__}")
+        self.top = self._function(plain, lambda copy: copy)
+        return self._hash.hexdigest()
+
+    def _say(self, *words: str | bytes) -> None:
+        for word in words:
+            data = word.encode() if isinstance(word, str) else word
+            self._hash.update(f"{len(data)}:".encode() + data)
+
+    def _value(self, value: Any, reader: str) -> Any:
+        """Take the digest of a value that ``reader`` reads; return what takes its place in the copy."""
+        if isinstance(value, enum.Enum):
+            self._say("enum", _name(type(value)), value.name)
+            self._value(value.value, reader)
+        elif type(value) in _PLAIN:
+            self._say(type(value).__name__, repr(value))
+        elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
+            order = f"{value.flags.c_contiguous}{value.flags.f_contiguous}"
+            self._say("array", repr(value.dtype), repr(value.shape), order, value.tobytes())
+            return value.copy(order="K")
+        elif isinstance(value, np.generic | np.dtype | numba.types.Type):
+            self._say(type(value).__name__, repr(value))
+        elif isinstance(value, tuple | list):
+            self._say(_name(type(value)), repr(getattr(type(value), "_fields", "")), str(len(value)))
+            items = [self._value(item, reader) for item in value]
+            return value if all(a is b for a, b in zip(items, value, strict=True)) else _like(value, items)
+        elif isinstance(value, type) and issubclass(value, enum.Enum):
+            self._say("enum class", _name(value), *(f"{one.name}={one.value!r}" for one in value))
+        elif isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields"):
+            self._say("named tuple", _name(value), repr(value._fields))
+        else:
+            return self._by_name_or_code(value, reader)
+        return value
+
+    def _by_name_or_code(self, value: Any, reader: str) -> Any:
+        if isinstance(value, Dispatcher):
+            if value.py_func.__module__.startswith("robofleet.") and hasattr(value, "meaning"):
+                self._say("kernel", value.meaning())
+                return value
+            options = {**value.targetoptions, "locals": value.locals}
+            self._say("compiled", repr(sorted(options.items(), key=str)))
+            return self._function(value.py_func, lambda copy: numba.jit(**options)(copy))
+        if (name := _library_name(value)) is not None:
+            self._say("library", name)
+            return value
+        if isinstance(value, types.FunctionType):
+            return self._function(value, lambda copy: numba.njit(**self._options)(copy))
+        kind = type(value).__name__
+        raise UnknownMeaningError(
+            f"{reader}, of type {kind}: nobody can tell when it changes; use numbers, tuples, arrays or functions"
+        )
+
+    def _function(self, function: types.FunctionType, placed: Callable[[types.FunctionType], Any]) -> Any:
+        """Take the digest of a function; return its copy as ``placed``."""
+        if id(function) in self._met:
+            number, place = self._met[id(function)]
+            self._say("met", str(number))
+            return place
+        self._alive.append(function)
+        cells, copy, place = function.__closure__ or (), function, function
+        if self._copies:
+            cells = tuple(types.CellType() for _ in cells)
+            copy = types.FunctionType(function.__code__, {}, function.__name__, closure=cells)
+            copy.__qualname__, copy.__module__ = function.__qualname__, function.__module__ or "__main__"
+            copy.__defaults__, copy.__kwdefaults__ = function.__defaults__, function.__kwdefaults__
+            copy.__globals__.update(__builtins__=builtins, __name__=copy.__module__)
+            place = placed(copy)
+            self.copies_made.append(copy)
+        self._met[id(function)] = len(self._met), place
+        where = f"{function.__qualname__} ({function.__code__.co_filename}:{function.__code__.co_firstlineno}) reads"
+        self._code(function.__code__)
+        self._value(function.__defaults__ or (), f"{where} a default value")
+        self._value(tuple(sorted((function.__kwdefaults__ or {}).items())), f"{where} a default value")
+        attributes = frozenset(name for code in _codes(function.__code__) for name in code.co_names)
+        self._globals(function, copy, where, attributes)
+        for name, cell, into in zip(function.__code__.co_freevars, function.__closure__ or (), cells, strict=True):
+            self._say("cell", name)
+            try:
+                contents = cell.cell_contents
+            except ValueError:  # empty yet
+                continue
+            read = self._read(contents, f"{where} {name}", attributes)
+            if self._copies:
+                into.cell_contents = read
+        return place
+
+    def _globals(self, function: types.FunctionType, copy: types.FunctionType, where: str, names: frozenset[str]) -> None:
+        for name in sorted(_globals_read(function.__code__)):
+            self._say("global", name)
+            if name in function.__globals__:
+                read = self._read(function.__globals__[name], f"{where} {name}", names)
+                if self._copies:
+                    copy.__globals__[name] = read
+
+    def _read(self, value: Any, reader: str, attributes: frozenset[str]) -> Any:
+        """As ``_value``; of a module only those attributes that the function's code names."""
+        if not isinstance(value, types.ModuleType):
+            return self._value(value, reader)
+        self._say("module", value.__name__)
+        if value.__name__.partition(".")[0] in _LIBRARIES:
+            return value
+        if id(value) in self._met:
+            return self._met[id(value)][1]
+        self._alive.append(value)
+        twin = types.ModuleType(value.__name__) if self._copies else value
+        self._met[id(value)] = len(self._met), twin
+        for name in sorted(attributes & vars(value).keys()):
+            self._say("attribute", name)
+            found = self._read(vars(value)[name], f"{reader}.{name}", attributes)
+            if self._copies:
+                setattr(twin, name, found)
+        return twin
+
+    def _code(self, code: types.CodeType) -> None:
+        """Take the digest of a code, without its place in a file."""
+        names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+        counts = (code.co_argcount, code.co_kwonlyargcount, code.co_posonlyargcount, code.co_flags)
+        self._say("code", code.co_code, code.co_exceptiontable, repr(names), repr(counts), str(len(code.co_consts)))
+        for constant in code.co_consts:
+            if isinstance(constant, types.CodeType):
+                self._code(constant)
+            elif isinstance(constant, frozenset):
+                self._say("set", *sorted(map(repr, constant)))
+            else:
+                self._say(type(constant).__name__, repr(constant))
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    """A code and those of the functions inside it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _codes(constant)
+
+
+@functools.lru_cache(maxsize=1024)
+def _globals_read(code: types.CodeType) -> frozenset[str]:
+    loads = (one for part in _codes(code) for one in dis.get_instructions(part))
+    return frozenset(one.argval for one in loads if one.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
+
+
+def _like(value: Any, items: list[Any]) -> Any:
+    return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _library_name(value: Any) -> str | None:
+    """Return what a library calls a function or class of its own; None: it is not one's."""
+    if isinstance(value, np.ufunc):
+        return f"numpy.{value.__name__}" if getattr(np, value.__name__, None) is value else None
+    if not (inspect.isroutine(value) or isinstance(value, type) or hasattr(value, "__wrapped__")):
+        return None
+    owner = getattr(value, "__self__", None)
+    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    if owner is not None and not isinstance(owner, types.ModuleType):
+        return None
+    root = str(module).partition(".")[0]
+    return f"{module}.{name}" if root in _LIBRARIES and name is not None else None
