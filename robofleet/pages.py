@@ -14,6 +14,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from robofleet.figures import COLOURS, FAINT, INK, QUIET, STYLE
+from robofleet.files import write_text
 
 GOOD, BAD = COLOURS[2], COLOURS[1]
 
@@ -154,7 +155,7 @@ class Page:
         body = f"<nav>{links}</nav>{top}" + "\n".join(self._parts)
         page = f'<!doctype html><html lang="en"><head>{head}<style>{_CSS}</style></head><body>{body}</body></html>\n'
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(page, encoding="utf-8")
+        write_text(file, page)
 
 
 def _cell(cell: object) -> str:

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import yaml
 
+from robofleet.files import read_named
+
 Value = dict[str, "Node"] | list["Node"] | str | int | float | bool | None
 
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = {_TAG + kind for kind in ("null", "bool", "int", "float", "str")}
 _ALIAS, _EXPLICIT = "!alias", "!explicit "
+_LARGEST = 1 << 20  # [bytes] of a document: a hundred robots with their calibrations fit twice
+_DEEPEST = 32  # mappings and lists in each other
+_LONGEST_NUMBER = 100  # [characters]; a longer one takes its time, and is none that can be meant
 NUMBER_LIKE = re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)(?:[eE][-+]?[0-9]+)?|0o[0-7]+")
 
 
@@ -44,7 +49,12 @@ class Fault:
         source = self.place.source
         where = source.name if source.key else f"{source.name}:{self.place.line}:{self.place.column}"
         line = ": ".join(part for part in (where, self.place.path, self.message) if part)
-        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)
+        return printable(line)
+
+
+def printable(text: str) -> str:
+    """Return a text as one line that no terminal obeys: what cannot be shown is written out."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 @dataclass(frozen=True)
@@ -79,19 +89,25 @@ def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Fault]]:
     Raises:
         FileNotFoundError: there is no such file.
     """
-    data = b""
     try:
-        data = file.read_bytes()
-        text = data.decode("utf-8-sig")
+        data = read_named(file, _LARGEST)
     except FileNotFoundError:
         raise
-    except UnicodeDecodeError as error:
-        place = _place_of(source, data[: error.start].decode("utf-8-sig"))
-        return None, [Fault(place, "is not UTF-8 text: save the file as UTF-8")]
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         return None, [Fault(Place(source, 1, 1, ""), f"cannot be read: {reason}")]
-    return parse_yaml(text, source)
+    return parse_bytes(data, source)
+
+
+def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Fault]]:
+    """Parse what a file holds: its tree (None when there is none) and its faults."""
+    if len(data) > _LARGEST:
+        return None, [Fault(Place(source, 1, 1, source.key), f"is longer than {_LARGEST} bytes")]
+    try:
+        return parse_yaml(data.decode("utf-8-sig"), source)
+    except UnicodeDecodeError as error:
+        place = _place_of(source, data[: error.start].decode("utf-8-sig"))
+        return None, [Fault(place, "is not UTF-8 text: save the file as UTF-8")]
 
 
 def parse_yaml(text: str, source: Source) -> tuple[Node | None, list[Fault]]:
@@ -131,9 +147,22 @@ def _syntax_fault(error: yaml.MarkedYAMLError, source: Source) -> Fault:
 
 
 class _Loader(yaml.SafeLoader):
-    """Marks aliases (they can explode) and explicit tags for the walk to refuse, and follows neither."""
+    """Marks aliases (they can explode) and explicit tags for the walk to refuse, and follows neither.
+
+    RecursionError where the document is nested too deeply.
+    """
+
+    _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            raise RecursionError
+        node = self._composed(parent, index)
+        self._depth -= 1
+        return node
+
+    def _composed(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
             self.get_event()  # type: ignore[no-untyped-call]
@@ -196,6 +225,8 @@ def _join(path: str, part: str) -> str:
 def _scalar(node: yaml.Node) -> tuple[Value, str | None]:
     """Return a scalar's value, and what is wrong with it (None if nothing)."""
     text, kind = str(node.value), node.tag.removeprefix(_TAG)
+    if node.tag not in (_ALIAS, _TAG + "str") and len(text) > _LONGEST_NUMBER:
+        return None, "is a number too long to be read"
     if node.tag == _ALIAS:
         return None, f"aliases are not read: write out what {text} stands for"
     if node.tag not in _SCALARS:
@@ -217,7 +248,7 @@ def _misread(text: str, kind: str, value: Value) -> str | None:
         mend = f"octal, {value}: write {int(text.replace('_', ''))} without the zero, or quote it, '{text}'"
     elif kind in ("int", "float") and ":" in text:
         mend = f"base 60, {value}: write {value}, or quote it, '{text}'"
-    elif kind == "str" and NUMBER_LIKE.fullmatch(text):
+    elif kind == "str" and len(text) <= _LONGEST_NUMBER and NUMBER_LIKE.fullmatch(text):
         mend = f"text: write {_spelled(text)}, or quote it, '{text}'"
     return f"YAML reads {text} as {mend}" if mend else None
 

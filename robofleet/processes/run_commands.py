@@ -1,6 +1,8 @@
 """The commands that look at a run afterwards, from the file that it left."""
 
+import errno
 import gc
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +13,11 @@ from typing import Annotated
 import typer
 
 from robofleet.clock import S, stopwatch_ns
+from robofleet.config.yamlfile import printable
 from robofleet.processes.refusal import RefusedError, bad_input
 
 app = typer.Typer()
+_NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
 
@@ -44,7 +48,7 @@ def replay(run: RunFolder) -> None:
     speed = f"{lasted_s:.1f} s in {took_s:.2f} s, {lasted_s / took_s:.0f} x real time; kernels in {loading_s:.1f} s"
     print("\n".join(verdict.lines()), f"({speed})")
     if recording.trouble is not None:
-        print(f"{run}: {recording.trouble}: it was replayed as far as it goes", file=sys.stderr)
+        print(printable(f"{run}: {recording.trouble}: it was replayed as far as it goes"), file=sys.stderr)
     if not verdict.equal:
         raise typer.Exit(1)
 
@@ -61,16 +65,18 @@ def repair(run: RunFolder) -> None:
         try:
             done = mend(run)
         except OSError as error:
-            print(f"{run}: {error.strerror}: make room; the recording is as it was", file=sys.stderr)
+            if error.errno not in _NO_ROOM:
+                raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
+            print(printable(f"{run}: {error.strerror}: make room; the recording is as it was"), file=sys.stderr)
             raise typer.Exit(1) from error
     there = f"{done.messages} messages over {done.span_ns / S:.1f} s"
     if done.trouble is None:
-        print(f"{done.file}: needs no repair: {there}")
+        print(printable(f"{done.file}: needs no repair: {there}"))
         return
     lost = f"; {done.lost} bytes behind them are lost" if done.lost else ""
-    print(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}")
+    print(printable(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}"))
     if done.kept is not None:
-        print(f"The damaged file is kept: {done.kept}")
+        print(printable(f"The damaged file is kept: {done.kept}"))
 
 
 @app.command()
@@ -90,11 +96,13 @@ def report(
 
         if out is not None and other is None:
             raise RefusedError("--out: one run's report stands in its folder; name two runs to compare them")
+        if out is not None and os.path.lexists(out) and (out.is_symlink() or not out.is_file()):
+            raise RefusedError(f"--out: {out} is there already and no file: name another one")
         try:
             page, missed = after.report(run) if other is None else after.compare(run, other, out)
         except OSError as error:
             raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
-    print(page)
+    print(printable(str(page)))
     for line in missed:
         print(f"bound not met: {line}", file=sys.stderr)
     if missed:
@@ -120,4 +128,4 @@ def _readable() -> Iterator[None]:
         try:
             yield
         except RecordingError as error:
-            raise RefusedError(str(error)) from error
+            raise RefusedError(printable(str(error))) from error

@@ -22,6 +22,7 @@ MESSAGE_INDEX = Struct("<HI")  # channel, bytes that follow: log time and offset
 _OPCODE = int(Opcode.MESSAGE)
 _COMPRESSION = "zstd"
 _LEVEL = 3
+LARGEST_CHUNK = 1 << 24  # [bytes] of its content: RunLog's hold 64 kB, or one message
 
 
 Waiting = tuple[int, int, int, bytes]  # a message's channel, sequence, log time [ns] and payload
@@ -71,9 +72,16 @@ def encode_chunk(definitions: Sequence[bytes], messages: Sequence[Waiting], at: 
     return bytes(block), entry
 
 
-def decode_chunk(body: bytes) -> Iterator[Content]:
-    """Return what a chunk holds, in order; DamageError where it is not what was written."""
-    return _contents(_unpacked(body))
+def decode_chunk(body: bytes) -> tuple[list[Content], int]:
+    """Return what a chunk holds, in order, and how much that is [bytes].
+
+    Raises:
+        DamageError: it is not what was written, or more than any chunk holds; what it says of its size is believed
+            only after that.
+        McapError, ValueError, struct.error: so is what it holds.
+    """
+    content = _unpacked(body)
+    return [*_contents(content)], len(content)
 
 
 def stream(body: bytes) -> ReadDataStream:
@@ -85,6 +93,8 @@ def _unpacked(body: bytes) -> bytes:
     try:
         chunk = Chunk.read(stream(body))
         if chunk.compression != _COMPRESSION or frame_content_size(chunk.data) != chunk.uncompressed_size:
+            raise DamageError
+        if chunk.uncompressed_size > LARGEST_CHUNK:
             raise DamageError
         content = ZstdDecompressor().decompress(chunk.data)
     except (McapError, ZstdError, ValueError, MemoryError) as error:
@@ -99,7 +109,11 @@ def _contents(content: bytes) -> Iterator[Content]:
     while at < end:
         opcode, length = RECORD.unpack_from(content, at)
         at += RECORD.size
+        if length > end - at:
+            raise DamageError
         if opcode == _OPCODE:
+            if length < _MESSAGE.size:
+                raise DamageError
             channel, sequence, log_ns, _ = _MESSAGE.unpack_from(content, at)
             yield Message(channel, sequence, log_ns, content[at + _MESSAGE.size : at + length])
         elif opcode == Opcode.SCHEMA:

@@ -47,9 +47,9 @@ class Provenance:
         """Return what a file's metadata say; KeyError or ValueError where they do not."""
         return cls(
             metadata["mode"],
-            int(metadata["epoch_ns"]),
-            int(metadata["wire"]),
-            int(metadata["build"]),
+            _count(metadata["epoch_ns"]),
+            _count(metadata["wire"]),
+            _count(metadata["build"]),
             metadata["architecture"],
             metadata["processor"],
             _those(metadata, _VERSION_OF),
@@ -75,6 +75,13 @@ class Provenance:
 
     def _computes(self) -> tuple[object, ...]:
         return self.wire, self.architecture, self.processor, self.versions
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if not 0 <= count < 1 << 62:
+        raise ValueError("no instant and no count of this century's")
+    return count
 
 
 def _those(metadata: dict[str, str], prefix: str) -> dict[str, str]:

@@ -10,12 +10,13 @@ from typing import BinaryIO
 
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
+from robofleet.files import replaced
 from robofleet.recording.chunks import Content, Message
 from robofleet.recording.container import Container
 from robofleet.recording.reading import RecordingError, check_maker, file_of, nothing, opened, own, scanned
 from robofleet.recording.scanning import Scan
 
-_NEW, _OLD = ".repairing", ".damaged"  # behind the file's name
+_OLD = ".damaged"  # behind the file's name
 
 
 @dataclass(frozen=True)
@@ -62,25 +63,20 @@ def _times(scan: Scan, file: Path) -> Iterator[int]:
     for item in scan.items():
         if isinstance(item, Header):
             check_maker(item, file)
-        elif isinstance(item, Iterator):
+        elif isinstance(item, list):
             yield from (message.log_ns for _, message in own(item, channels))
 
 
 def _replace(file: Path, old: BinaryIO, kept: Path | None) -> None:
-    new = file.with_name(file.name + _NEW)
-    try:
-        with new.open("wb", buffering=0) as stream:
-            _copy(scanned(old), stream)
-            os.fsync(stream)
+    with replaced(file) as stream:
+        _copy(scanned(old), stream, file)
+        os.fsync(stream)
         if kept is not None:
             kept.hardlink_to(file)
-        new.replace(file)
-    finally:
-        new.unlink(missing_ok=True)
 
 
-def _copy(scan: Scan, new: FileIO) -> None:
-    """Write what is good, in the same order and the same chunks."""
+def _copy(scan: Scan, new: FileIO, file: Path) -> None:
+    """Write what is good, in the same order and the same chunks; RecordingError where another one numbered it."""
     for item in scan.items():
         if isinstance(item, Header):
             container = Container(new, item.profile, item.library)
@@ -88,17 +84,19 @@ def _copy(scan: Scan, new: FileIO) -> None:
             container.write([item])
         else:
             for content in item:
-                _add(container, content)
+                if not _add(container, content):
+                    raise RecordingError(f"{file}: no recording of robofleet's: its channels are not in their order")
             container.write()
     container.finish()
 
 
-def _add(container: Container, content: Content) -> None:
-    """Add one thing; schemas and channels are numbered in the order in which they come, in the old file as well."""
+def _add(container: Container, content: Content) -> bool:
+    """Add one thing; returns whether its schemas and channels are numbered in the order in which they come."""
     match content:
-        case Schema(name=name, encoding=encoding, data=data):
-            container.register_schema(name, encoding, data)
-        case Channel(topic=topic, message_encoding=encoding, schema_id=schema):
-            container.register_channel(topic, encoding, schema)
+        case Schema(id=number, name=name, encoding=encoding, data=data):
+            return container.register_schema(name, encoding, data) == number
+        case Channel(id=number, topic=topic, message_encoding=encoding, schema_id=schema):
+            return container.register_channel(topic, encoding, schema) == number
         case Message():
             container.add_message(*content)
+    return True

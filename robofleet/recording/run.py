@@ -1,14 +1,14 @@
 """What a run left: every message, and the columns that its figures are made from."""
 
-import json
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.layouts import Layout
@@ -18,11 +18,24 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.recording.provenance import Provenance
+from robofleet.valid_json import dumps
 
 Array = NDArray[np.float64]
 
-# What the one who ran it knows and no message says.
-_ENDING = ("outcome", "cause", "elapsed_s", "trace_hash", "tick_durations_ns", "tracker_durations_ns")
+Duration = Annotated[int, Field(ge=0, lt=1 << 62)]
+
+
+class Ending(BaseModel):
+    """What the one who ran it knows and no message says, as its file keeps it."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    outcome: Annotated[str, Field(max_length=100)] | None
+    cause: Annotated[str, Field(max_length=10_000)] | None
+    elapsed_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    trace_hash: Annotated[str, Field(max_length=100)] | None
+    tick_durations_ns: list[Duration] | None
+    tracker_durations_ns: list[Duration] | None
 
 
 @dataclass
@@ -62,15 +75,12 @@ class Recording:
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
-        return json.dumps({name: getattr(self, name) for name in _ENDING}).encode()
+        return dumps({name: getattr(self, name) for name in Ending.model_fields}).encode()
 
     def end(self, text: bytes) -> None:
         """Take how the run ended from its file; ValueError where it does not say so."""
-        ending = json.loads(text)
-        if not isinstance(ending, dict) or ending.keys() != set(_ENDING):
-            raise ValueError("no ending of a run")
-        for name in _ENDING:
-            setattr(self, name, ending[name])
+        for name, value in Ending.model_validate_json(text):
+            setattr(self, name, value)
 
     def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
         """Return the messages of a key as a structured array; those of another size are left out."""

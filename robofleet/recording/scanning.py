@@ -14,7 +14,9 @@ from robofleet.recording.chunks import MESSAGE_INDEX, RECORD, Content, DamageErr
 from robofleet.recording.container import FOOTER_CRC
 
 _ATTACHMENT_CRC = 4  # [bytes] at its end
-_LONGEST = 1 << 28  # [bytes] of a record: a length beyond it is no length
+_LONGEST, _LONGEST_METADATA = 1 << 26, 1 << 20  # [bytes] of a record: a length beyond it is no length
+_MOST_UNPACKED = 32  # times the bytes of the file so far, beside _GRANTED: RunLog's content is packed to a half
+_GRANTED = 1 << 26  # [bytes]
 _START = (Opcode.HEADER,)
 _DATA = (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
 _SUMMARY = (
@@ -28,7 +30,7 @@ _SUMMARY = (
     Opcode.FOOTER,
 )
 
-Item = Header | Attachment | Metadata | Iterator[Content]  # the iterator: what a chunk holds
+Item = Header | Attachment | Metadata | list[Content]  # the list: what a chunk holds
 
 
 class Scan:
@@ -37,6 +39,7 @@ class Scan:
     def __init__(self, file: BinaryIO, size: int) -> None:
         """Take a file of ``size`` bytes; it is read once, without seeking."""
         self._file, self._size, self._read, self._crc = file, size, 0, 0
+        self._unpacked = 0  # [bytes] of all chunks so far
         self.good = 0  # [bytes] from the start that are as they were written
         self.trouble: str | None = None  # what was met then; None: the file is whole
         self.torn = False  # it only ends too early
@@ -54,7 +57,7 @@ class Scan:
             self.torn, self.trouble = True, "ends before its index, as after a kill or on a full disk"
         except OSError as error:
             self.trouble = f"cannot be read {self.good} bytes from its start: {error.strerror}"
-        except (DamageError, McapError, ValueError, struct.error):
+        except (DamageError, McapError, ValueError, OverflowError, struct.error):
             self.trouble = f"is damaged {self.good} bytes from its start"
 
     def _items(self) -> Iterator[Item]:
@@ -65,7 +68,8 @@ class Scan:
         while True:
             self.good, crc = self._read, self._crc
             opcode, length = RECORD.unpack(self._take(RECORD.size))
-            if opcode not in expected or length > _LONGEST:
+            longest = _LONGEST_METADATA if opcode == Opcode.METADATA else _LONGEST
+            if opcode not in expected or length > longest:
                 raise DamageError
             body = self._take(length)
             if opcode == Opcode.DATA_END:
@@ -79,7 +83,7 @@ class Scan:
                 expected = _DATA
                 yield Header.read(stream(body))
             elif expected is _DATA:
-                yield from _decoded(opcode, body)
+                yield from self._decoded(opcode, body)
         if self._take(len(MAGIC)) != MAGIC or self._read != self._size:
             raise DamageError
         self.good = self._size
@@ -93,20 +97,23 @@ class Scan:
         self._crc = zlib.crc32(data, self._crc)
         return data
 
-
-def _decoded(opcode: int, body: bytes) -> Iterator[Item]:
-    """Yield what a record of the data is, if it is more than an index of what came before."""
-    match opcode:
-        case Opcode.ATTACHMENT:
-            crc = int.from_bytes(body[-_ATTACHMENT_CRC:], "little")
-            _check(zlib.crc32(body[:-_ATTACHMENT_CRC]), crc)
-            yield Attachment.read(stream(body))
-        case Opcode.METADATA:
-            yield Metadata.read(stream(body))
-        case Opcode.CHUNK:
-            yield decode_chunk(body)
-        case Opcode.MESSAGE_INDEX:
-            _check(len(body), MESSAGE_INDEX.size + MESSAGE_INDEX.unpack_from(body)[1])  # else it was a chunk
+    def _decoded(self, opcode: int, body: bytes) -> Iterator[Item]:
+        """Yield what a record of the data is, if it is more than an index of what came before."""
+        match opcode:
+            case Opcode.ATTACHMENT:
+                crc = int.from_bytes(body[-_ATTACHMENT_CRC:], "little")
+                _check(zlib.crc32(body[:-_ATTACHMENT_CRC]), crc)
+                yield Attachment.read(stream(body))
+            case Opcode.METADATA:
+                yield Metadata.read(stream(body))
+            case Opcode.CHUNK:
+                contents, size = decode_chunk(body)
+                self._unpacked += size
+                if self._unpacked > _GRANTED + _MOST_UNPACKED * self._read:
+                    raise DamageError
+                yield contents
+            case Opcode.MESSAGE_INDEX:
+                _check(len(body), MESSAGE_INDEX.size + MESSAGE_INDEX.unpack_from(body)[1])  # else it was a chunk
 
 
 def _check(found: int, should_be: int) -> None:

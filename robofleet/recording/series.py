@@ -1,11 +1,13 @@
 """A run in columns, tick by tick: what plots and ``metrics.csv`` are made of."""
 
+from io import BufferedWriter, TextIOWrapper
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.files import replaced
 from robofleet.recording.measures import pose_errors, spacings, true_errors
 from robofleet.recording.run import Array, Run
 
@@ -90,7 +92,7 @@ def write_csv(columns: Series, file: Path) -> None:
     ]
     values = np.stack(told, axis=-1)
     row = ",%.6g" * (values.shape[-1] - len(_FLAGS)) + ",%d" * len(_FLAGS)
-    with file.open("w", encoding="ascii") as out:
+    with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
         out.write(",".join(_HEAD + _POSES + _AS_TOLD + _WHEELS + _ERRORS + _FLAGS) + "\n")
         for t, tick, of_tick in zip(columns.t, run.ticks, values, strict=True):
             when = f"{t:.3f},{tick['tick']},{tick['run_tick']},"
