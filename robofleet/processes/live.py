@@ -48,7 +48,7 @@ class LiveView:
 
     def __init__(self, config: Config, clock: Clock, terminal: Terminal, *, quiet: bool) -> None:
         self._config, self._clock, self._terminal, self._quiet = config, clock, terminal, quiet
-        self._ids = config.groups[0].robots
+        self._ids = config.ids
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._path = Path.hermite(*slices.knots(config.groups[0]))
@@ -129,7 +129,7 @@ class LiveView:
             wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
             table.add_row(robot.id, *errors[row], wheels, self._gate(recording, row, state))
         if estimated:
-            of = "" if len(estimated) == len(self._ids) else f" of {', '.join(estimated)}"
+            of = "" if len(estimated) == len(tick.robots) else f" of {', '.join(estimated)}"
             table.caption = f"estimated: no truth is known{of}"
         return table
 
@@ -160,7 +160,7 @@ class LiveView:
             for payload in recording.messages.get(key(arena, POSES, CAMERA), [])[-_WINDOW:]
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
-        text.append(_tracker_line(frames, len(self._config.platoon)))
+        text.append(_tracker_line(frames, len(self._config.robots)))
         news = self._newest(recording, NEWS, TRACKER_NEWS, CAMERA)
         if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
             text.append(f"\n          {describe(news.event, news.tag, news.value)}", "yellow")
