@@ -188,7 +188,7 @@ class _Watch:
         text = WAITING.get(phase, phase)
         states = recording.messages.get(key(self._config.arena.name, STATE))
         if phase == "held" and states and (state := RUN_STATE.decode(states[-1])) is not None:
-            cause = advised(run_cause(state, self._config.groups[0].robots), state.cause)
+            cause = advised(run_cause(state, self._config.ids), state.cause)
             text = f"held: {cause}; then press r, or `robofleet resume`"
         ticks = recording.messages.get(key(self._config.arena.name, TICK))
         head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None

@@ -223,3 +223,18 @@ class Config(Model):
     def platoon(self) -> tuple[Robot, ...]:
         """The robots of the group, leader first: the order of every array and of every report."""
         return tuple(self.robot(robot_id) for robot_id in self.groups[0].robots)
+
+    @property
+    def bystanders(self) -> tuple[Robot, ...]:
+        """The robots that this run does not drive: bodies that the group keeps clear of, wherever they stand."""
+        return tuple(robot for robot in self.robots if robot.id not in self.groups[0].robots)
+
+    @property
+    def bodies(self) -> tuple[Robot, ...]:
+        """Every robot, the group's first: what stands in the arena, and the order in which its robots are numbered."""
+        return (*self.platoon, *self.bystanders)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The names of the bodies, in their order."""
+        return tuple(robot.id for robot in self.bodies)

@@ -47,7 +47,7 @@ def claimed(config: "Config", folder: Path, clock: Clock) -> Iterator[None]:
         if not _locked(descriptor, clock):
             raise ArenaBusyError(_whose(arena, _read(file)))
         started = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
-        robots = config.groups[0].robots
+        robots = config.ids
         mine = ArenaFile(arena, config.bus.endpoint, os.getpid(), str(folder.absolute()), started, robots)
         beside = file.with_suffix(".new")
         beside.write_text(json.dumps(mine._asdict()))

@@ -17,6 +17,7 @@ from robofleet.config.tree import Config, Group
 from robofleet.control.path import Path
 from robofleet.plugins import PluginError, load
 from robofleet.processes import check_drivers, check_faults, reality
+from robofleet.safety.arming import free_m
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
 from robofleet.tracking.sources import ScheduledCamera
@@ -63,6 +64,7 @@ class Lap:
     speed: Array  # |r'| [m a side]
     v: Array  # of the body [m/s]
     omega: Array  # of the body [rad/s]
+    centre: Array  # of the robot, shape (n, 2) [m]
 
 
 def load_checked(
@@ -127,6 +129,7 @@ def drive_lap(path: Path, group: Group, point_ahead: float) -> Lap:
         second = path.second_derivative(sigma)
         cross = derivative[:, 0] * second[:, 1] - derivative[:, 1] * second[:, 0]
         along, turn = speed, cross / np.maximum(speed, np.finfo(float).tiny) ** 2
+        centre = path.position(sigma)
     else:
         decay = np.exp(-speed / (_STEPS * point_ahead)).tolist()
         direction = np.arctan2(derivative[:, 1], derivative[:, 0]).tolist()
@@ -139,8 +142,10 @@ def drive_lap(path: Path, group: Group, point_ahead: float) -> Lap:
             lags.append((before, after))
         lag = np.array(lags[len(sigma) :])
         along, turn = speed * np.cos(lag.mean(axis=1)), (lag[:, 1] - lag[:, 0]) * _STEPS
+        heading = np.array(direction) + lag.mean(axis=1)
+        centre = path.position(sigma) - point_ahead * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     rate = group.path_rate
-    return Lap(sigma, path.position(sigma), speed, along * rate, turn * rate)
+    return Lap(sigma, path.position(sigma), speed, along * rate, turn * rate, centre)
 
 
 def _bounds(config: Config) -> Iterator[Bound]:
@@ -183,6 +188,8 @@ def _path(config: Config) -> Iterator[Bound]:
     if cusp.holds:
         yield from _wheels(config, lap)
     yield from _spacing(config, path, lap)
+    if group.behaviour == "platoon":
+        yield from _clear_of_the_path(config, lap)
 
 
 def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
@@ -233,17 +240,38 @@ def _spacing(config: Config, path: Path, lap: Lap) -> Iterator[Bound]:
         yield Bound("groups.0.spacing_m", "spacing_m", spacing, near, "m", mend, at_least=True)
 
 
+def _clear_of_the_path(config: Config, lap: Lap) -> Iterator[Bound]:
+    """A bystander stands where the barrier lets every robot pass on its lap."""
+    keepout = barrier.keepout(config)
+    bodies = [barrier.body(config, robot) for robot in config.platoon]
+    for i, robot in enumerate(config.robots):
+        if robot in config.bystanders:
+            distances = np.hypot(lap.centre[:, 0] - robot.start.x_m, lap.centre[:, 1] - robot.start.y_m)
+            k, its = int(distances.argmin()), barrier.body(config, robot)
+            near = max(apart(keepout, one, its) for one in bodies)
+            mend = f"the robots pass it at path parameter {lap.sigma[k]:.2f}, so park {robot.id} further away"
+            what = "the distance of a robot that is not in the group from the path"
+            yield Bound(f"robots.{i}.start", what, float(distances[k]), near, "m", mend, at_least=True)
+
+
 def _start(config: Config) -> Iterator[Bound]:
     for i, robot in enumerate(config.robots):
         for axis, (name, at) in enumerate((("x", robot.start.x_m), ("y", robot.start.y_m))):
             what = f"a start pose's reach in {name} with the body's radius"
             reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2
             yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
-    for (_, one), (j, other) in itertools.combinations(enumerate(config.robots), 2):
+    for (i, one), (j, other) in itertools.combinations(enumerate(config.robots), 2):
         apart = math.hypot(one.start.x_m - other.start.x_m, one.start.y_m - other.start.y_m)
         bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
         what, mend = "the distance between two robots at the start", f"move {one.id} and {other.id} apart"
         yield Bound(f"robots.{j}.start", what, apart, bodies, "m", mend, at_least=True)
+        standing = [one in config.bystanders, other in config.bystanders]
+        if sum(standing) == 1:
+            k, moves = (i, other) if standing[0] else (j, one)
+            what = "the distance of a robot that is not in the group from one that is, at the start"
+            room = bodies + free_m(slices.drive(moves).wheel_radius)
+            mend = f"{moves.id}'s wheels are tried before a start, so move {config.robots[k].id} away from it"
+            yield Bound(f"robots.{k}.start", what, apart, room, "m", mend, at_least=True)
 
 
 def _camera(config: Config) -> Iterator[Bound]:

@@ -42,7 +42,7 @@ class _Timing:
 
 
 class Controller:
-    """All robots of the group, in platoon order."""
+    """All robots of the group, in platoon order; the bystanders are seen, and kept clear of."""
 
     def __init__(
         self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False
@@ -56,7 +56,7 @@ class Controller:
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._first_delay_s = slices.delay_ns(config, robots[0]) / S
         self._lost_after_ns = round(c.filter.lost_after_s * S)
-        self._rows = {robot.tag: row for row, robot in enumerate(robots)}
+        self._rows = {robot.tag: row for row, robot in enumerate(config.bodies)}
         self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, [robot.id for robot in robots])
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
@@ -72,9 +72,13 @@ class Controller:
 
     def _begin(self) -> None:
         """Know nothing of the fleet: at the start, and as long as somebody else drives these robots."""
-        n = len(self._rows)
+        n, bodies = len(self._drives), len(self._rows)
         self._behaviour = fleet.behaviour(self._config)
         self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
+        self._bystanders = fleet.bystanders(self._config)
+        # Of every body when the commands act, the group's first: pose, wheels, age of the newest image, velocity.
+        self._there, self._turning = np.zeros((bodies, 3)), np.zeros((bodies, 2))
+        self._unseen, self._pushed = np.zeros(bodies), np.zeros((bodies, 2))
         self._wheels = [[0.0, 0.0]] * n  # as commanded at the newest tick
         self._phase = Phase.IDLE
         self._run_tick = -1
@@ -112,7 +116,7 @@ class Controller:
             if not silent:
                 self._begin()
             return
-        measured = [False] * len(self._rows)
+        measured = [False] * len(self._drives)
         if not silent:  # who begins anew takes nothing at first: by that the record tells it
             self._read_state()
             measured = self._read_poses()
@@ -137,18 +141,25 @@ class Controller:
         self, tick_ns: int, there: np.ndarray, turning: np.ndarray, driving: np.ndarray, decisions: np.ndarray
     ) -> None:
         """Change what is not safe, and let the behaviour know what is done instead."""
-        measured_ns = self._filter.measured_ns
-        unseen = np.where(measured_ns > 0, (tick_ns - measured_ns) / S, np.inf)
+        n = len(there)
+        self._there[:n], self._turning[:n], self._unseen[:n] = there, turning, _age_s(self._filter.measured_ns, tick_ns)
+        if n < len(self._there):
+            self._there[n:] = self._bystanders.predict(tick_ns)
+            self._unseen[n:] = _age_s(self._bystanders.measured_ns, tick_ns)
+            self._pushed[n:] = self._bystanders.velocities
         u, wheels = decisions[:, INPUTS], decisions[:, WHEELS]
-        self._record[:, 16], self._record[:, 17] = self._barrier.filter(there, turning, unseen, driving, wheels, u)
+        self._record[:, 16], self._record[:, 17] = self._barrier.filter(
+            self._there, self._turning, self._unseen, driving, wheels, u, self._pushed
+        )
         self._behaviour.changed(u)
 
     def _read_state(self) -> None:
         state = self._state.take()
         if state is not None:
             self._heard = state.epoch, state.seq
-        if state is not None and state.phase in _PHASES and len(state.robots) == len(self._permitted):
-            self._permitted[:] = [robot.permitted for robot in state.robots]
+        n = len(self._permitted)
+        if state is not None and state.phase in _PHASES and len(state.robots) >= n:
+            self._permitted[:] = [robot.permitted for robot in state.robots[:n]]
             self._probe = (state.probed, state.stroke) if state.phase == Phase.ARMED else (NOBODY, 0)
             if state.phase != self._phase:
                 resumed, self._phase = self._phase is Phase.HOLD, Phase(state.phase)
@@ -171,7 +182,7 @@ class Controller:
     def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""
         message = self._poses.take()
-        n = len(self._rows)
+        n, bodies = len(self._drives), len(self._rows)
         if message is not None:
             self._taken = message.epoch, message.seq
         if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
@@ -179,12 +190,14 @@ class Controller:
         exposure_ns, latest_ns = self._exposure(message), self._grid.instant(self._index + 1)
         if exposure_ns > latest_ns:  # impossible, and the filter would be blind until then
             return [False] * n
-        poses, instants_ns = [_UNSEEN] * n, [exposure_ns] * n
+        poses, instants_ns = [_UNSEEN] * bodies, [exposure_ns] * bodies
         for tag, after_ns, coasted_ns, *pose in message.poses:
             row = self._rows.get(tag)
             if row is not None and coasted_ns == 0 and exposure_ns + after_ns <= latest_ns:
                 poses[row], instants_ns[row] = pose, exposure_ns + after_ns
-        used = self._filter.observe(np.array(instants_ns), np.array(poses)).tolist()
+        used = self._filter.observe(np.array(instants_ns[:n]), np.array(poses[:n])).tolist()
+        if n < bodies:
+            self._bystanders.observe(np.array(instants_ns[n:]), np.array(poses[n:]))
         for row, how in enumerate(used):
             if how == CARRIED:
                 self._behaviour.carried(row)
@@ -228,6 +241,11 @@ class Controller:
         self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes()))
 
 
+def _age_s(measured_ns: np.ndarray, tick_ns: int) -> np.ndarray:
+    """Return the age of each robot's newest image [s]; infinite for one that never was seen."""
+    return np.where(measured_ns > 0, (tick_ns - measured_ns) / S, np.inf)
+
+
 def compile_kernels(config: Config) -> None:
     """Compile every numba kernel of the control path, or load it from the cache, before the first tick."""
     behaviour, fleet_filter, barrier = fleet.behaviour(config), fleet.fleet_filter(config), fleet.barrier(config)
@@ -235,8 +253,11 @@ def compile_kernels(config: Config) -> None:
     driving = np.ones(n, dtype=np.bool_)
     for instant_ns in (S, 2 * S):
         fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, 3)))
-        _, there, turning = fleet_filter.predict(instant_ns + 1)
+        _, there, _ = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
         decisions = behaviour.tick(0.0, there, driving, w)
-        barrier.filter(there, turning, np.zeros(n), driving, decisions[:, WHEELS], decisions[:, INPUTS])
+        bodies = np.zeros((len(config.bodies), 3))
+        barrier.filter(
+            bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, decisions[:, WHEELS], decisions[:, INPUTS]
+        )
         fleet_filter.command(instant_ns, decisions[:, WHEELS])

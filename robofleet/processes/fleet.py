@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from robofleet.config import slices
 from robofleet.config.barrier import body, keepout
 from robofleet.config.tree import Config
@@ -9,6 +11,7 @@ from robofleet.control.excitation import Excitation, ExcitationSettings
 from robofleet.control.path import Path
 from robofleet.control.platoon import Platoon, PlatoonSettings
 from robofleet.safety.barrier import Barrier
+from robofleet.tracking.bystanders import Bystanders
 from robofleet.tracking.estimator import FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -42,8 +45,14 @@ def fleet_filter(config: Config) -> FleetFilter:
 
 
 def barrier(config: Config) -> Barrier:
-    """Return the barrier of the group."""
-    return Barrier(keepout(config), tuple(body(config, robot) for robot in config.platoon))
+    """Return the barrier of the group among all bodies."""
+    return Barrier(keepout(config), tuple(body(config, robot) for robot in config.bodies))
+
+
+def bystanders(config: Config) -> Bystanders:
+    """Return what knows where the robots stand that nobody drives."""
+    radii = np.array([robot.vehicle.body_radius_m for robot in config.bystanders])
+    return Bystanders(radii, config.controller.barrier.age_s)
 
 
 def _platoon(config: Config) -> Platoon:

@@ -43,7 +43,7 @@ class FleetListener:
     """Listens to the drivers, the controller and the tracker; what came late behind something newer is passed over."""
 
     def __init__(self, config: Config, bus: Bus, free_bytes: Callable[[], int]) -> None:
-        robots, arena = config.platoon, config.arena.name
+        robots, arena, driven = config.bodies, config.arena.name, len(config.platoon)
         self._free_bytes = free_bytes
         self.statuses = Statuses(bus, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
@@ -52,7 +52,7 @@ class FleetListener:
         self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
         self._news = bus.stream(key(arena, NEWS, CAMERA), _STREAM)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
-        self._robots = [RobotView()] * len(robots)
+        self._robots = [RobotView(driven=row < driven) for row in range(len(robots))]
         self._measured_ns = [0] * len(robots)  # newest image in which each tag was measured, by the images' own stamps
         self._missed = [0] * len(robots)  # images since then that came
         self._exposure_ns = 0  # of the newest image

@@ -71,7 +71,7 @@ class Launcher:
         self._reset, self._take_over, self._web = reset, take_over, web
         self._clock = WallClock()
         self.recording = Recording(config)
-        self._arena, self._robots = config.arena.name, config.groups[0].robots
+        self._arena, self._robots = config.arena.name, config.ids
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
         self._picture_key = key(self._arena, PICTURE, CAMERA)
         self._status_keys = [key(self._arena, STATUS, robot) for robot in self._robots]

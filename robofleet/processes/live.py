@@ -20,7 +20,6 @@ from robofleet.comms.messages import (
     TICK_RECORD,
     TRACKER_NEWS,
     FleetPoses,
-    RobotTick,
     RunState,
     TickRecord,
 )
@@ -31,7 +30,8 @@ from robofleet.control.path import Path
 from robofleet.processes.live_state import WAITING, arming, banner, keys
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.causes import halt_cause, named, run_cause
-from robofleet.recording.run import Recording
+from robofleet.recording.measures import path_errors, spacings, timed_errors
+from robofleet.recording.run import Array, Recording
 from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.tracking.events import describe
@@ -48,7 +48,7 @@ class LiveView:
 
     def __init__(self, config: Config, clock: Clock, terminal: Terminal, *, quiet: bool) -> None:
         self._config, self._clock, self._terminal, self._quiet = config, clock, terminal, quiet
-        self._ids = config.groups[0].robots
+        self._ids = config.ids
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._path = Path.hermite(*slices.knots(config.groups[0]))
@@ -123,29 +123,29 @@ class LiveView:
         for column in ("control mm", "path mm", "timed mm", "spacing mm", "wheels rad/s"):
             table.add_column(column, justify="right")
         table.add_column("gate")
-        points, estimated = self._points(recording, tick)
+        poses, estimated = self._poses(recording, tick)
+        errors = self._errors(tick, poses) if tick.run_tick >= 0 else [["-"] * 4] * len(poses)
         for row, (robot, item) in enumerate(zip(self._config.platoon, tick.robots, strict=True)):
-            cells = self._cells(row, points, item, tick) if tick.run_tick >= 0 else ["-"] * 4
             wheels = f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}"
-            table.add_row(robot.id, *cells, wheels, self._gate(recording, row, state))
+            table.add_row(robot.id, *errors[row], wheels, self._gate(recording, row, state))
         if estimated:
-            of = "" if len(estimated) == len(self._ids) else f" of {', '.join(estimated)}"
+            of = "" if len(estimated) == len(tick.robots) else f" of {', '.join(estimated)}"
             table.caption = f"estimated: no truth is known{of}"
         return table
 
-    def _cells(self, row: int, points: list[Any], item: RobotTick, tick: TickRecord) -> list[str]:
-        """Control error, distance from the path, distance from where it should be now, spacing."""
-        path, group = self._path, self._config.groups[0]
-        here = points[row]
-        off = np.linalg.norm(path.position(path.nearest(here[None])[0]) - here)
-        if row == 0:
-            should, gap = group.path_rate * self._time(tick) % path.sides, ""
-        else:
-            ahead = points[row - 1]
-            should = path.back(path.nearest(ahead[None]), group.spacing_m)[0]
-            gap = f"{np.linalg.norm(here - ahead) * 1e3:.1f}"
-        timed = np.linalg.norm(here - path.position(should))
-        return [f"{item.control_error_m * 1e3:.2f}", f"{off * 1e3:.1f}", f"{timed * 1e3:.1f}", gap]
+    def _errors(self, tick: TickRecord, poses: Array) -> list[list[str]]:
+        """Control error, distance from the path, distance from where it should be now, spacing; a row a robot."""
+        ahead = self._config.controller.point_ahead_m * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=-1)
+        centres = poses[None, :, :2]
+        points = centres + ahead
+        reference = np.array([tick.robots[0].reference_parameter])
+        path = path_errors(self._path, points)[0]
+        timed = timed_errors(self._config, self._path, reference, points, centres)[0]
+        gaps = ["", *(f"{gap * 1e3:.1f}" for gap in spacings(points)[0])]
+        return [
+            [f"{item.control_error_m * 1e3:.2f}", f"{off * 1e3:.1f}", f"{late * 1e3:.1f}", gap]
+            for item, off, late, gap in zip(tick.robots, path, timed, gaps, strict=True)
+        ]
 
     def _health(self, recording: Recording, tick: TickRecord) -> Text:
         arena = self._config.arena.name
@@ -160,25 +160,22 @@ class LiveView:
             for payload in recording.messages.get(key(arena, POSES, CAMERA), [])[-_WINDOW:]
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
-        text.append(_tracker_line(frames, len(self._config.platoon)))
+        text.append(_tracker_line(frames, len(self._config.robots)))
         news = self._newest(recording, NEWS, TRACKER_NEWS, CAMERA)
         if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
             text.append(f"\n          {describe(news.event, news.tag, news.value)}", "yellow")
         return text
 
-    def _points(self, recording: Recording, tick: TickRecord) -> tuple[list[Any], list[str]]:
-        """Points p, true ones where they are known, and whose are estimated."""
-        ahead = self._config.controller.point_ahead_m
-        points, estimated = [], []
-        for robot, item in zip(self._ids, tick.robots, strict=True):
+    def _poses(self, recording: Recording, tick: TickRecord) -> tuple[Array, list[str]]:
+        """Poses of the centres (N, 3), true ones where they are known, and whose are estimated."""
+        poses, estimated = [], []
+        for robot, item in zip(self._config.groups[0].robots, tick.robots, strict=True):
             truth = self._newest(recording, TRUTH, TRUTH_LAYOUT, robot)
             if truth is None:
                 estimated.append(robot)
-                points.append(np.array([item.point_x_m, item.point_y_m]))
-            else:
-                heading = np.array([np.cos(truth.psi_rad), np.sin(truth.psi_rad)])
-                points.append(np.array([truth.x_m, truth.y_m]) + ahead * heading)
-        return points, estimated
+            its = item if truth is None else truth
+            poses.append((its.x_m, its.y_m, its.psi_rad))
+        return np.array(poses), estimated
 
     def _gate(self, recording: Recording, row: int, state: RunState | None) -> Text:
         """Why a robot may move, or why not: its latch, its own halt, else its gate."""

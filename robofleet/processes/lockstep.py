@@ -172,7 +172,7 @@ class Lockstep:
             self._run_until(lambda: self.status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
             watch(self.recording, "running")
             if self.status.phase is not Phase.RUNNING:
-                return "fault", self.status.describe(self._config.groups[0].robots)
+                return "fault", self.status.describe(self._config.ids)
         return "completed", None
 
     def _run_until(self, done: Callable[[], bool], within_ns: int) -> bool:

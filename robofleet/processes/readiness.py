@@ -12,7 +12,7 @@ _SOMEBODY_MISSING = (Event.CONTROLLER_SILENT, Event.TRACKER_SILENT, Event.DRIVER
 
 def why(recording: Recording, status: RunStatus) -> str:
     """Say why a run did not start: the supervisor's cause, and all who are missing where it names one."""
-    cause = status.describe(recording.config.groups[0].robots)
+    cause = status.describe(recording.config.ids)
     return f"{cause}; {missing(recording)}" if status.cause in _SOMEBODY_MISSING else cause
 
 

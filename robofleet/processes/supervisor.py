@@ -58,14 +58,15 @@ class Supervisor:
         attended: bool,
         say: Callable[[str], None],
     ) -> None:
-        robots = config.platoon
+        robots, driven = config.bodies, len(config.platoon)
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
         speeds = tuple(drive.max_speed for drive in drives)
         build, arena = slices.build(config), config.arena.size_m
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = tuple(robot.id for robot in robots)
-        self._limits = [robot.vehicle.max_wheel_speed_rad_s for robot in robots]
+        # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
+        self._limits = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
         self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
         self._arming = ArmingSettings(
             build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
@@ -78,7 +79,7 @@ class Supervisor:
         self._publish_state = bus.publisher(STATE)
         self._request = bus.serve(REQUEST, "supervisor", wake)
         self._status = RunStatus()
-        self._view = FleetView(clock.now_ns(), tuple(RobotView() for _ in robots))
+        self._view = FleetView(clock.now_ns(), tuple(RobotView(driven=row < driven) for row in range(len(robots))))
         self._memory = Memory()
         self._standing: tuple[Happening, ...] = ()  # of the newest view
         self._checks: ArmingState | None = None  # while ARMED
@@ -280,7 +281,8 @@ class Supervisor:
         status, phase = self._listener.statuses.newest[row], self._status.phase
         if status is not None:
             self._enable_seq += 1
-            latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else (self._checks or ArmingState()).latch
+            drill = self._checks.latch if self._checks is not None and self._limits[row] else Latch.NONE
+            latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else drill
             enable = Enable(
                 status.epoch, self._enable_seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
                 self._permitted[row],

@@ -5,6 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.clock import S
+from robofleet.config import slices
+from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.recording.run import Array, Recording, Run
 
@@ -16,18 +19,23 @@ def path_errors(path: Path, points: Array) -> Array:
     return np.asarray(distances).reshape(points.shape[:2])
 
 
-def timed_errors(run: Run, points: Array, centres: Array, t: Array) -> Array:
-    """Distances (K, N) of p from where it should be now: r(gamma t), or d back from the predecessor."""
-    group = run.config.groups[0]
+def timed_errors(config: Config, path: Path, reference: Array, points: Array, centres: Array) -> Array:
+    """Distances (K, N) of p from where it should be now: r(gamma t), or d back from the predecessor [m].
+
+    ``reference`` (K,): the leader's parameter as each tick recorded it, which is where it should be a horizon after the
+    tick's commands act. It tells also from where on the lap the run counts. points and centres: (K, N, 2) [m].
+    """
+    group = config.groups[0]
     centre_tracked = group.track == "centre"
     followed = centres if centre_tracked else points
     should = np.empty(points.shape[:2])
-    should[:, 0] = group.path_rate * t % run.path.sides
+    ahead_s = config.controller.horizon_s + slices.delay_ns(config, config.platoon[0]) / S
+    should[:, 0] = (reference - group.path_rate * ahead_s) % path.sides
     for i in range(1, points.shape[1]):
-        should[:, i] = run.path.back(run.path.nearest(followed[:, i - 1]), group.spacing_m)
-    target = run.path.position(should)
+        should[:, i] = path.back(path.nearest(followed[:, i - 1]), group.spacing_m)
+    target = path.position(should)
     if centre_tracked:
-        target = target + run.config.controller.point_ahead_m * run.path.tangent(should)
+        target = target + config.controller.point_ahead_m * path.tangent(should)
     return np.asarray(np.linalg.norm(points - target, axis=-1))
 
 
@@ -46,8 +54,9 @@ def true_errors(run: Run, counted: NDArray[np.bool_]) -> TrueErrors | None:
         return None
     points, centres, known = points[counted], run.poses()[counted][..., :2], run.known
     followed = known & np.concatenate([[True], known[:-1]])
+    reference = run.items["reference_parameter"][counted, 0]
     return TrueErrors(
-        np.where(followed, timed_errors(run, points, centres, run.t[counted]), np.nan),
+        np.where(followed, timed_errors(run.config, run.path, reference, points, centres), np.nan),
         np.where(known, path_errors(run.path, points), np.nan),
         np.where(known, path_errors(run.path, centres), np.nan),
     )

@@ -43,6 +43,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "real_time_factor": _rounded(duration_s / recording.elapsed_s) if recording.elapsed_s else None,
         "trace_hash": recording.trace_hash,
         "robots": [robot.id for robot in config.platoon],
+        "bystanders": [robot.id for robot in config.bystanders],
         "estimated": [r.id for r, known in zip(config.platoon, run.known, strict=True) if len(run.t) and not known],
         "control_error_mm": _errors(run.items["control_error_m"][settled]),
         **_true_errors(run, spaced),
@@ -92,12 +93,20 @@ def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
 
 
 def _distances(run: Run) -> Figures:
-    """Smallest distance between two robots' centres, and between their bodies, over the whole run."""
-    if run.truth is None or not run.known.all() or len(run.known) < 2:
-        return {"min_gap_mm": None, "min_centre_distance_mm": None}
-    first, second = np.triu_indices(run.truth.shape[1], 1)
-    distances = np.linalg.norm(run.truth[:, first, :2] - run.truth[:, second, :2], axis=-1).min(axis=0)
-    radii = np.array([robot.vehicle.body_radius_m for robot in run.config.platoon])
+    """Smallest distance between a robot's centre and another robot's or a bystander's, and between their bodies, over
+    the whole run."""
+    unknown = {"min_gap_mm": None, "min_centre_distance_mm": None}
+    if run.bodies is None:
+        return unknown
+    first, second = np.triu_indices(run.bodies.shape[1], 1)
+    of_robots = first < len(run.known)  # two bystanders may stand as they like
+    first, second = first[of_robots], second[of_robots]
+    distances = np.linalg.norm(run.bodies[:, first, :2] - run.bodies[:, second, :2], axis=-1).min(
+        axis=0, initial=np.inf
+    )
+    if not len(distances) or not np.isfinite(distances).all():
+        return unknown
+    radii = np.array([robot.vehicle.body_radius_m for robot in run.config.bodies])
     gaps = distances - radii[first] - radii[second]
     return {
         "min_gap_mm": _rounded(gaps.min() * 1e3),

@@ -113,9 +113,12 @@ class Run:
             for r in robots
         ]
         self.path = Path.hermite(*slices.knots(config.groups[0]))
-        truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in robots]
-        self.known = np.array([len(truth) > 0 for truth in truths])  # (N,) whose truth was told
-        self.truth = self._at_ticks(truths) if self.known.any() and len(self.t) else None  # NaN: not told
+        truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in config.bodies]
+        told = np.array([len(truth) > 0 for truth in truths])
+        # (K, M, 3) of all bodies, the group's robots first; NaN: not told
+        self.bodies = self._at_ticks(truths) if told.any() and len(self.t) else None
+        self.known = told[: len(robots)]  # (N,) whose truth was told
+        self.truth = None if self.bodies is None or not self.known.any() else self.bodies[:, : len(robots)]
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
         self.news = recording.rows(key(arena, NEWS, CAMERA), TRACKER_NEWS)
         self.states = _changes(recording, key(arena, STATE))

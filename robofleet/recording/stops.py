@@ -59,7 +59,7 @@ def _why(run: Run, row: int, k: int) -> str | None:
             return None
         own = halt_cause(state, row)
         if own or state.phase not in _GOING_ON:
-            return own or run_cause(state, run.config.groups[0].robots)
+            return own or run_cause(state, run.config.ids)
     return ""
 
 

@@ -69,7 +69,7 @@ class Timeline:
             for k, (t, (_, state)) in enumerate(zip(times, self._run.states, strict=True))
             if k == 0 or state.phase != self._run.states[k - 1][1].phase
         ]
-        robots = self._run.config.groups[0].robots
+        robots = self._run.config.ids
         for k, (t, state) in enumerate(changes):
             until = changes[k + 1][0] if k + 1 < len(changes) else max(t, self.end_s)
             cause = run_cause(state, robots) if state.cause else ""

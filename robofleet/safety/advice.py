@@ -36,6 +36,8 @@ _ADVICE = {
     Event.TOO_CLOSE: "move them apart",
     Event.FILTER_INFEASIBLE: "move it clear of the others and of the edge",
     Event.DEADLOCKED: "move one of them aside",
+    Event.BYSTANDER_LOST: "clear the view of its tag, or put it back",
+    Event.BYSTANDER_MOVED: "see that it stands clear of the path",
     Event.NOT_AT_REST: "let it stand, then start again",
     Event.DID_NOT_MOVE: "switch it on, and compare its tag with robots[].tag",
     Event.WRONG_TAG_MOVED: "exchange their tags, or mend robots[].tag",

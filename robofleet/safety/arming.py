@@ -58,13 +58,18 @@ class ArmingState(NamedTuple):
 
 
 class ArmingSettings(NamedTuple):
-    """What the checks need to know of the fleet, in the group's order."""
+    """What the checks need to know of the fleet: the group's robots in its order, then the bystanders."""
 
     build: int
     wheel_radius: tuple[float, ...]  # [m]
     wheel_base: tuple[float, ...]  # [m]
     body_radius: tuple[float, ...]  # [m]
     arena: tuple[float, float]  # [m]
+
+
+def free_m(wheel_radius: float) -> float:
+    """Return the room that a robot's wiggle must have between its body and another one, or a wall [m]."""
+    return _MARGIN_M + wiggle.room_m(wheel_radius)
 
 
 def begin(now_ns: int) -> ArmingState:
@@ -88,7 +93,7 @@ def step(
         return _drill(state, view)
     if state.stage is Stage.WIGGLE:
         going, happening = wiggle.step(state.wiggle, settings.wheel_radius, settings.wheel_base, view)
-        if going.robot < len(view.robots) or going.robot == NOBODY:
+        if going.robot < view.driven or going.robot == NOBODY:
             return state._replace(wiggle=going), happening
         state = ArmingState(Stage.DONE, view.now_ns)
     if start:
@@ -113,15 +118,15 @@ def _wrong(settings: ArmingSettings, view: FleetView) -> Happening | None:
 
 
 def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
-    if robot.build != build:
+    if robot.driven and robot.build != build:
         fault: tuple[Event, float] | None = (Event.OTHER_BUILD, 0.0)
     elif robot.faults & WIRED_STOP:
         fault = Event.WIRED_STOP, 0.0
-    elif told := faults_told(robot.faults):
+    elif robot.driven and (told := faults_told(robot.faults)):
         fault = told[0]
     elif robot.latch > Latch.DRILL:
         fault = Event.GATE_LATCHED, robot.latch
-    elif 0.0 <= robot.battery < _CHARGE:
+    elif robot.driven and 0.0 <= robot.battery < _CHARGE:
         fault = Event.BATTERY_LOW, robot.battery
     else:
         fault = None
@@ -149,9 +154,9 @@ def _missing(view: FleetView) -> Happening | None:
         return Happening(Event.TRACKER_SILENT)
     rows = list(enumerate(view.robots))
     checks = (
-        (Event.DRIVER_SILENT, lambda r: _silent(now_ns, r.heard_ns)),
+        (Event.DRIVER_SILENT, lambda r: r.driven and now_ns - r.heard_ns >= _SILENT_NS),
         (Event.TAG_LOST, lambda r: max(now_ns - r.seen_ns, r.unseen_ns) >= _FRESH_NS),
-        (Event.LEASE_LOST, lambda r: not r.session or r.session != view.robots[0].session),
+        (Event.LEASE_LOST, lambda r: r.driven and (not r.session or r.session != view.robots[0].session)),
         (Event.GATE_LATCHED, lambda r: r.latch != Latch.NONE),
         (Event.NOT_AT_REST, lambda r: not r.at_rest),
     )
@@ -163,10 +168,13 @@ def _silent(now_ns: int, heard_ns: int) -> bool:
 
 
 def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
-    """Return who stands outside, or where a wiggle that goes wrong may end at somebody or at a wall."""
-    poses = [robot.pose for robot in view.robots]
-    free = [_MARGIN_M + wiggle.room_m(radius) for radius in settings.wheel_radius]
-    for row, ((x, y, _), body) in enumerate(zip(poses, settings.body_radius, strict=True)):
+    """Return who stands outside, or where a wiggle that goes wrong may end at somebody or at a wall.
+
+    A bystander does not wiggle: it may stand at the wall, beyond it, and beside another one.
+    """
+    poses, driven = [robot.pose for robot in view.robots], view.driven
+    free = [free_m(radius) if row < driven else 0.0 for row, radius in enumerate(settings.wheel_radius)]
+    for row, ((x, y, _), body) in enumerate(zip(poses[:driven], settings.body_radius, strict=False)):
         gap = min(settings.arena[0] / 2.0 - abs(x), settings.arena[1] / 2.0 - abs(y)) - body
         if gap < 0.0:
             return Happening(Event.OUTSIDE_ARENA, row)
@@ -174,7 +182,7 @@ def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
             return Happening(Event.TOO_CLOSE, row, NOBODY)
     for one, other in combinations(range(len(poses)), 2):
         gap = math.dist(poses[one][:2], poses[other][:2]) - settings.body_radius[one] - settings.body_radius[other]
-        if gap < max(free[one], free[other]):
+        if one < driven and gap < max(free[one], free[other]):
             return Happening(Event.TOO_CLOSE, one, other)
     return None
 
@@ -182,7 +190,7 @@ def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
 def _drill(state: ArmingState, view: FleetView) -> tuple[ArmingState, Happening | None]:
     """The e-stop, tried on all at once: every gate shows it, then none does."""
     waited_ns = view.now_ns - state.since_ns
-    latched = [bool(robot.latch) for robot in view.robots]
+    latched = [bool(robot.latch) for robot in view.robots[: view.driven]]
     if state.latch:
         if all(latched):
             return ArmingState(Stage.DRILL, view.now_ns, clear=True), None

@@ -13,6 +13,13 @@ the wheels' limits are rows too. Within D_ij a robot must withdraw; where it can
 and standing is always an answer. A robot that others have held for a while asks for something else: to pass them on
 the right.
 
+A bystander, a robot that nobody drives, keeps nothing: it stands, or a hand pushes it with a velocity w that was seen.
+Each robot i keeps its own half, and beside it all that the bystander j comes nearer by:
+
+    n . q_i' >= -gamma h / 2 + max(0, n . w_j).
+
+So h' >= -gamma h / 2 as long as i can withdraw so fast, and the other half is what a hand may do before it is seen.
+
 Bodies are |Delta| - 2 ahead - radii apart at least. D_ij adds the gap that is asked for, both poses' errors, and how
 far a robot is believed to have gone that in truth stands: its top speed for the age of the newest image, the delay of
 a command, and the lag. A robot that is not seen for longer grows by its top speed until it is made to stand.
@@ -92,7 +99,10 @@ def _fastest(keepout: Keepout, body: Body) -> float:
 
 
 class Barrier:
-    """The barrier of a group of robots. It remembers for how long it has held each of them."""
+    """The barrier of a group of N robots among M >= N bodies. It remembers for how long it has held each robot.
+
+    ``bodies``: the robots first, then the bystanders.
+    """
 
     def __init__(self, keepout: Keepout, bodies: tuple[Body, ...]) -> None:
         self._keepout = keepout
@@ -105,35 +115,45 @@ class Barrier:
         )  # fmt: skip
         self._apart = np.array([[apart(keepout, one, other) for other in bodies] for one in bodies])
         self._half = np.array(keepout.arena) / 2
+        self._still = np.zeros((len(bodies), 2))
         self._held = np.zeros(len(bodies), dtype=np.int64)  # ticks in a row
         self._around_ticks = round(_AROUND_S / keepout.tick)
         self._blocked_ticks = round(_BLOCKED_S / keepout.tick)
 
     def filter(
-        self, poses: Array, turning: Array, unseen: Array, driving: NDArray[np.bool_], wheels: Array, u: Array
+        self,
+        poses: Array,
+        turning: Array,
+        unseen: Array,
+        driving: NDArray[np.bool_],
+        wheels: Array,
+        u: Array,
+        pushed: Array | None = None,
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Change what robots are asked for, where they must be: ``wheels`` and ``u`` are written over.
 
-        poses (N, 3): x, y [m], psi [rad] when the commands act; turning (N, 2): the wheels' speeds then [rad/s]; unseen
-        (N,): age of the newest image of each robot [s], infinite for one that never was seen and is nowhere.
+        poses (M, 3): x, y [m], psi [rad] when the commands act; turning (M, 2): the wheels' speeds then [rad/s]; unseen
+        (M,): age of the newest image of each body [s], infinite for one that never was seen and is nowhere.
+        pushed (M, 2): velocity of each bystander [m/s; world], 0 of a robot, whose wheels tell it; None: all stand.
         driving (N,): the others stand, whatever is near. wheels (N, 2) [rad/s] and u (N, 2) [m/s; world]: the commands,
         and the velocity of the points p that they are. Returns for each robot LEFT_ALONE, CHANGED or NO_ANSWER (it
         stands); and whether it has been held for so long that it will not get on by itself.
         """
         k = self._keepout
-        how = np.zeros(len(poses), dtype=np.int64)
+        how = np.zeros(len(wheels), dtype=np.int64)
+        pushed = self._still if pushed is None else pushed
         _filter(
-            poses, turning, unseen, driving, self._bodies, self._apart, self._half, k.ahead, k.rate, k.point_ahead,
-            k.age, k.lost_after, wheels, u, self._around_ticks, how, self._held,
+            poses, turning, unseen, pushed, driving, self._bodies, self._apart, self._half, k.ahead, k.rate,
+            k.point_ahead, k.age, k.lost_after, wheels, u, self._around_ticks, how, self._held,
         )  # fmt: skip
-        return how, self._held >= self._blocked_ticks
+        return how, self._held[: len(wheels)] >= self._blocked_ticks
 
 
 @kernel
 def _filter(
-    poses: Array, turning: Array, unseen: Array, driving: NDArray[np.bool_], bodies: Array, apart: Array, half: Array,
-    ahead: float, rate: float, l: float, age: float, lost_after: float, wheels: Array, u: Array,
-    around: int, how: Instants, held: Instants,
+    poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_], bodies: Array,
+    apart: Array, half: Array, ahead: float, rate: float, l: float, age: float, lost_after: float,
+    wheels: Array, u: Array, around: int, how: Instants, held: Instants,
 ) -> None:  # fmt: skip
     n = len(poses)
     stops, grown = np.empty((n, 6)), np.empty(n)
@@ -141,7 +161,7 @@ def _filter(
         _stop(poses[i], turning[i], bodies[i], ahead, l, stops[i])
         grown[i] = bodies[i, 4] * min(max(unseen[i] - age, 0.0), lost_after)
     rows = np.empty((10 + n, 3))
-    for i in range(n):
+    for i in range(len(wheels)):
         if not driving[i]:
             held[i] = 0
             continue
@@ -150,7 +170,8 @@ def _filter(
         count = first
         for j in range(n):
             if j != i and unseen[j] < np.inf:
-                count = _pair(rows, count, stops[i], stops[j], apart[i, j] + grown[i] + grown[j], rate, bodies[i], back)
+                near = apart[i, j] + grown[i] + grown[j]
+                count = _pair(rows, count, stops[i], stops[j], pushed[j], near, rate, bodies[i], back)
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
         x, y = v, l * omega
         met = _excess(x, y, rows[first:count]) > _TOLERANCE
@@ -211,9 +232,11 @@ def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rat
 
 @kernel
 def _pair(
-    rows: Array, count: int, stop: Array, other: Array, apart: float, rate: float, body: Array, back: float
+    rows: Array, count: int, stop: Array, other: Array, pushed: Array, apart: float, rate: float, body: Array,
+    back: float,
 ) -> int:  # fmt: skip
-    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * body[6] / rate
+    hurry = np.hypot(pushed[0], pushed[1])
+    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * (body[6] + hurry) / rate
     squared = x * x + y * y
     if squared == 0.0 or squared > reach * reach:
         return count  # no direction is away from it; or nothing that the robot can do breaks the row
@@ -221,7 +244,8 @@ def _pair(
     towards_x, towards_y = x / distance, y / distance
     along = towards_x * stop[2] + towards_y * stop[3]
     across = towards_x * stop[4] + towards_y * stop[5]
-    return _add(rows, count, along, across, max(rate * (distance - apart) / 2.0, back))
+    coming = max(0.0, -towards_x * pushed[0] - towards_y * pushed[1])
+    return _add(rows, count, along, across, max(rate * (distance - apart) / 2.0 - coming, back))
 
 
 @kernel

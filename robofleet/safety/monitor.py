@@ -43,7 +43,7 @@ _NAMED = sum(_FAULTS) + int(RobotFault.WIRED_STOP)
 
 
 class MonitorSettings(NamedTuple):
-    """What is known of the fleet beforehand; robots in the group's order."""
+    """What is known of the fleet beforehand; the group's robots in its order, then the bystanders."""
 
     build: int  # of every process
     body_radius: tuple[float, ...]  # [m]
@@ -83,9 +83,12 @@ def watch(
         *_host(before, memory, settings, view, checking=checking),
         *_controller(before, settings, phase, view),
         *_tracker(before, settings, view, checking=checking),
-        *view.news,
+        *(_told(happening, view) for happening in view.news),
     ]
     for row, robot in enumerate(view.robots):
+        if not robot.driven:
+            happenings += _bystander(row, before.robots[row], robot, settings, phase)
+            continue
         happenings += _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
         happenings += _body(row, robot, phase)
         happenings += _jump(row, before.robots[row], robot, settings)
@@ -158,8 +161,7 @@ def _driver(
 
 def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
     """Look at what a robot says of itself."""
-    # A short press is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
-    pressed = robot.faults & RobotFault.WIRED_STOP or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
+    pressed = _pressed(robot, phase)
     if pressed:
         yield Happening(Event.WIRED_STOP, row)
     causes = faults_told(robot.faults)
@@ -170,6 +172,32 @@ def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
         yield Happening(Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, row, robot.latch)
     if 0.0 <= robot.battery < LOWEST_BATTERY:
         yield Happening(Event.BATTERY_LOW, row, robot.battery)
+
+
+def _pressed(robot: RobotView, phase: Phase) -> bool:
+    """Return whether a robot's own e-stop is pressed."""
+    # A short press is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
+    return bool(robot.faults & RobotFault.WIRED_STOP) or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
+
+
+def _told(happening: Happening, view: FleetView) -> Happening:
+    """Return the tracker's word: one of a bystander that was carried ends no run."""
+    moved = happening.event is Event.POSE_JUMPED and happening.robot < len(view.robots)
+    bystander = moved and not view.robots[happening.robot].driven
+    return happening._replace(event=Event.BYSTANDER_MOVED) if bystander else happening
+
+
+def _bystander(
+    row: int, before: RobotView, robot: RobotView, settings: MonitorSettings, phase: Phase
+) -> Iterator[Happening]:
+    """Look at a robot that only stands there. Its e-stop stops the run as everybody's; what else it says of itself,
+    its driver and the arena's edge concern nobody."""
+    if _pressed(robot, phase):
+        yield Happening(Event.WIRED_STOP, row)
+    for jumped in _jump(row, before, robot, settings):
+        yield jumped._replace(event=Event.BYSTANDER_MOVED)
+    if robot.unseen_ns >= LOST_NS:
+        yield Happening(Event.BYSTANDER_LOST, row)
 
 
 def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
@@ -205,9 +233,11 @@ def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Ha
 
 
 def _neighbours(settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
-    """Look at every two robots; one that is not seen now may still stand where it was seen last."""
+    """Look at every two robots but two bystanders; one that is not seen now may still stand where it was last."""
     seen = [row for row, robot in enumerate(view.robots) if robot.seen_ns != NEVER]
     for one, other in combinations(seen, 2):
+        if not view.robots[one].driven:
+            break  # it and all who follow are bystanders
         (x, y, _), (other_x, other_y, _) = view.robots[one].pose, view.robots[other].pose
         bodies = settings.body_radius[one] + settings.body_radius[other]
         if hypot(x - other_x, y - other_y) - bodies < CLOSEST_M:

@@ -72,6 +72,9 @@ class Event(IntEnum):
     CHARGING = 46
     UNREACHABLE = 47
     STOPPED_AT_GATE = 48  # an emergency stop that the supervisor had not heard of
+    # a bystander: a robot that this run does not drive
+    BYSTANDER_LOST = 65  # not seen for 2 s: nobody knows where an obstacle is
+    BYSTANDER_MOVED = 66  # carried somewhere else: distance [m]
     # the checks before a start
     NOT_AT_REST = 50
     ESTOP_UNANSWERED = 51
@@ -134,6 +137,8 @@ CAUSES = {
     Event.TOO_CLOSE: "it is too close to {other}",
     Event.FILTER_INFEASIBLE: "no motion is safe for it",
     Event.DEADLOCKED: "it is in the others' way, and they in its",
+    Event.BYSTANDER_LOST: "it is not driven, and nobody sees any more where it stands",
+    Event.BYSTANDER_MOVED: "it is not driven, and was put somewhere else",
     Event.NOT_AT_REST: "it is not at rest",
     Event.ESTOP_UNANSWERED: "its driver did not answer the e-stop drill",
     Event.DID_NOT_MOVE: "its tag did not move when its wheels were turned",
@@ -199,6 +204,8 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.TOO_CLOSE:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.FILTER_INFEASIBLE:    (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.DEADLOCKED:           (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BYSTANDER_LOST:       (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
+    Event.BYSTANDER_MOVED:      (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.NOT_AT_REST:          (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.ESTOP_UNANSWERED:     (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.DID_NOT_MOVE:         (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
@@ -223,7 +230,7 @@ TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
 
 
 class Happening(NamedTuple):
-    """An event, the robot that it is about (index in the group's order), and its own figure."""
+    """An event, the robot that it is about (its number: the group's first, then bystanders), and its own figure."""
 
     event: Event
     robot: int = NOBODY
@@ -239,12 +246,12 @@ class RunStatus(NamedTuple):
     detail: float = 0.0
 
     def describe(self, robots: tuple[str, ...]) -> str:
-        """Return the cause in words; ``robots`` are the ids in the group's order."""
+        """Return the cause in words; ``robots`` are the ids in the order of their numbers."""
         return describe(Happening(self.cause, self.robot, self.detail), robots)
 
 
 def describe(happening: Happening, robots: tuple[str, ...]) -> str:
-    """Return an event in words; ``robots`` are the ids in the group's order."""
+    """Return an event in words; ``robots`` are the ids in the order of their numbers."""
     event, robot, detail = happening
     other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
     cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other)

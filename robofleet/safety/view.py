@@ -34,6 +34,7 @@ class RobotView(NamedTuple):
     lost: bool = False  # the controller has had no image of it for too long, and lets it stand
     filtered: int = 0  # the barrier at that tick: 0 left alone, 1 changed, 2 no answer
     blocked: bool = False  # held by the barrier for long
+    driven: bool = True  # by this run; else a bystander
 
     @property
     def at_rest(self) -> bool:
@@ -46,7 +47,7 @@ class FleetView(NamedTuple):
     """Everything that is known now."""
 
     now_ns: int
-    robots: tuple[RobotView, ...]  # in the group's order
+    robots: tuple[RobotView, ...]  # the group's, in its order; then the bystanders
     controller_ns: int = NEVER  # newest tick's arrival
     controller_epoch: int = 0
     controller_build: int = 0
@@ -60,3 +61,8 @@ class FleetView(NamedTuple):
     news: tuple[Happening, ...] = ()  # of the tracker, since the last view
     operator_ns: int = NEVER  # newest sign of the operator's life
     free_bytes: int = 1 << 40  # where the run is recorded
+
+    @property
+    def driven(self) -> int:
+        """The number of robots that this run drives: the first ones."""
+        return sum(robot.driven for robot in self.robots)

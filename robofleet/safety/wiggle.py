@@ -82,7 +82,7 @@ def begin(view: FleetView) -> Wiggle:
 def step(
     state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
 ) -> tuple[Wiggle, Happening | None]:
-    """Go on; a happening is why the fleet must not start. ``state.robot`` is the number of robots at the end."""
+    """Go on; a happening is why the fleet must not start. ``state.robot`` is the number of driven robots at the end."""
     if view.image != state.image:
         bad = _bad_sign(state, wheel_radius, view)
         if bad is not None:
@@ -175,7 +175,7 @@ def _stand(
 
 def _next(state: Wiggle, row: int, view: FleetView) -> Wiggle:
     state = state._replace(robot=row, forth=None)
-    return _start(state, FORTH, view) if row < len(view.robots) else state
+    return _start(state, FORTH, view) if row < view.driven else state
 
 
 def _start(state: Wiggle, stroke: int, view: FleetView) -> Wiggle:

@@ -28,6 +28,10 @@ class TruthHistory:
             self._stamps.append(stamp_ns)
             self._samples.append((x, y, psi, v, omega))
 
+    def told_at(self, stamp_ns: int) -> bool:
+        """Return whether the robot's place at an instant is known from its own word, not from what it said long ago."""
+        return bool(self._stamps) and stamp_ns - self._stamps[-1] <= _BEYOND_NS
+
     def pose_at(self, stamp_ns: int) -> Pose | None:
         """Return x, y [m], psi [rad] at an instant; the first sample's before it; None without any sample."""
         if not self._stamps:

@@ -46,6 +46,13 @@ class World:
         """Return x, y [m], psi [rad] of each robot at its own instant; None for one that has not spoken yet."""
         return [history.pose_at(ns) for history, ns in zip(self._histories, instants_ns, strict=True)]
 
+    def told_at(self, instant_ns: int) -> list[tuple[float, float, float] | None]:
+        """Return the same at one instant; None also for one whose driver has told nothing that can be used for long.
+
+        An image shows a robot wherever it stands; where there is none, only its own word tells where it is.
+        """
+        return [history.pose_at(instant_ns) if history.told_at(instant_ns) else None for history in self._histories]
+
 
 class SimulatedCamera:
     """Renders what an overhead camera would see. A camera like any other: what reads it cannot tell."""
@@ -138,12 +145,12 @@ class VirtualPoses:
         self._sigma, self._dropout = np.array([p.position_noise_m, p.position_noise_m, p.heading_noise_rad]), p.dropout
 
     def at(self, exposure_ns: int) -> tuple[TagPose, ...]:
-        """Return what an image of that instant would have told; nothing of a robot that has not spoken yet."""
+        """Return what an image of that instant would have told; nothing of a robot that does not say where it is."""
         self._world.update()
         n = len(self._world.tags)
         noise = (self._sigma * self._rng.standard_normal((n, 3))).tolist()
         dropped = (self._rng.random(n) < self._dropout).tolist()
-        true = self._world.poses_at([exposure_ns] * n)
+        true = self._world.told_at(exposure_ns)
         return tuple(
             TagPose(tag, 0, 0, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2])
             for tag, pose, error, drop in zip(self._world.tags, true, noise, dropped, strict=True)

@@ -21,10 +21,12 @@ from robofleet.comms.messages import (
 from robofleet.config.tree import Config
 from robofleet.processes.live import LiveView
 from robofleet.processes.terminal import Terminal
+from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
 from robofleet.safety.arming import Stage
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.recording.conftest import Story
 
 WELL = RobotState(1, 1, 0)
 FOUR = (WELL,) * 4
@@ -140,3 +142,21 @@ def test_values_of_another_version_break_nothing(view: View) -> None:
     for phase in ("arming", "running", "held"):
         shown = view.shown(phase)
         assert "unknown (77)" in row(shown, "r1")
+
+
+@pytest.mark.parametrize("track", ["point", "centre"])
+@pytest.mark.parametrize("origin", [0.0, 2.4])
+def test_its_errors_are_the_summarys(platoon_of: Callable[..., Config], origin: float, track: str) -> None:
+    told = Story(platoon_of(f"groups.0.track={track}", "run.spacing_settle_s=0"), ticks=1)
+    told.origin = origin
+    told.place([0.004, 0.002, 0.001, 0.0])
+    told.aside(0.005)
+    recording = told.recording()
+    figures = summary(recording, name="story", mode="lockstep", outcome="completed", cause=None)
+    output = io.StringIO()
+    shown = LiveView(told.config, SimulatedClock(), Terminal(), quiet=True).picture(recording, "running")
+    Console(file=output, width=100, color_system=None).print(shown)
+    for k, robot in enumerate(told.config.groups[0].robots):
+        _, _, path, timed = row(output.getvalue(), robot).split()[:4]
+        assert float(path) == pytest.approx(figures["path_error_mm"]["per_robot_mean"][k], abs=0.051)
+        assert float(timed) == pytest.approx(figures["timed_error_mm"]["per_robot_mean"][k], abs=0.051)

@@ -53,6 +53,7 @@ class Story:
     estimate_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the filter: x, y [m], psi [rad]
     control_error: np.ndarray = field(init=False)  # (K, N) [m]
     before: int = 5  # ticks before the run
+    origin: float = 0.0  # the leader's parameter at the start
 
     def __post_init__(self) -> None:
         group = self.config.groups[0]
@@ -74,7 +75,8 @@ class Story:
     def place(self, behind: Sequence[float] | np.ndarray) -> None:
         """Put every robot's point on the path, so many metres behind where it should be now."""
         group, path = self.config.groups[0], self.path
-        sigma = path.back(group.path_rate * self.t % path.sides, behind[0]) if behind[0] else group.path_rate * self.t
+        sigma = self.origin + group.path_rate * self.t
+        sigma = path.back(sigma % path.sides, behind[0]) if behind[0] else sigma
         columns = [sigma % path.sides]
         for late in behind[1:]:
             columns.append(path.back(columns[-1], group.spacing_m + late))
@@ -103,6 +105,12 @@ class Story:
         """Return the instant of a tick of the run [ns]."""
         return START_NS + round(k * TICK_NS)
 
+    def _reference(self, k: int) -> float:
+        """Return the leader's parameter a horizon after a tick's commands act: from ``origin`` on the lap."""
+        group, c = self.config.groups[0], self.config.controller
+        ahead_s = k * c.tick_s + c.horizon_s + c.command_delay_s
+        return float((self.origin + group.path_rate * ahead_s) % self.path.sides)
+
     def _tick(self, k: int) -> TickRecord:
         at, items = max(k, 0), []
         for row in range(len(self.config.platoon)):
@@ -111,7 +119,8 @@ class Story:
             point = x + 0.08 * math.cos(psi), y + 0.08 * math.sin(psi)
             error = self.control_error[at, row] if k >= 0 else 9.0
             pose = x, y, math.remainder(psi, math.tau)
-            items.append(RobotTick(*pose, *point, 0, 0, 0, 0, 0, error, 0, 0, float(row == 0 and k == 1), 1, 0, 0, 0))
+            saturated = float(row == 0 and k == 1)
+            items.append(RobotTick(*pose, *point, 0, 0, self._reference(at), 0, 0, error, 0, 0, saturated, 1, 0, 0, 0))
         phase, run_tick = (Phase.RUNNING, k) if k >= 0 else (Phase.ARMED, -1)
         exposure_ns = self.stamp(k) - 18 * MS
         head = (

@@ -53,6 +53,20 @@ def test_2_mm_behind_is_the_error_of_that_robot_alone(story: Make, figures: Make
     assert deviation == pytest.approx(2.0 if late else 0.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("track", ["point", "centre"])
+@pytest.mark.parametrize("origin", [0.0, 1.3, 3.99])
+def test_a_run_that_starts_elsewhere_on_the_lap_is_timed_from_there(
+    story: Make, figures: Make, origin: float, track: str
+) -> None:
+    told = story(f"groups.0.track={track}")
+    told.origin = origin
+    told.place([0.003, 0, 0, 0])
+    if track == "centre":  # the centres are where the points of the other run are
+        heading = np.stack([np.cos(told.psi), np.sin(told.psi)], axis=-1)
+        told.points = told.points + told.config.controller.point_ahead_m * heading
+    assert figures(told.recording())["timed_error_mm"]["per_robot_mean"] == pytest.approx([3.0, 0, 0, 0], abs=0.06)
+
+
 def test_a_tracked_centre_is_measured_at_the_centre(story: Make, figures: Make) -> None:
     told = story("groups.0.track=centre")
     told.points = told.points + told.config.controller.point_ahead_m * np.stack(

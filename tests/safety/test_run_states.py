@@ -26,7 +26,7 @@ ENDS = {  # nobody can go on from here without looking
 }  # fmt: skip
 HOLDS = {  # it may pass, and the run can be resumed
     Event.TRACKER_SILENT, Event.TRACKER_RESTARTED, Event.CAMERA_STALLED, Event.CAMERA_FROZEN, Event.TAG_TWICE,
-    Event.TOO_CLOSE, Event.DISK_FULL,
+    Event.TOO_CLOSE, Event.DISK_FULL, Event.BYSTANDER_LOST, Event.BYSTANDER_MOVED,
 }  # fmt: skip
 OF_MOTION = {Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED}  # mean something while the fleet drives
 OF_CHECKS = {event for event in Event if 50 <= event < 60} | {Event.ARMED_TOO_LONG}  # the fifties are the checks'

@@ -45,6 +45,7 @@ class Floor:
         self.bus = MemoryBus("platoon", self.clock, 0)
         self.ticks = Ticks()
         self.silent: set[str] = set()
+        self.nowhere: set[str] = set()  # who say that they are at NaN
         self.rng = np.random.default_rng(1)
 
     def source(self) -> TruthSource:
@@ -66,7 +67,8 @@ class Floor:
             now_ns = self.clock.now_ns()
             for row, robot in enumerate(self.config.robots):
                 if robot.id not in self.silent:
-                    message = Truth(1, 1, now_ns, *self.where(row, now_ns), SPEED * row, 0.0)
+                    at = (math.nan,) * 3 if robot.id in self.nowhere else self.where(row, now_ns)
+                    message = Truth(1, 1, now_ns, *at, SPEED * row, 0.0)
                     self.bus.publisher(TRUTH, robot.id)(TRUTH_LAYOUT.encode(message))
 
     def tick(self) -> None:
@@ -139,6 +141,22 @@ def test_a_robot_that_never_spoke_is_not_seen() -> None:
     assert [pose[0] for pose in seen[-1].poses] == [1, 2, 4]
     world = World(floor.config.arena.name, floor.config.robots, floor.bus)
     assert world.poses_at([floor.clock.now_ns()] * 4) == [None] * 4
+
+
+@pytest.mark.parametrize("how", ["silent", "not a number"])
+def test_a_robot_that_does_not_say_any_more_where_it_is_is_not_seen(how: str) -> None:
+    """For 100 ms it is taken to have gone on, and no longer."""
+    floor = Floor("tracker.truth={delay_s: 0.01}")
+    source = floor.source()
+    floor.observe(source, 3)
+    last_ns = floor.clock.now_ns()
+    (floor.silent if how == "silent" else floor.nowhere).add("r3")
+    seen = floor.observe(source, 6)
+    for observed in seen:
+        told = [1, 2, 3, 4] if observed.exposure_ns <= last_ns + 100 * MS else [1, 2, 4]
+        assert [pose.tag for pose in observed.poses] == told
+    assert len(seen[-1].poses) == 3
+    assert len(seen[0].poses) == 4
 
 
 def test_the_same_generator_gives_the_same_poses() -> None:

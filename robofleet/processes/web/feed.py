@@ -38,7 +38,7 @@ class Feed:
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
         self.hello = json.dumps(frames.hello(config, folder))
         self.hearing = Hearing(config, bus, clock, self._wake)
-        self.diary = Diary(config.groups[0].robots)
+        self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
         self.seq = 0  # of the newest tick frame
         self.record_ns = 0  # arrival of the record that made it; 0: none did

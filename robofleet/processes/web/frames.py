@@ -55,7 +55,7 @@ def hello(config: Config, folder: Path) -> Frame:
 
 def tick(hearing: Hearing, config: Config, seq: int, now_ns: int) -> Frame:
     """Return the run as it stands."""
-    state, robots = hearing.state, config.groups[0].robots
+    state, robots = hearing.state, config.ids
     return {
         "type": "tick",
         "seq": seq,
@@ -92,7 +92,7 @@ def ended(hearing: Hearing, config: Config) -> Frame | None:
     """Return the last word of a run that has ended; None where the server leaves a run that may go on."""
     if hearing.state is None or hearing.state.phase not in ENDED:
         return None
-    last = f"{phase_name(hearing.state)}: {run_cause(hearing.state, config.groups[0].robots)}"
+    last = f"{phase_name(hearing.state)}: {run_cause(hearing.state, config.ids)}"
     return {"type": "ended", "text": last}
 
 

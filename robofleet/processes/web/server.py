@@ -77,7 +77,7 @@ async def serve(
     names = {name, address} | ({"localhost"} if address == LOOPBACK else set())
     token = new_token()
     feed = Feed(config, folder, bus, clock)
-    controls = Controls(bus, clock, config.groups[0].robots)
+    controls = Controls(bus, clock, config.ids)
     guard = Guard(application(feed, controls), authorities(names, port), token, clock)
     server = uvicorn.Server(_settings(guard))
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))

@@ -34,7 +34,7 @@ def what_next(state: RunState | None, statuses: Sequence[RobotStatus | None], co
     """Return what the operator can do now."""
     if state is None:
         return "Wait: the processes are starting."
-    robots = config.groups[0].robots
+    robots = config.ids
     if state.phase == Phase.ESTOP:
         silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
         if silent:

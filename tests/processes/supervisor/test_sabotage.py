@@ -50,9 +50,9 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
     # what stops it
     (supervisor, "for happening in self._standing:\n            self._happen(happening)", "",
      "test_whoever_goes_silent_stops_the_run_by_name"),
-    (supervisor, "Latch.EMERGENCY_STOP if phase is Phase.ESTOP else (self", "(self",
+    (supervisor, "Latch.EMERGENCY_STOP if phase is Phase.ESTOP else drill", "drill",
      "test_an_emergency_stop_reaches_every_gate_at_once_and_is_acknowledged"),
-    (supervisor, "Latch.EMERGENCY_STOP if phase is Phase.ESTOP else (self", "(self",
+    (supervisor, "Latch.EMERGENCY_STOP if phase is Phase.ESTOP else drill", "drill",
      "test_a_driver_that_comes_back_later_is_stopped_too"),
     (supervisor, "self._naming_ns = self._view.now_ns + _ACKNOWLEDGED_WITHIN_NS", "self._naming_ns = None",
      "test_who_has_not_acknowledged_after_200_ms_is_named"),
