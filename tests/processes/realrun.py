@@ -46,9 +46,14 @@ def wait(condition: Callable[[], Any], within_s: float) -> bool:
 
 def own_folders(folder: Path) -> dict[str, str]:
     """Return an environment in which runs leave their files in a folder."""
-    for name in ("runtime", "state"):
+    names = {
+        "XDG_RUNTIME_DIR": "run",
+        "XDG_STATE_HOME": "state",
+        "TMPDIR": "tmp",
+    }  # short: a socket's path stands there
+    for name in names.values():
         (folder / name).mkdir(exist_ok=True)
-    return os.environ | {"XDG_RUNTIME_DIR": str(folder / "runtime"), "XDG_STATE_HOME": str(folder / "state")}
+    return os.environ | {variable: str(folder / name) for variable, name in names.items()}
 
 
 def _take_terminal() -> None:
