@@ -134,7 +134,12 @@ def recorder(config: Config, lifeline: Lifeline, folder: Path) -> None:
         log = RunLog(folder / FILE, config, epoch_ns=epoch_ns())
     except OSError as error:
         raise RefusedError(f"{folder / FILE}: {error.strerror}: a run is recorded in a folder of its own") from error
-    bus = _joined(config, "recorder", clock, ("recorder",))
+    try:
+        bus = _joined(config, "recorder", clock, ("recorder",))
+    except RefusedError:
+        log.close()
+        (folder / FILE).unlink()
+        raise
     try:
         rng = entropy(config.run.seed, "recorder")
         run(Recorder(config, bus, rng, log, lambda: lifeline.last_word), clock, lifeline, Waker())

@@ -157,7 +157,8 @@ def web_stand(folder: Path, *overrides: str, of_run: bool = True) -> Iterator[We
     """Start a router, the server and the stand; nothing is left of them."""
     config = load_config(PLATOON, [f"bus.endpoint={own_endpoint()}", *overrides])
     router = open_router(config.bus.endpoint)
-    buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK) for name in ("test", "web")]
+    roles = {"test": ("supervisor", "tracker"), "web": ()}  # what the test stands for
+    buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
     urls: list[str] = []
     cut = threading.Event()
     served = Served(config, folder, buses[1], CLOCK, _LOOPBACK, of_run)
