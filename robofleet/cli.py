@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robofleet.clock import WallClock, utc_now
+from robofleet.clock import utc_now
 from robofleet.experiments import trials
 from robofleet.processes import commands, run_commands
 from robofleet.processes.outlet import unhindered
@@ -213,28 +213,28 @@ def _refuse_unattended(tree: "Config") -> None:
 @contextmanager
 def _claimed(tree: "Config", folder: Path) -> "Iterator[None]":
     """Let the run be reached by others, and refuse a second one on the same arena."""
+    from robofleet.comms.endpoint import check_free  # noqa: PLC0415
+    from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
     from robofleet.processes.arena_file import ArenaBusyError, claimed  # noqa: PLC0415
 
     with ExitStack() as held:
         try:
-            held.enter_context(claimed(tree, folder, WallClock()))
-        except (ArenaBusyError, PermissionError) as error:
+            held.enter_context(claimed(tree, folder))
+            check_free(tree)
+        except (ArenaBusyError, PlaceError) as error:
             raise RefusedError(str(error)) from error
         yield
 
 
 def _settled(tree: "Config") -> "Config":
-    """Choose the router's port; a port in use is refused."""
-    from robofleet.comms.endpoint import bind_endpoint  # noqa: PLC0415
+    """Choose where the processes meet; what is in use is refused."""
+    from robofleet.comms.endpoint import settled  # noqa: PLC0415
+    from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
 
     try:
-        endpoint = bind_endpoint(tree.bus.endpoint)
-    except OSError as error:
-        raise RefusedError(
-            f"bus.endpoint: {tree.bus.endpoint} cannot be used ({error.strerror}): "
-            "end the run that has it, or take port 0 for any free one"
-        ) from error
-    return tree.model_copy(update={"bus": tree.bus.model_copy(update={"endpoint": endpoint})})
+        return settled(tree, listen=True)
+    except PlaceError as error:
+        raise RefusedError(str(error)) from error
 
 
 def _summary(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: bool) -> dict[str, Any]:

@@ -42,6 +42,7 @@ def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch
     """Return the folder in which the operator stands."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+    monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("tmp")))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -123,9 +124,13 @@ def test_a_folder_is_no_configuration(folder: Path, refused: Callable[..., str])
     assert refused(folder).startswith(f"{folder}:1:1: ")
 
 
+def tcp(endpoint: str) -> list[str]:
+    return ["--set", f"bus.endpoint={endpoint}", "--set", "bus.insecure=loopback"]
+
+
 def test_a_port_in_use_is_refused(refused: Callable[..., str], taken_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{taken_port}"
-    line = refused(PLATOON, "--set", f"bus.endpoint={endpoint}", "--out", "new")
+    line = refused(PLATOON, *tcp(endpoint), "--out", "new")
     assert line.startswith(f"bus.endpoint: {endpoint} ")
     assert "in use" in line
 

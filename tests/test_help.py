@@ -12,7 +12,6 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.clock import WallClock
 from robofleet.config.load import load_config
 from robofleet.processes.arena_file import claimed
 
@@ -37,6 +36,7 @@ def test_the_help_names_every_command_and_says_what_to_do_first() -> None:
 def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with ``robofleet`` in it, as it is installed; the arenas lab and hall have a run."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     program = tmp_path / "robofleet"
@@ -59,11 +59,11 @@ def completed(folder: Path, *words: str) -> list[str]:
 
 
 def test_bash_completes_commands_options_and_arenas_that_have_a_run(shell: Path) -> None:
-    config = load_config(ROOT / "configs" / "platoon.yaml")
+    config = load_config(ROOT / "configs" / "platoon.yaml", ["bus.endpoint=unixsock-stream//run/lab/bus.sock"])
     with ExitStack() as runs:
         for name in ("lab", "hall"):
             arena = config.arena.model_copy(update={"name": name})
-            runs.enter_context(claimed(config.model_copy(update={"arena": arena}), shell, WallClock()))
+            runs.enter_context(claimed(config.model_copy(update={"arena": arena}), shell))
         assert sorted(completed(shell, "robofleet", "hold", "")) == ["hall", "lab"]
         assert completed(shell, "robofleet", "stop", "h") == ["hall"]
     assert completed(shell, "robofleet", "stop", "") == []

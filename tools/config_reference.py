@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from robofleet.config.model import ENDPOINT_PATTERN, NAME_PATTERN
+from robofleet.config.patterns import ENDPOINT_PATTERN, NAME_PATTERN
 from robofleet.config.schema import NAME_OR_FILE, schema
 from robofleet.config.troubles import Timed
 
@@ -29,7 +29,11 @@ _UNITS = {
     "m_s": "m/s", "rad_s": "rad/s", "rad_s2": "rad/s²", "per_s": "1/s", "s_per_rad": "s/rad",
 }  # fmt: skip
 _UNIT = re.compile(rf"(?:^|_)({'|'.join(sorted(_UNITS, key=len, reverse=True))})$")
-_PATTERNS = {NAME_OR_FILE: "name of a file", NAME_PATTERN: "name", ENDPOINT_PATTERN: "`tcp/HOST:PORT`"}
+_PATTERNS = {
+    NAME_OR_FILE: "name of a file",
+    NAME_PATTERN: "name",
+    ENDPOINT_PATTERN: "`private`, `unixsock-stream//PATH`, `tcp/HOST:PORT`",
+}
 
 
 def main(

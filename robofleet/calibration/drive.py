@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
-from robofleet.clock import S, WallClock
-from robofleet.comms.endpoint import bind_endpoint
+from robofleet.clock import S
+from robofleet.comms.endpoint import check_free, settled
 from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD
+from robofleet.comms.private_folder import PlaceError
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import ArenaBusyError, claimed
@@ -72,12 +73,9 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
         recording = simulated.recording
     else:
         try:
-            bus = config.bus.model_copy(update={"endpoint": bind_endpoint(config.bus.endpoint)})
-        except OSError as error:
-            raise CalibrationError(
-                f"bus.endpoint: {config.bus.endpoint}: {error.strerror}: end the other run"
-            ) from error
-        config = config.model_copy(update={"bus": bus})
+            config = settled(config, listen=True)
+        except PlaceError as error:
+            raise CalibrationError(str(error)) from error
         outcome, cause, recording = _with_processes(config, folder, watch)
     if outcome != "completed":
         raise CalibrationError(f"the drive did not come to its end: {cause}: mend it, and drive again")
@@ -86,10 +84,11 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
 
 def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, str | None, Recording]:
     try:
-        with claimed(config, folder, WallClock()), Terminal() as terminal:
+        with claimed(config, folder), Terminal() as terminal:
+            check_free(config)
             outcome, cause = Launcher(config, folder, watch, terminal).run()
         return outcome, cause, read(folder) if outcome == "completed" else Recording(config)
-    except (ArenaBusyError, RecordingError) as error:
+    except (ArenaBusyError, PlaceError, RecordingError) as error:
         raise CalibrationError(str(error)) from error
 
 

@@ -56,7 +56,11 @@ class Request(Protocol):
 
 
 class Answer(Protocol):
-    """An answer that is awaited."""
+    """An answer that is awaited, from the process that was asked and from nobody else."""
+
+    @property
+    def doubt(self) -> str:
+        """Why what was answered is not believed; empty while nothing was."""
 
     def take(self) -> bytes | None:
         """Return the answer, once; None while there is none."""
@@ -74,8 +78,8 @@ class Bus(Protocol):
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` with (instant of arrival [ns], payload) of every message, from any thread."""
 
-    def stream(self, expression: str, capacity: int) -> Stream:
-        """Subscribe to everything that matches a key expression."""
+    def stream(self, *expressions: str, capacity: int) -> Stream:
+        """Subscribe to keys, or to expressions of one topic each; what nobody named is heard by nobody."""
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request on a topic, or None."""
@@ -144,10 +148,11 @@ class MemoryBus:
         """Call ``put`` of every message when it is published: its arrival is yet to come."""
         self._subscribers.setdefault(key(self._arena, topic, name), []).append(put)
 
-    def stream(self, expression: str, capacity: int) -> Stream:
-        """Subscribe to one key (wildcards are the tap's)."""
-        stream = _MemoryStream(expression, self._clock, capacity)
-        self._subscribers.setdefault(expression, []).append(stream.put)
+    def stream(self, *expressions: str, capacity: int) -> Stream:
+        """Subscribe to one key (several are the tap's)."""
+        (full,) = expressions
+        stream = _MemoryStream(full, self._clock, capacity)
+        self._subscribers.setdefault(full, []).append(stream.put)
         return stream
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
@@ -243,6 +248,8 @@ class _MemoryRequest:
 
 
 class _MemoryAnswer:
+    doubt = ""
+
     def __init__(self, clock: Clock, delay_ns: int) -> None:
         self._clock, self._delay_ns = clock, delay_ns
         self._arrives: tuple[int, bytes] | None = None

@@ -1,10 +1,77 @@
-"""The endpoint where the router listens."""
+"""Where the processes of an arena meet: a socket in a folder of this user's own, or, where that is asked for, TCP."""
 
+import errno
+import os
 import socket
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robofleet.comms.private_folder import PlaceError, check_private, private_folder
+from robofleet.config.patterns import LONGEST_SOCKET_PATH, PRIVATE, SOCKET
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
 
 
-def bind_endpoint(endpoint: str) -> str:
-    """Return the endpoint with its port settled: 0 becomes a free one. OSError if the port is in use."""
+def settled(config: "Config", *, listen: bool) -> "Config":
+    """Return the configuration with an endpoint that Zenoh takes; PlaceError where it cannot be used.
+
+    ``listen``: for the one who brings the router: port 0 becomes a free one.
+    """
+    endpoint = config.bus.endpoint
+    try:
+        if endpoint == PRIVATE:
+            endpoint = socket_endpoint(private_folder() / f"{config.arena.name}.sock")
+        elif endpoint.startswith(SOCKET):
+            check_private(_path(endpoint).parent)
+        elif listen:
+            endpoint = _bound(endpoint)
+    except PlaceError as error:
+        raise PlaceError(f"bus.endpoint: {error}") from error
+    except OSError as error:
+        raise _in_use(endpoint, error) from error
+    return config.model_copy(update={"bus": config.bus.model_copy(update={"endpoint": endpoint})})
+
+
+def check_free(config: "Config") -> None:
+    """Raise PlaceError where a router has the socket; what a killed one has left, the next one replaces."""
+    endpoint = config.bus.endpoint
+    path = _path(endpoint)
+    if not endpoint.startswith(SOCKET) or not os.path.lexists(path):
+        return
+    if not stat.S_ISSOCK(path.lstat().st_mode):
+        raise PlaceError(f"bus.endpoint: {path} is there and no socket: remove it")
+    with socket.socket(socket.AF_UNIX) as probe, suppress(ConnectionRefusedError, FileNotFoundError):
+        probe.connect(str(path))
+        raise _in_use(endpoint, OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE)))
+
+
+def _in_use(endpoint: str, error: OSError) -> PlaceError:
+    cure = "end the run that has it, or leave the endpoint out for a socket of your own"
+    return PlaceError(f"bus.endpoint: {endpoint} cannot be used ({os.strerror(error.errno or 0)}): {cure}")
+
+
+def _path(endpoint: str) -> Path:
+    return Path(endpoint.removeprefix(SOCKET))
+
+
+def socket_endpoint(path: Path) -> str:
+    """Return the endpoint of a Unix socket; PlaceError where the system or Zenoh takes no such path."""
+    length = len(os.fsencode(path))
+    if length > LONGEST_SOCKET_PATH:
+        raise PlaceError(
+            f"the path of its socket, {path}, has {length} bytes and may have {LONGEST_SOCKET_PATH}: "
+            "set XDG_RUNTIME_DIR to a folder with a shorter name"
+        )
+    if set(str(path)) & set("?#; \n\t"):
+        raise PlaceError(f"{path}: Zenoh takes no such name: set XDG_RUNTIME_DIR to a plain one")
+    return f"{SOCKET}{path}"
+
+
+def _bound(endpoint: str) -> str:
+    """Return a TCP endpoint with its port settled; OSError if the port is in use."""
     host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family) as probe:

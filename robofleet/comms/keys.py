@@ -1,4 +1,4 @@
-"""The table of topics: who says what to whom, how often, and with which quality of service."""
+"""The table of topics: who says what to whom, how often, how much at most, and with which quality of service."""
 
 from typing import NamedTuple
 
@@ -9,24 +9,29 @@ class Topic(NamedTuple):
     key: str
     period_s: float  # nominal; 0: on demand
     priority: str  # Zenoh's names
+    largest: int  # [bytes] of a message, and of an answer: the router and every receiver drop what is larger
     reliable: bool = False
 
 
-COMMAND = Topic("robot/{}/cmd", 0.033, "REAL_TIME")
-STATUS = Topic("robot/{}/status", 0.020, "DATA_HIGH")
-ENABLE = Topic("robot/{}/enable", 0.040, "REAL_TIME")
-LEASE = Topic("robot/{}/lease", 0.0, "REAL_TIME", reliable=True)
-POSES = Topic("poses/{}", 0.033, "REAL_TIME")
-NEWS = Topic("poses/{}/news", 0.0, "DATA_HIGH", reliable=True)
-PICTURE = Topic("poses/{}/picture", 1.0, "DATA_LOW")
-TICK = Topic("tick", 0.033, "DATA")
-RECORDER = Topic("recorder", 0.250, "DATA_LOW")
-STATE = Topic("state", 0.040, "REAL_TIME", reliable=True)
-TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW")
-REQUEST = Topic("request/{}", 0.0, "REAL_TIME", reliable=True)
-ALIVE = Topic("alive/{}", 0.0, "DATA", reliable=True)
+_FIXED = 256  # [bytes]; the largest fixed layout has 190
+_FLEET = 128 * 1024  # [bytes] of a list of robots, of which there can be 587
+
+COMMAND = Topic("robot/{}/cmd", 0.033, "REAL_TIME", _FIXED)
+STATUS = Topic("robot/{}/status", 0.020, "DATA_HIGH", _FIXED)
+ENABLE = Topic("robot/{}/enable", 0.040, "REAL_TIME", _FIXED)
+LEASE = Topic("robot/{}/lease", 0.0, "REAL_TIME", _FIXED, reliable=True)
+POSES = Topic("poses/{}", 0.033, "REAL_TIME", _FLEET)
+NEWS = Topic("poses/{}/news", 0.0, "DATA_HIGH", _FIXED, reliable=True)
+PICTURE = Topic("poses/{}/picture", 1.0, "DATA_LOW", 1_000_000)
+TICK = Topic("tick", 0.033, "DATA", _FLEET)
+RECORDER = Topic("recorder", 0.250, "DATA_LOW", _FIXED)
+STATE = Topic("state", 0.040, "REAL_TIME", _FLEET, reliable=True)
+TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW", _FIXED)
+REQUEST = Topic("request/{}", 0.0, "REAL_TIME", _FLEET, reliable=True)
+ALIVE = Topic("alive/{}", 0.0, "DATA", 0, reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
+LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
 TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, TRUTH, REQUEST, ALIVE)
 
@@ -36,9 +41,14 @@ def key(arena: str, topic: Topic, name: str = "") -> str:
     return f"rf/{arena}/{topic.key.format(name)}"
 
 
-def everything(arena: str) -> str:
-    """Return the key expression of all that is said in an arena."""
-    return f"rf/{arena}/**"
+def driver_role(robot: str) -> str:
+    """Return what a process that drives a robot is called among the living."""
+    return f"driver-{robot}"
+
+
+def served_by(topic: Topic, name: str) -> str:
+    """Return the process that answers what is asked on a topic, as it is called among the living."""
+    return driver_role(name) if topic is LEASE else name
 
 
 def named(full: str) -> tuple[Topic, str] | None:
@@ -50,3 +60,9 @@ def named(full: str) -> tuple[Topic, str] | None:
         if "*" not in full and tail == before + name + after and ("/" not in name) and ("{}" in topic.key or not name):
             return topic, name
     return None
+
+
+def largest(expression: str) -> int:
+    """Return the most bytes that a message of a key may have, or of any key of an expression of one topic."""
+    found = named(expression.replace("*", "any"))
+    return LARGEST_MESSAGE if found is None else found[0].largest

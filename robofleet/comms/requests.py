@@ -20,6 +20,7 @@ def asked(
     then a request ends at once and without an answer.
     """
     deadline_ns = clock.now_ns() + _WITHIN_NS
+    doubt = ""
     while clock.now_ns() < deadline_ns:
         answer = bus.ask(REQUEST, process, payload)
         again_ns = clock.now_ns() + _AGAIN_NS
@@ -28,4 +29,5 @@ def asked(
                 return reply
             meanwhile()
             clock.sleep_until(clock.now_ns() + _POLL_NS)
-    raise TimeoutError(f"the {process} does not answer")
+        doubt = answer.doubt or doubt
+    raise TimeoutError(f"the {process} does not answer{doubt and f' ({doubt})'}")

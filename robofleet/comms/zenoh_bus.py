@@ -1,40 +1,82 @@
 """The bus over Zenoh: every process a client of one router, fixed endpoints, no scouting, no listening."""
 
 import json
+import os
+import resource
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import zenoh
 
-from robofleet.clock import Clock, S
+from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import ALIVE, Topic, key
+from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, TOPICS, Topic, key, largest, served_by
+from robofleet.comms.living import Living, RoleTakenError, alive_key, others
 
 _ANSWER_WITHIN_NS = S
 _REQUESTS = 16  # that wait to be served
+_ANSWERS = 16  # of different processes to one question
+_GONE_WITHIN_NS = S  # the token of a process that was killed, also where its host has to notice that
+_AGAIN_NS = 50 * MS
+_FILES = 16384  # that the router may have open, where the system allows it
 _TRANSPORT = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": 500,  # [ms]; the default of 10 s would hide a stopped process for as long
     "transport/link/tx/keep_alive": 4,
+    "transport/link/rx/max_message_size": LARGEST_MESSAGE,
+}
+# Who connects and says nothing, or nonsense, takes nobody's place: of Zenoh's own 100, each is held for 10 s.
+_DOOR = {
+    "transport/unicast/accept_pending": 8192,
+    "transport/unicast/accept_timeout": 1000,  # [ms]
+    "transport/unicast/max_sessions": 1000,
 }
 
 
 def open_router(endpoint: str) -> zenoh.Session:
-    """Start Zenoh's router in this process, listening on ``endpoint``; close it in a ``finally``."""
-    return _open({"mode": "router", "listen/endpoints": [endpoint]})
+    """Start Zenoh's router in this process, listening on ``endpoint``; close it in a ``finally``.
+
+    What is larger than the table of topics allows goes no further.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(_FILES, most) if most >= 0 else _FILES, most))
+    umask = os.umask(0o077)  # the socket's mode
+    try:
+        return _open({"mode": "router", "listen/endpoints": [endpoint], "low_pass_filter": _filters(), **_DOOR})
+    finally:
+        os.umask(umask)
+
+
+def _filters() -> list[dict[str, Any]]:
+    return [
+        {
+            "id": topic.key,
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": [key("*", topic, "*")],
+            "size_limit": topic.largest,
+        }
+        for topic in TOPICS
+        if topic is not ALIVE
+    ]
 
 
 class ZenohBus:
-    """A client of the router; close it in a ``finally``: an open session keeps the interpreter from exiting."""
+    """A client of the router; close it in a ``finally``: an open session keeps the interpreter from exiting.
 
-    def __init__(self, arena: str, endpoint: str, process: str, clock: Clock) -> None:
+    ``roles`` are names that one process at a time has, by which others know whose answer they may believe;
+    RoleTakenError where another has one. A process without a role is known as ``process``.
+    """
+
+    def __init__(self, arena: str, endpoint: str, process: str, clock: Clock, *, roles: Sequence[str] = ()) -> None:
         self._arena, self._clock = arena, clock
         self._closed = False
         self._queryables: list[Any] = []
         self._listeners: list[Any] = []
+        self._living: dict[str, Living] = {}  # those that this process asks
         self._session = _open(
             {
                 "mode": "client",
@@ -49,8 +91,27 @@ class ZenohBus:
                 },
             }
         )
-        name = f"{process}/{self._session.info.zid()}"
-        self._token = self._session.liveliness().declare_token(key(arena, ALIVE, name))
+        self._tokens: list[Any] = []
+        try:
+            for role in roles:
+                self._wait_for(role)
+            self._tokens = [self._token(name) for name in roles or (process,)]
+            for role in roles:  # two that began in the same moment have seen each other only now
+                self._wait_for(role)
+        except BaseException:
+            self.close()
+            raise
+
+    def _token(self, name: str) -> Any:
+        return self._session.liveliness().declare_token(alive_key(self._arena, name, self._session))
+
+    def _wait_for(self, role: str) -> None:
+        """Return when no other process has a role; RoleTakenError if one keeps it."""
+        deadline_ns = self._clock.now_ns() + _GONE_WITHIN_NS
+        while there := others(self._session, self._arena, role):
+            if self._clock.now_ns() > deadline_ns:
+                raise RoleTakenError(self._arena, role, there)
+            self._clock.sleep_until(self._clock.now_ns() + _AGAIN_NS)
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
         """Return the function that publishes on a topic; it never blocks."""
@@ -71,27 +132,30 @@ class ZenohBus:
         full = key(self._arena, topic, name)
         if wake is not None:
             return _Slot(self._session, full, wake, self._clock)
-        return _Ring(self._session.declare_subscriber(full, zenoh.handlers.RingChannel(1)))
+        return _Ring(self._session.declare_subscriber(full, zenoh.handlers.RingChannel(1)), topic.largest)
 
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` of every message, from Zenoh's own thread."""
 
         def arrived(sample: zenoh.Sample) -> None:
-            put(self._clock.now_ns(), bytes(sample.payload))
+            if len(sample.payload) <= topic.largest:
+                put(self._clock.now_ns(), bytes(sample.payload))
 
         full = key(self._arena, topic, name)
         callback = zenoh.handlers.Callback(arrived, indirect=False)
         self._listeners.append(self._session.declare_subscriber(full, callback))
 
-    def stream(self, expression: str, capacity: int) -> Stream:
-        """Subscribe to everything that matches a key expression."""
-        return _Stream(self._session, expression, capacity, self._clock)
+    def stream(self, *expressions: str, capacity: int) -> Stream:
+        """Subscribe to keys, or to expressions of one topic each: a key that nobody named comes to nobody."""
+        return _Stream(self._session, expressions, capacity, self._clock)
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request on a topic."""
         waiting: deque[zenoh.Query] = deque(maxlen=_REQUESTS)
 
         def put(query: zenoh.Query) -> None:
+            if query.payload is not None and len(query.payload) > topic.largest:
+                return
             waiting.append(query)
             if wake is not None:
                 wake(self._clock.now_ns())
@@ -105,12 +169,17 @@ class ZenohBus:
         return take
 
     def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
-        """Send a request, once."""
-        answer = _ZenohAnswer()
+        """Send a request, once: to all who say that they serve it, so that none keeps it from the others."""
+        server = served_by(topic, name)
+        if server not in self._living:
+            self._living[server] = Living(self._session, self._arena, server)
+        answer = _ZenohAnswer(self._living[server], topic.largest)
         self._session.get(
             key(self._arena, topic, name),
             zenoh.handlers.Callback(answer.put, indirect=False),  # a RingChannel's answer is gone with its query
             payload=payload,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
             timeout=_ANSWER_WITHIN_NS / S,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=getattr(zenoh.Priority, topic.priority),
@@ -127,15 +196,15 @@ class ZenohBus:
 class _Ring:
     arrival_ns = 0
 
-    def __init__(self, subscriber: Any) -> None:
+    def __init__(self, subscriber: Any, most: int) -> None:
         self._try_recv = subscriber.try_recv
-        self._subscriber = subscriber
+        self._subscriber, self._most = subscriber, most
 
     def take(self) -> bytes | None:
         newest = None
         while (sample := self._try_recv()) is not None:
             newest = sample
-        return None if newest is None else bytes(newest.payload)
+        return None if newest is None or len(newest.payload) > self._most else bytes(newest.payload)
 
 
 class _Slot:
@@ -144,8 +213,11 @@ class _Slot:
     def __init__(self, session: zenoh.Session, full: str, wake: Wake, clock: Clock) -> None:
         self._newest: deque[tuple[int, bytes]] = deque(maxlen=1)
         self.arrival_ns = 0
+        most = largest(full)
 
         def put(sample: zenoh.Sample) -> None:
+            if len(sample.payload) > most:
+                return
             arrival_ns = clock.now_ns()
             self._newest.append((arrival_ns, bytes(sample.payload)))
             wake(arrival_ns)
@@ -162,18 +234,24 @@ class _Slot:
 class _Stream:
     """Everything that came, put there by Zenoh's own thread: a RingChannel would drop without a word."""
 
-    def __init__(self, session: zenoh.Session, expression: str, capacity: int, clock: Clock) -> None:
+    def __init__(self, session: zenoh.Session, expressions: Sequence[str], capacity: int, clock: Clock) -> None:
         self._clock, self._capacity = clock, capacity
         self._lock = threading.Lock()  # held for some hundred nanoseconds
         self._samples: deque[tuple[int, zenoh.Sample]] = deque(maxlen=capacity)
         self.dropped = 0
-        callback = zenoh.handlers.Callback(self._put, indirect=False)
-        self._subscriber = session.declare_subscriber(expression, callback)
+        self._subscribers = [
+            session.declare_subscriber(full, zenoh.handlers.Callback(self._put_of(largest(full)), indirect=False))
+            for full in expressions
+        ]
 
-    def _put(self, sample: zenoh.Sample) -> None:
-        with self._lock:
-            self.dropped += len(self._samples) == self._capacity
-            self._samples.append((self._clock.now_ns(), sample))
+    def _put_of(self, most: int) -> Callable[[zenoh.Sample], None]:
+        def put(sample: zenoh.Sample) -> None:
+            if len(sample.payload) <= most:
+                with self._lock:
+                    self.dropped += len(self._samples) == self._capacity
+                    self._samples.append((self._clock.now_ns(), sample))
+
+        return put
 
     def drain(self) -> list[Arrival]:
         with self._lock:
@@ -182,16 +260,33 @@ class _Stream:
 
 
 class _ZenohAnswer:
-    def __init__(self) -> None:
-        self._answers: deque[bytes] = deque(maxlen=1)
+    """What was answered by the one process that has the role; what others answer is not believed."""
+
+    def __init__(self, living: Living, most: int) -> None:
+        self._living, self._most = living, most
+        self._answers: dict[str, bytes] = {}  # by who gave it
+        self._taken = False
 
     def put(self, reply: zenoh.Reply) -> None:
         """Keep it; called by Zenoh's own thread."""
-        if reply.ok is not None:
-            self._answers.append(bytes(reply.ok.payload))
+        if reply.ok is None or reply.replier_id is None or len(reply.ok.payload) > self._most:
+            return
+        if len(self._answers) < _ANSWERS:
+            self._answers.setdefault(str(reply.replier_id.zid), bytes(reply.ok.payload))
 
     def take(self) -> bytes | None:
-        return self._answers.pop() if self._answers else None
+        """Return the answer, once; None while there is none that can be believed."""
+        there = self._living.ids
+        if self._taken or len(there) != 1:
+            return None
+        answer = self._answers.get(next(iter(there)))
+        self._taken = answer is not None
+        return answer
+
+    @property
+    def doubt(self) -> str:
+        """Why what was answered is not believed; empty while nothing was."""
+        return self._living.doubt if self._answers and not self._taken else ""
 
 
 class _ZenohRequest:

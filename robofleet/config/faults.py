@@ -11,7 +11,13 @@ from pydantic_core import ErrorDetails
 
 from robofleet.config import bodies
 from robofleet.config.calibrated import CameraModel
-from robofleet.config.model import ENDPOINT_PATTERN, NAME_PATTERN
+from robofleet.config.patterns import (
+    ENDPOINT_PATTERN,
+    LONGEST_SOCKET_PATH,
+    NAME_PATTERN,
+    SOCKET,
+    TCP,
+)
 from robofleet.config.tree import Config
 from robofleet.config.troubles import ClockStep, IdSwap, Late
 
@@ -37,7 +43,7 @@ _WORDS = {
 _COEFFICIENTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}
 _PATTERNS = {
     NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
-    ENDPOINT_PATTERN: "must look like tcp/127.0.0.1:0",
+    ENDPOINT_PATTERN: "must be private, or look like unixsock-stream//run/lab/bus.sock or tcp/127.0.0.1:7447",
 }
 
 
@@ -262,13 +268,26 @@ def _troubles(config: Config) -> Iterator[Complaint]:
 
 def _endpoint(config: Config) -> Iterator[Complaint]:
     """An address that strangers can reach is refused to every process, also to one that is started by hand."""
-    host, _, port = config.bus.endpoint.removeprefix("tcp/").rpartition(":")
+    endpoint = config.bus.endpoint
+    if endpoint.startswith(SOCKET):
+        length = len(endpoint.removeprefix(SOCKET).encode())
+        if length > LONGEST_SOCKET_PATH:
+            yield "bus.endpoint", f"the path has {length} bytes, a socket's at most {LONGEST_SOCKET_PATH}: shorten it"
+    if not endpoint.startswith(TCP):
+        return
+    host, _, port = endpoint.removeprefix(TCP).rpartition(":")
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
         loopback = False
     if not loopback:
-        yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: take 127.0.0.1"
+        yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: leave it out, or private"
+    elif config.bus.insecure is None:
+        yield (
+            "bus.endpoint",
+            "over TCP every user of this computer can drive: leave it out for a private socket, "
+            "or say `insecure: loopback` beside it",
+        )
     if int(port) > 65535:
         yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
     if int(port) == 0 and config.drivers.started_by == "systemd":

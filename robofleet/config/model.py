@@ -4,9 +4,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
+from robofleet.config.patterns import NAME_PATTERN
+
 LAST_TAG = 586  # AprilTag 36h11 has 587 ids
-ENDPOINT_PATTERN = r"^tcp/[^\s/]+:\d{1,5}$"
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Gray = Annotated[int, Field(ge=0, le=255)]

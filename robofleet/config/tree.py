@@ -10,7 +10,8 @@ from pydantic import Field
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
-from robofleet.config.model import ENDPOINT_PATTERN, Finite, Fraction, Model, Name, NonNegative, Positive, Vector2
+from robofleet.config.model import Finite, Fraction, Model, Name, NonNegative, Positive, Vector2
+from robofleet.config.patterns import ENDPOINT_PATTERN, PRIVATE
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import Fault
 
@@ -25,10 +26,13 @@ class Arena(Model):
 
 
 class BusSettings(Model):
-    """Where the router listens; port 0 takes any free one."""
+    """Where the router listens. Whoever reaches it can drive."""
 
-    endpoint: Annotated[str, Field(pattern=ENDPOINT_PATTERN)] = "tcp/127.0.0.1:0"
-    """On loopback."""
+    endpoint: Annotated[str, Field(pattern=ENDPOINT_PATTERN)] = PRIVATE
+    """``private``: a socket named after the arena, in ``$XDG_RUNTIME_DIR/robofleet`` or ``/tmp/robofleet-UID``. The
+    folder of a socket must be this user's alone. Port 0 takes any free one."""
+    insecure: Literal["loopback"] | None = None
+    """``loopback`` allows TCP on this computer: every user and program of it can then drive."""
 
 
 class Knot(Model):

@@ -157,7 +157,9 @@ class _Walk:
                 into.cell_contents = read
         return place
 
-    def _globals(self, function: types.FunctionType, copy: types.FunctionType, where: str, names: frozenset[str]) -> None:
+    def _globals(
+        self, function: types.FunctionType, copy: types.FunctionType, where: str, names: frozenset[str]
+    ) -> None:
         for name in sorted(_globals_read(function.__code__)):
             self._say("global", name)
             if name in function.__globals__:

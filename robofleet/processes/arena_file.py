@@ -1,24 +1,36 @@
-"""The file that a launcher leaves for who wants to reach its run: where the bus is, and who is on it.
+"""The file by which a run is found: where its bus is, and who is on it.
 
-A lock beside it is held as long as the launcher lives, however it ends: so a file that was left behind is known, and
-an arena has one run at a time.
+It stands in two folders: the register, ``/tmp/robofleet``, where every user of this computer sees every run; and this
+user's private folder, by which an own run is found even where somebody has spoiled the register. A lock is held on it
+as long as the launcher lives, however it ends: so a file that was left behind is known, and an arena has one run at a
+time. Asking takes no lock. What others have written is believed as far as the system vouches for it: the owner.
 """
 
 import fcntl
 import json
 import os
+import pwd
+import re
+import stat
+import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from robofleet.clock import MS, Clock, utc_now
+from robofleet.clock import utc_now
+from robofleet.comms.private_folder import PlaceError, private_folder, temporary_folder
+from robofleet.config.patterns import ENDPOINT_PATTERN, NAME_PATTERN, PRIVATE
 
 if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hurry
     from robofleet.config.tree import Config
 
-_PATIENCE_NS = 200 * MS  # who looks whether a file was left behind holds the lock for a moment
-_AGAIN_NS = 10 * MS
+_LARGEST = 65536  # [bytes]
+_LONGEST_LINE = 4096  # of a path
+_TRIES = 10
+_FILE = re.compile(rf"({NAME_PATTERN.strip('^$')})\.(\d{{1,10}})\.json")
+_LOCK = struct.Struct("hhqqi4x")  # struct flock: kind, whence, start, length, process
+_REGISTER_MODE = 0o1777
 
 
 class ArenaFile(NamedTuple):
@@ -30,91 +42,203 @@ class ArenaFile(NamedTuple):
     folder: str  # of the run
     started: str  # UTC, ISO 8601
     robots: tuple[str, ...]  # in the group's order
+    uid: int  # whose run it is
+
+    @property
+    def mine(self) -> bool:
+        """Whether this user may stop it."""
+        return os.geteuid() in (0, self.uid)
+
+    @property
+    def user(self) -> str:
+        """Whose run it is, by name."""
+        try:
+            return pwd.getpwuid(self.uid).pw_name
+        except KeyError:
+            return f"user {self.uid}"
 
 
 class ArenaBusyError(Exception):
     """The arena has a run already; the message says whose, and how to end it."""
 
 
+class Found(NamedTuple):
+    """What runs on this computer."""
+
+    runs: tuple[ArenaFile, ...]  # of all users
+    places: tuple[str, ...]  # where was looked
+    troubles: tuple[str, ...]  # places that cannot be trusted or read, a line each
+
+
 @contextmanager
-def claimed(config: "Config", folder: Path, clock: Clock) -> Iterator[None]:
-    """Leave the file for as long as the run is on; ArenaBusyError where there is one."""
-    arena = config.arena.name
-    file = _folder() / f"{arena}.json"
-    lock = file.with_suffix(".lock")
-    descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
-    try:
-        if not _locked(descriptor, clock):
-            raise ArenaBusyError(_whose(arena, _read(file)))
-        started = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
-        robots = config.ids
-        mine = ArenaFile(arena, config.bus.endpoint, os.getpid(), str(folder.absolute()), started, robots)
-        beside = file.with_suffix(".new")
-        beside.write_text(json.dumps(mine._asdict()))
-        beside.replace(file)
+def claimed(config: "Config", folder: Path) -> Iterator[None]:
+    """Leave the files for as long as the run is on; ArenaBusyError where there is one, PlaceError where none can be."""
+    uid, started = os.geteuid(), f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
+    mine = ArenaFile(
+        config.arena.name, config.bus.endpoint, os.getpid(), str(folder.absolute()), started,
+        config.ids, uid,
+    )  # fmt: skip
+    with ExitStack() as held:
+        for place in (_register(), private_folder()):
+            held.enter_context(_held(place / f"{mine.arena}.{uid}.json", mine))
+        for there in found().runs:  # two who begin in the same moment see each other
+            if there.arena == mine.arena and there.uid != uid:
+                raise ArenaBusyError(_whose(there.arena, there))
+        yield
+
+
+def found() -> Found:
+    """Look for runs in the register and in this user's private folder."""
+    runs: dict[tuple[str, int], ArenaFile] = {}
+    places, troubles = [], []
+    for place in (_register, private_folder):
         try:
-            yield
-        finally:
-            file.unlink(missing_ok=True)
-    finally:
-        os.close(descriptor)
+            folder = place()
+            places.append(str(folder))
+            for file in sorted(folder.iterdir()):
+                there = _running(file)
+                if there is not None:
+                    runs.setdefault((there.arena, there.uid), there)
+        except OSError as error:
+            troubles.append(str(error))
+    return Found(tuple(sorted(runs.values())), tuple(places), tuple(troubles))
 
 
 def running() -> list[ArenaFile]:
-    """Return the arenas that have a run; files that were left behind are removed."""
-    found = []
-    for file in sorted(_folder().glob("*.json")):
-        lock = file.with_suffix(".lock")
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            file.unlink(missing_ok=True)
-        except BlockingIOError:
-            if (there := _read(file)) is not None:
-                found.append(there)
-        finally:
-            os.close(descriptor)
-    return found
+    """Return the runs that this user may stop."""
+    return [there for there in found().runs if there.mine]
 
 
 def twin_port(arena: str, robot: str) -> Path:
     """Return where a robot's twin leaves its serial port: a link to a pseudo-terminal."""
-    return _folder() / f"{arena}-{robot}.tty"
+    return private_folder() / f"{arena}-{robot}.tty"
 
 
-def _folder() -> Path:
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "robofleet" if runtime else Path(f"/tmp/robofleet-{os.getuid()}")
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():  # in /tmp anybody may have made it
-        raise PermissionError(f"{folder} belongs to somebody else: set XDG_RUNTIME_DIR to a folder of yours")
+def _register() -> Path:
+    """Return the register, made if need be; PlaceError where somebody has put something else in its place."""
+    folder = temporary_folder() / "robofleet"
+    try:
+        folder.mkdir(mode=_REGISTER_MODE)
+        folder.chmod(_REGISTER_MODE)  # whatever the umask was
+    except FileExistsError:
+        pass  # it is seen below what it is
+    except OSError as error:
+        raise PlaceError(f"{folder}: {error.strerror}: set TMPDIR to a folder that every user may write to") from error
+    seen = folder.lstat()
+    if not stat.S_ISDIR(seen.st_mode) or stat.S_IMODE(seen.st_mode) & _REGISTER_MODE != _REGISTER_MODE:
+        raise PlaceError(
+            f"{folder} is not the folder in which every user's runs are found (mode 1777): an administrator mends it "
+            f"with `rm -r {folder}`"
+        )
     return folder
 
 
-def _locked(descriptor: int, clock: Clock) -> bool:
-    deadline_ns = clock.now_ns() + _PATIENCE_NS
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except BlockingIOError:
-            if clock.now_ns() > deadline_ns:
-                return False
-            clock.sleep_until(clock.now_ns() + _AGAIN_NS)
-
-
-def _read(file: Path) -> ArenaFile | None:
+@contextmanager
+def _held(file: Path, mine: ArenaFile) -> Iterator[None]:
+    """Write a file and keep it locked."""
+    descriptor = _locked(file, mine.arena)
     try:
-        found = json.loads(file.read_text())
-        return ArenaFile(**found | {"robots": tuple(found["robots"])})
-    except (OSError, ValueError, TypeError, KeyError):
+        text = json.dumps({name: value for name, value in mine._asdict().items() if name != "uid"}).encode()
+        os.pwrite(descriptor, text, 0)
+        os.ftruncate(descriptor, len(text))
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                file.unlink()
+    finally:
+        os.close(descriptor)
+
+
+def _locked(file: Path, arena: str) -> int:
+    for _ in range(_TRIES):
+        try:
+            descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+        except OSError as error:
+            raise _spoiled(file) from error
+        try:
+            seen = os.fstat(descriptor)
+            if not stat.S_ISREG(seen.st_mode) or seen.st_uid != os.geteuid() or seen.st_nlink > 1:
+                raise _spoiled(file)
+            if _is_locked(descriptor):
+                raise ArenaBusyError(_whose(arena, _running(file)))
+            try:
+                fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
+            except BlockingIOError:  # a stranger may lock it for reading: then another file takes its place
+                if not _is_locked(descriptor):
+                    file.unlink(missing_ok=True)
+            else:
+                if os.path.samestat(seen, file.lstat()):
+                    os.fchmod(descriptor, 0o644)
+                    kept, descriptor = descriptor, -1
+                    return kept
+        except FileNotFoundError:
+            pass  # who had it has just ended
+        finally:
+            if descriptor >= 0:
+                os.close(descriptor)
+    raise ArenaBusyError(_whose(arena, _running(file)))
+
+
+def _spoiled(file: Path) -> PlaceError:
+    return PlaceError(f"{file} is not a file of yours, and yours alone: an administrator removes it with `rm {file}`")
+
+
+def _is_locked(descriptor: int) -> bool:
+    """Return whether a launcher lives that holds a file: only who may write to it can lock it for writing."""
+    asked = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+    kind, *_ = _LOCK.unpack(fcntl.fcntl(descriptor, fcntl.F_OFD_GETLK, asked))
+    return bool(kind != fcntl.F_UNLCK)
+
+
+def _running(file: Path) -> ArenaFile | None:
+    """Return what a file says whose launcher lives, and which the user wrote who is in its name."""
+    name = _FILE.fullmatch(file.name)
+    if name is None:
         return None
+    try:
+        descriptor = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    try:
+        seen, uid = os.fstat(descriptor), int(name[2])
+        if not stat.S_ISREG(seen.st_mode) or seen.st_uid != uid or seen.st_nlink > 1 or not _is_locked(descriptor):
+            return None
+        for _ in range(_TRIES):
+            there = _checked(os.pread(descriptor, _LARGEST, 0), name[1], uid)
+            if there is not None:
+                return there
+            os.sched_yield()  # it is being written
+    except OSError:
+        pass
+    finally:
+        os.close(descriptor)
+    return None
+
+
+def _checked(text: bytes, arena: str, uid: int) -> ArenaFile | None:
+    """Return what a file says; None if no launcher can have written that."""
+    try:
+        said = json.loads(text)
+        there = ArenaFile(**said | {"robots": tuple(said["robots"]), "uid": uid})
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    lines = there.folder, there.started, there.endpoint
+    if not all(type(line) is str and line.isprintable() and len(line) <= _LONGEST_LINE for line in lines):
+        return None
+    if type(there.pid) is not int or there.pid <= 1 or there.arena != arena:
+        return None
+    if there.endpoint == PRIVATE or not re.match(ENDPOINT_PATTERN, there.endpoint):
+        return None
+    if not all(type(robot) is str and re.match(NAME_PATTERN, robot) for robot in there.robots):
+        return None
+    return there
 
 
 def _whose(arena: str, there: ArenaFile | None) -> str:
     if there is None:
         return f"the arena {arena} has a run already: end it first"
-    return (
-        f"the arena {arena} has a run already, in {there.folder} since {there.started} (process {there.pid}): "
-        f"end it with Ctrl-C there, or with `kill {there.pid}`"
-    )
+    what = f"the arena {arena} has a run already, in {there.folder} since {there.started} (process {there.pid}"
+    if there.mine and there.uid == os.geteuid():
+        return f"{what}): end it with Ctrl-C there, or with `kill {there.pid}`"
+    return f"{what} of {there.user}): ask {there.user} to end it, or an administrator"

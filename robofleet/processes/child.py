@@ -12,6 +12,8 @@ from pathlib import Path
 
 from robofleet.clock import Clock, WallClock, epoch_ns
 from robofleet.comms.bus import Bus
+from robofleet.comms.keys import driver_role
+from robofleet.comms.living import RoleTakenError
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
@@ -86,7 +88,8 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
         except DriverError as error:
             raise RefusedError(str(error)) from error
 
-    _run(f"driver-{robots[0]}", config, lifeline, make, _DRIVER_PRIORITY)
+    roles = tuple(driver_role(robot) for robot in robots)
+    _run(roles[0], config, lifeline, make, _DRIVER_PRIORITY, roles=roles)
 
 
 def twins(config: Config, lifeline: Lifeline) -> None:
@@ -145,7 +148,12 @@ def recorder(config: Config, lifeline: Lifeline, folder: Path) -> None:
         log = RunLog(folder / FILE, config, epoch_ns=epoch_ns())
     except OSError as error:
         raise RefusedError(f"{folder / FILE}: {error.strerror}: a run is recorded in a folder of its own") from error
-    bus = ZenohBus(config.arena.name, config.bus.endpoint, "recorder", clock)
+    try:
+        bus = _joined(config, "recorder", clock, ("recorder",))
+    except RefusedError:
+        log.close()
+        (folder / FILE).unlink()
+        raise
     try:
         rng = entropy(config.run.seed, "recorder")
         run(Recorder(config, bus, rng, log, lambda: lifeline.last_word), clock, lifeline, Waker())
@@ -162,10 +170,11 @@ def _run(
     *,
     precise: bool = False,
     waker: Waker | None = None,
+    roles: tuple[str, ...] = (),
 ) -> None:
     clock, waker = WallClock(), waker or Waker()
     ahead_of_others()
-    bus = ZenohBus(config.arena.name, config.bus.endpoint, name, clock)
+    bus = _joined(config, name, clock, roles or (name,))
     try:
         faults = Schedule(config, clock) if config.faults else None
         seen: Bus = bus if faults is None else FaultyBus(bus, faults, name, clock)
@@ -174,3 +183,11 @@ def _run(
         run(node, clock, lifeline, waker, precise=precise)
     finally:
         bus.close()
+
+
+def _joined(config: Config, name: str, clock: Clock, roles: tuple[str, ...]) -> ZenohBus:
+    """Join the bus; RefusedError where another process is there in its place."""
+    try:
+        return ZenohBus(config.arena.name, config.bus.endpoint, name, clock, roles=roles)
+    except RoleTakenError as error:
+        raise RefusedError(str(error)) from error

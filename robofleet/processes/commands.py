@@ -30,12 +30,12 @@ def _running_names() -> list[str]:
     return [there.arena for there in running()]
 
 
-ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration, with a named port.")]
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration.")]
 ArenaName = Annotated[
     str | None,
     typer.Argument(
         metavar="ARENA",
-        help="arena.name of its configuration; it need not be said where only one has a run.",
+        help="arena.name of its configuration; where only one has a run, it need not be said.",
         autocompletion=_running_names,
         show_default=False,
     ),
@@ -49,11 +49,20 @@ def stop(arena: ArenaName = None) -> None:
 
     $ robofleet stop
 
-    It says who has acknowledged, and when. Look at the robots; then robofleet reset, or robofleet run --reset.
+    Without ARENA every run of yours is stopped; as root, everybody's. It says who has acknowledged, and when. Look at
+    the robots; then robofleet reset, or robofleet run --reset.
     """
     from robofleet.processes import operator  # noqa: PLC0415
 
-    _told(*operator.stop(_running(arena)))
+    try:
+        answers = operator.stop_all(arena)
+    except operator.NoArenaError as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
+    for done, what in answers:
+        print(what, file=sys.stdout if done else sys.stderr)
+    if not all(done for done, _ in answers):
+        raise typer.Exit(1)
 
 
 def _asking(what: str, described: str) -> None:
@@ -103,7 +112,7 @@ def _running(arena: str | None) -> "ArenaFile":
 
     try:
         return operator.chosen(arena)
-    except (operator.NoArenaError, PermissionError) as error:
+    except operator.NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
 
@@ -120,7 +129,9 @@ def _process(name: str) -> None:
         from robofleet.processes import child  # noqa: PLC0415
         from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
-        getattr(child, name)(_for_one_process(config), Lifeline(lifeline))
+        tree = _for_one_process(config, listen=name == "router")
+        with bad_input():
+            getattr(child, name)(tree, Lifeline(lifeline))
 
     app.command(name, help=f"The {name} of a run.\n\n$ robofleet {name} lab.yaml", rich_help_panel=PROCESSES)(command)
 
@@ -138,7 +149,9 @@ def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
-    child.supervisor(_for_one_process(config), Lifeline(lifeline), config.parent)
+    tree = _for_one_process(config)
+    with bad_input():
+        child.supervisor(tree, Lifeline(lifeline), config.parent)
 
 
 @app.command(rich_help_panel=PROCESSES)
@@ -182,7 +195,9 @@ def controller(
     from robofleet.processes import child  # noqa: PLC0415
     from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
-    child.controller(_for_one_process(config), Lifeline(lifeline), take_over=takeover)
+    tree = _for_one_process(config)
+    with bad_input():
+        child.controller(tree, Lifeline(lifeline), take_over=takeover)
 
 
 @app.command(rich_help_panel=PROCESSES)
@@ -250,8 +265,10 @@ def _listening(host: str, port: int) -> "socket.socket":
         ) from error
 
 
-def _for_one_process(config: Path, robots: tuple[str, ...] = ()) -> "Config":
-    """Return the configuration of a run's process: it finds the others by a port that is named."""
+def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":
+    """Return the configuration of a run's process: it finds the others at an endpoint that all of them know."""
+    from robofleet.comms.endpoint import check_free, settled  # noqa: PLC0415
+    from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
     from robofleet.config.load import ConfigFile  # noqa: PLC0415
 
     with bad_input():
@@ -263,10 +280,16 @@ def _for_one_process(config: Path, robots: tuple[str, ...] = ()) -> "Config":
         if tree.bus.endpoint.endswith(":0"):
             raise RefusedError(
                 f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
-                "name one, for example tcp/127.0.0.1:7447"
+                "name one, for example tcp/127.0.0.1:7447, or leave it out"
             )
         for robot in robots:
             from robofleet.processes.check_drivers import of_robot  # noqa: PLC0415
 
             source.refuse(of_robot(tree, known.index(robot)))
+        try:
+            tree = settled(tree, listen=listen)
+            if listen:
+                check_free(tree)
+        except PlaceError as error:
+            raise RefusedError(f"{config}: {error}") from error
         return tree

@@ -50,7 +50,7 @@ class FleetListener:
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
         self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS)
         self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
-        self._news = bus.stream(key(arena, NEWS, CAMERA), _STREAM)
+        self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_STREAM)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
         self._robots = [RobotView(driven=row < driven) for row in range(len(robots))]
         self._measured_ns = [0] * len(robots)  # newest image in which each tag was measured, by the images' own stamps

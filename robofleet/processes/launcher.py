@@ -6,7 +6,7 @@ from typing import Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import CAMERA, PICTURE, REQUEST, STATE, STATUS, TICK, everything, key
+from robofleet.comms.keys import CAMERA, PICTURE, REQUEST, STATE, STATUS, TICK, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
@@ -20,6 +20,7 @@ from robofleet.processes.estop import emergency_stop
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
 from robofleet.recording.causes import run_cause
+from robofleet.recording.channels import keys
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.advice import advised
 from robofleet.safety.arming import Stage
@@ -138,7 +139,7 @@ class Launcher:
         self._terminal.emergency = self._stop_now
         held.callback(setattr, self._terminal, "emergency", lambda: None)
         try:
-            self._stream = bus.stream(everything(self._arena), _STREAM)
+            self._stream = bus.stream(*keys(self._config), capacity=_STREAM)
             self._heard_ns = self._clock.now_ns()
             try:
                 return self._ended(*self._follow())

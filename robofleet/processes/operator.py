@@ -2,9 +2,12 @@
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from robofleet.clock import MS, WallClock
@@ -12,7 +15,7 @@ from robofleet.comms.keys import STATE, STATUS, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.processes.arena_file import ArenaFile, running
+from robofleet.processes.arena_file import ArenaFile, found
 from robofleet.processes.estop import emergency_stop
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.advice import advised
@@ -36,17 +39,51 @@ class UnreachableError(Exception):
 
 
 def chosen(name: str | None) -> ArenaFile:
-    """Return the running arena that was named, or the only one."""
-    there = running()
-    names = ", ".join(arena.arena for arena in there)
-    if not there:
-        raise NoArenaError("no arena has a run: start one with `robofleet run CONFIG`")
-    if name is None and len(there) > 1:
+    """Return the running arena of this user that was named, or the only one."""
+    there = named_runs(None)
+    mine = [run for run in there if run.mine]
+    names = ", ".join(run.arena for run in mine)
+    if name is None and len(mine) > 1:
         raise NoArenaError(f"several arenas have a run: name one of {names}")
-    for arena in there:
-        if name in (None, arena.arena):
-            return arena
+    for run in mine:
+        if name in (None, run.arena):
+            return run
+    for run in there:
+        if name in (None, run.arena):
+            raise NoArenaError(_not_yours(run))
     raise NoArenaError(f"the arena {name} has no run: name one of {names}")
+
+
+def named_runs(name: str | None) -> list[ArenaFile]:
+    """Return all users' runs, or those of an arena; NoArenaError if there is none. What is in the way is said."""
+    runs, places, troubles = found()
+    for trouble in troubles:
+        print(f"not all runs may be found: {trouble}", file=sys.stderr)
+    if not runs:
+        where = " or ".join(places) or "any place"
+        raise NoArenaError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
+    named_so = [run for run in runs if name in (None, run.arena)]
+    if not named_so:
+        raise NoArenaError(f"the arena {name} has no run: name one of {', '.join(run.arena for run in runs)}")
+    return named_so
+
+
+def stop_all(name: str | None) -> list[tuple[bool, str]]:
+    """Stop every run, or those of an arena, all at once; returns for each what ``stop`` does."""
+
+    def stopped(there: ArenaFile) -> tuple[bool, str]:
+        return stop(there) if there.mine else (False, _not_yours(there))
+
+    runs = named_runs(name)
+    with ThreadPoolExecutor(len(runs)) as pool:
+        return list(pool.map(stopped, runs))
+
+
+def _not_yours(there: ArenaFile) -> str:
+    return (
+        f"the arena {there.arena} has a run of {there.user} (process {there.pid}), which is not yours: "
+        f"ask {there.user} or an administrator (`sudo robofleet stop {there.arena}`)"
+    )
 
 
 def stop(there: ArenaFile) -> tuple[bool, str]:
@@ -60,13 +97,20 @@ def stop(there: ArenaFile) -> tuple[bool, str]:
             stopped = emergency_stop(bus, clock, there.robots)
             return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
     except UnreachableError:
-        os.kill(there.pid, signal.SIGTERM)
+        _signalled(there)
         clock.sleep_until(clock.now_ns() + _BETWEEN_NS)
-        os.kill(there.pid, signal.SIGTERM)
+        _signalled(there)
         return False, (
             f"the bus of {there.arena} does not answer: the launcher was told to end every process; "
             "no robot has acknowledged: go and look"
         )
+
+
+def _signalled(there: ArenaFile) -> None:
+    """Signal a launcher, if the process is its user's: what the file says is the user's word alone."""
+    with suppress(OSError):  # it is gone
+        if Path(f"/proc/{there.pid}").stat().st_uid == there.uid:
+            os.kill(there.pid, signal.SIGTERM)
 
 
 def ask(there: ArenaFile, what: str) -> tuple[bool, str]:
@@ -88,8 +132,8 @@ def status(there: ArenaFile) -> dict[str, Any]:
     state: RunState | None = None
     newest: dict[str, tuple[int, RobotStatus]] = {}
     with _reached(there, clock) as bus:
-        states, statuses = bus.newest(STATE), bus.stream(key(there.arena, STATUS, "*"), 16 * len(there.robots))
         names = {key(there.arena, STATUS, robot): robot for robot in there.robots}
+        states, statuses = bus.newest(STATE), bus.stream(*names, capacity=16 * len(names))
         end_ns = clock.now_ns() + _LISTEN_NS
         while (now_ns := clock.now_ns()) < end_ns:
             if (payload := states.take()) is not None:

@@ -6,10 +6,11 @@ import numpy as np
 
 from robofleet.clock import MS
 from robofleet.comms.bus import Bus
-from robofleet.comms.keys import RECORDER, everything
+from robofleet.comms.keys import RECORDER
 from robofleet.comms.messages import RECORDER_STATUS, RecorderStatus
 from robofleet.config import slices
 from robofleet.config.tree import Config
+from robofleet.recording.channels import keys
 from robofleet.recording.log import RunLog
 
 _QUEUE = 65536  # messages: half a minute of a fleet of four, three seconds of a hundred robots
@@ -24,7 +25,7 @@ class Recorder:
         self, config: Config, bus: Bus, rng: np.random.Generator, log: RunLog, ending: Callable[[], bytes]
     ) -> None:
         self._log, self._ending = log, ending
-        self._stream = bus.stream(everything(config.arena.name), _QUEUE)
+        self._stream = bus.stream(*keys(config), capacity=_QUEUE)
         self._publish = bus.publisher(RECORDER)
         self._epoch = slices.drawn_id(rng, 32)
         self._seq = self._missed = 0

@@ -76,11 +76,12 @@ class FaultyBus:
         """Pass every message on as it arrives."""
         self._bus.listen(topic, name, put)
 
-    def stream(self, expression: str, capacity: int) -> Stream:
+    def stream(self, *expressions: str, capacity: int) -> Stream:
         """Subscribe to one key; of a simulated world no network lies between."""
+        (expression,) = expressions
         found = named(expression)
         if found is None or found[0] is TRUTH:
-            return self._bus.stream(expression, capacity)
+            return self._bus.stream(expression, capacity=capacity)
         fate = _Fate(self._schedule, self._process, *found, self._cuts(*found))
         stream = _FaultyStream(expression, self._schedule, found[0], fate, None, self._ahead_ns)
         self._bus.listen(*found, stream.put)

@@ -31,7 +31,7 @@ class World:
 
     def __init__(self, arena: str, robots: Sequence[Robot], bus: Bus) -> None:
         self.tags = [robot.tag for robot in robots]
-        self._streams: list[Stream] = [bus.stream(key(arena, TRUTH, robot.id), _HISTORY) for robot in robots]
+        self._streams: list[Stream] = [bus.stream(key(arena, TRUTH, robot.id), capacity=_HISTORY) for robot in robots]
         self._histories = [TruthHistory(_HISTORY) for _ in self._streams]
 
     def update(self) -> None:

@@ -51,7 +51,7 @@ def test_newest_means_newest_also_when_nobody_looked_for_long(memory_bus: MakeBu
 
 def test_a_stream_gives_everything_in_order_and_drops_the_oldest(memory_bus: MakeBus, clock: SimulatedClock) -> None:
     bus = memory_bus(5)
-    stream, publish = bus.stream(key("lab", STATUS, "r1"), 3), bus.publisher(STATUS, "r1")
+    stream, publish = bus.stream(key("lab", STATUS, "r1"), capacity=3), bus.publisher(STATUS, "r1")
     for k in range(5):
         publish(bytes([k]))
     assert stream.drain() == []

@@ -8,10 +8,10 @@ import pytest
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Request
-from robofleet.comms.endpoint import bind_endpoint
-from robofleet.comms.keys import COMMAND, LEASE, REQUEST, STATE, STATUS, TICK, everything
+from robofleet.comms.keys import COMMAND, LEASE, REQUEST, STATE, STATUS, TICK, key
 from robofleet.comms.requests import asked as operator_asks
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from tests.endpoints import own_endpoint
 
 CLOCK = WallClock()
 
@@ -26,12 +26,14 @@ class Net(NamedTuple):
 
 @pytest.fixture(scope="module")
 def net() -> Iterator[Net]:
-    endpoint = bind_endpoint("tcp/127.0.0.1:0")
+    endpoint = own_endpoint()
     opened: list[ZenohBus] = []
     router = open_router(endpoint)
     try:
-        for name in ("a", "b"):
-            opened.append(ZenohBus("lab", endpoint, name, CLOCK))
+        opened.append(ZenohBus("lab", endpoint, "a", CLOCK))
+        opened.append(
+            ZenohBus("lab", endpoint, "b", CLOCK, roles=("supervisor", *(f"driver-r{k}" for k in range(1, 5))))
+        )
         yield Net(*opened, endpoint)
     finally:
         for bus in opened:
@@ -79,16 +81,17 @@ def test_a_wake_comes_with_the_arrival(net: Net) -> None:
     assert inbox.arrival_ns in woken
 
 
-def test_a_stream_hears_the_whole_arena_and_no_other(net: Net) -> None:
-    stream = net.b.stream(everything("lab"), 100)
+def test_a_stream_hears_the_keys_that_were_named_and_no_other(net: Net) -> None:
+    stream = net.b.stream(key("lab", TICK), key("lab", STATE), capacity=100)
     publishers = {"rf/lab/tick": net.a.publisher(TICK), "rf/lab/state": net.a.publisher(STATE)}
     foreign = ZenohBus("elsewhere", net.endpoint, "c", CLOCK)
     try:
-        publish_foreign = foreign.publisher(TICK)
+        publish_foreign, publish_unknown = foreign.publisher(TICK), net.a.publisher(STATUS, "nobody")
         heard: dict[str, bytes] = {}
 
         def say() -> None:
             publish_foreign(b"not for the lab")
+            publish_unknown(b"of a robot that there is not")
             for full, publish in publishers.items():
                 publish(full.encode())
 
@@ -103,7 +106,7 @@ def test_a_stream_hears_the_whole_arena_and_no_other(net: Net) -> None:
 
 
 def test_a_full_stream_drops_the_oldest_and_counts_them(net: Net) -> None:
-    stream, publish = net.b.stream("rf/lab/robot/r9/cmd", 4), net.a.publisher(COMMAND, "r9")
+    stream, publish = net.b.stream("rf/lab/robot/r9/cmd", capacity=4), net.a.publisher(COMMAND, "r9")
     heard: list[bytes] = []
     net.b.listen(COMMAND, "r9", lambda _, payload: heard.append(payload))
     witness = net.b.newest(COMMAND, "r9")
@@ -178,25 +181,6 @@ def test_where_nobody_serves_no_answer_comes_and_nobody_waits(net: Net) -> None:
     assert CLOCK.now_ns() - before < 0.2 * S
     CLOCK.sleep_until(before + 300 * MS)
     assert answer.take() is None
-
-
-def test_of_two_who_serve_the_same_an_asker_hears_one_answer(net: Net) -> None:
-    """A driver that was started twice: whichever answers, it is one whole answer."""
-    first, second = net.a.serve(LEASE, "r4"), net.b.serve(LEASE, "r4")
-    heard: list[bytes] = []
-    serve_first, serve_second = answering(first, heard, b"first"), answering(second, heard, b"second")
-
-    def serve() -> None:
-        serve_first()
-        serve_second()
-
-    third = ZenohBus("lab", net.endpoint, "c", CLOCK)
-    try:
-        for _ in range(5):
-            assert asked(third, "r4", b"mine", serve)[0] in (b"first", b"second")
-    finally:
-        third.close()
-    assert set(heard) == {b"mine"}
 
 
 def test_an_operator_is_answered_or_told_that_nobody_is(net: Net) -> None:

@@ -177,7 +177,7 @@ MISTAKES = [
     (("size_m: [3.2, 2.0]", "size_m: «3.2"), "arena.size_m", "must be a list"),
     (("[r1, r2, r3, r4]", "«[]"), "groups.0.robots", "needs 1 or more, has 0"),
     (("arena: {name: platoon, size_m: [3.2, 2.0]}", "arena: «88"), "arena", "must be a mapping, not 88"),
-    (("run: {", "bus: {endpoint: «udp/1.2.3.4:0}\nrun: {"), "bus.endpoint", "tcp/127.0.0.1:0"),
+    (("run: {", "bus: {endpoint: «udp/1.2.3.4:0}\nrun: {"), "bus.endpoint", "must be private, or look like"),
     (("tag: 3", "tag: «2"), "robots.2.tag", "2 is robots.1's already"),
     (("id: r3", "id: «r2"), "robots.2.id", "r2 is robots.1's already"),
     (("[r1, r2, r3, r4]", "[r1, r2, «r1]"), "groups.0.robots.2", "r1 is in the group already"),

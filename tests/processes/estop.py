@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from robofleet.clock import MS, S, WallClock
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import STATE, STATUS, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
 from robofleet.comms.requests import asked
@@ -25,6 +24,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.processes.estop import emergency_stop
 from robofleet.safety.supervisor import Phase
+from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON
 from tests.processes.unlaunched import started
 
@@ -46,7 +46,7 @@ class Tries:
         self._ask(b"start")
         self._wait_running()
         _CLOCK.sleep_until(_CLOCK.now_ns() + _DRIVES_NS)
-        statuses = self.bus.stream(key(self._arena, STATUS, "*"), 4096)
+        statuses = self.bus.stream(key(self._arena, STATUS, "*"), capacity=4096)
         asked_ns = _CLOCK.now_ns()
         stopped = emergency_stop(self.bus, _CLOCK, self._robots)
         assert not stopped.silent, stopped.describe()
@@ -77,7 +77,7 @@ class Tries:
 
 def measure(folder: Path, times: int) -> list[float]:
     """Return the time of every robot and try [ms]."""
-    endpoint = bind_endpoint("tcp/127.0.0.1:0")
+    endpoint = own_endpoint()
     config = load_config(PLATOON, ["tracker.source=truth", f"bus.endpoint={endpoint}"])
     fleet = started(config, folder, _CLOCK)
     found: list[float] = []

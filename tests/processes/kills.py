@@ -20,13 +20,13 @@ import numpy as np
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Inbox
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import STATE, STATUS
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.safety.supervisor import Phase
+from tests.endpoints import own_endpoint
 from tests.processes.unlaunched import started, wait_ready
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
@@ -51,7 +51,7 @@ class Fleet:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        endpoint = bind_endpoint("tcp/127.0.0.1:0")
+        endpoint = own_endpoint()
         robots = f"groups.0.robots=[{', '.join(ROBOTS)}]"
         config = load_config(PLATOON, [robots, f"bus.endpoint={endpoint}", "tracker.source=truth"])
         self.config = config.model_copy(update={"robots": tuple(config.robot(robot) for robot in ROBOTS)})

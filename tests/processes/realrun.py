@@ -47,9 +47,11 @@ def wait(condition: Callable[[], Any], within_s: float) -> bool:
 
 def own_folders(folder: Path) -> dict[str, str]:
     """Return an environment in which runs leave their files in a folder."""
-    for name in ("runtime", "state"):
+    # short: a socket's path stands there
+    names = {"XDG_RUNTIME_DIR": "rt", "XDG_STATE_HOME": "state", "TMPDIR": "tmp"}
+    for name in names.values():
         (folder / name).mkdir(exist_ok=True)
-    return os.environ | {"XDG_RUNTIME_DIR": str(folder / "runtime"), "XDG_STATE_HOME": str(folder / "state")}
+    return os.environ | {variable: str(folder / name) for variable, name in names.items()}
 
 
 def fill(descriptor: int) -> None:

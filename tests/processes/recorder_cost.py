@@ -39,7 +39,7 @@ def ticks(fleet: Fleet, stream: Stream, seconds: float) -> NDArray[np.float64]:
 
 def measured(fleet: Fleet, folder: Path, turns: int, seconds: float) -> dict[str, list[NDArray[np.float64]]]:
     """Return the ticks of every turn, without the recorder and with it."""
-    stream = fleet.bus.stream(key(fleet.config.arena.name, TICK), _STREAM)
+    stream = fleet.bus.stream(key(fleet.config.arena.name, TICK), capacity=_STREAM)
     found: dict[str, list[NDArray[np.float64]]] = {"without": [], "with": []}
     for _ in range(turns):
         found["without"].append(ticks(fleet, stream, seconds))

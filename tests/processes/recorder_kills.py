@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 
 from robofleet.clock import MS, S
 from robofleet.comms.bus import Arrival, Stream
-from robofleet.comms.keys import everything
+from robofleet.recording.channels import keys as recorded_keys
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import read
 from tests.processes.kills import CLOCK, Fleet
@@ -102,7 +102,7 @@ def main() -> None:
         folder = Path(name)
         os.environ["XDG_STATE_HOME"] = name
         fleet = Fleet(folder)
-        heard = fleet.bus.stream(everything(fleet.config.arena.name), _STREAM)
+        heard = fleet.bus.stream(*recorded_keys(fleet.config), capacity=_STREAM)
         try:
             for k in range(arguments.runs):
                 outcomes.append(strike(fleet, heard, folder, rng))

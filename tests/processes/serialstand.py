@@ -16,7 +16,6 @@ from unittest.mock import patch
 import yaml
 
 from robofleet.clock import MS, S, WallClock
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
 from robofleet.comms.messages import (
@@ -42,6 +41,7 @@ from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.body import Body
 from robofleet.vehicles.interface import WheelSpeeds
+from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON, own_folders
 
 CLOCK = WallClock()
@@ -136,7 +136,7 @@ def commanded(driver: str, folder: Path) -> Iterator[tuple[Commander, FarEnd, in
     port = folder / "r1.tty"
     robot = yaml.safe_load(PLATOON.read_text())["robots"][0]
     robot |= {"driver": driver, "vehicle": vehicle, "settings": {"port": str(port), **_SETTINGS.get(driver, {})}}
-    endpoint = bind_endpoint("tcp/127.0.0.1:0")
+    endpoint = own_endpoint()
     keys = f"robots={json.dumps([robot])}", 'groups.0.robots=["r1"]', f"bus.endpoint={endpoint}"
     config = load_config(PLATOON, keys)
     (folder / "config.yaml").write_text(resolved_yaml(config))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
+from tests.endpoints import own_endpoint
 from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders
 
 SYSTEMD = "drivers.started_by=systemd"
@@ -16,13 +16,13 @@ SYSTEMD = "drivers.started_by=systemd"
 
 def test_a_port_that_the_drivers_cannot_know_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"bus\.endpoint: drivers that are there before the run.*7447"):
-        load_config(PLATOON, [SYSTEMD])
+        load_config(PLATOON, [SYSTEMD, "bus.endpoint=tcp/127.0.0.1:0", "bus.insecure=loopback"])
 
 
 def test_a_driver_that_waits_for_the_bus_serves_one_run_after_the_other(
     tmp_path: Path, real_run: Callable[..., RealRun]
 ) -> None:
-    changes = [SYSTEMD, f"bus.endpoint={bind_endpoint('tcp/127.0.0.1:0')}", "run.duration_s=0.5"]
+    changes = [SYSTEMD, f"bus.endpoint={own_endpoint()}", "run.duration_s=0.5"]
     config = tmp_path / "lab.yaml"
     config.write_text(resolved_yaml(load_config(PLATOON, [*ALONE[1::2], *changes])))
     command = [sys.executable, "-m", "robofleet", "driver", str(config), "--robots", "r1"]

@@ -9,21 +9,23 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.comms.endpoint import bind_endpoint
+from tests.endpoints import own_endpoint
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 
 
 @pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1"]])
-def test_a_port_that_nobody_else_can_know_is_refused(command: list[str]) -> None:
-    result = CliRunner().invoke(app, [*command, str(PLATOON)])
+def test_a_port_that_nobody_else_can_know_is_refused(command: list[str], tmp_path: Path) -> None:
+    config = tmp_path / "any.yaml"
+    config.write_text(f"bus: {{endpoint: 'tcp/127.0.0.1:0', insecure: loopback}}\n{PLATOON.read_text()}")
+    result = CliRunner().invoke(app, [*command, str(config)])
     assert result.exit_code == 2
     assert "bus.endpoint" in result.stderr
 
 
 def test_a_lost_terminal_ends_a_process_well(tmp_path: Path) -> None:
     config = tmp_path / "fixed.yaml"
-    endpoint = bind_endpoint("tcp/127.0.0.1:0")
+    endpoint = own_endpoint()
     config.write_text(f"bus: {{endpoint: '{endpoint}'}}\n{PLATOON.read_text()}")
     router = subprocess.Popen([sys.executable, "-m", "robofleet", "router", str(config)], stderr=subprocess.PIPE)
     assert router.stderr is not None

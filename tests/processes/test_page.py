@@ -324,7 +324,7 @@ def listening(run: RealRun) -> Iterator[Callable[[], dict[str, RobotStatus]]]:
         return newest
 
     try:
-        said = bus.stream(key(config.arena.name, keys.STATUS, "*"), 1024)
+        said = bus.stream(key(config.arena.name, keys.STATUS, "*"), capacity=1024)
         yield heard
     finally:
         bus.close()

@@ -23,6 +23,7 @@ from robofleet.recording.metrics import summary
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import Phase
+from tests.endpoints import own_endpoint
 from tests.processes.conftest import Bench
 from tests.processes.realrun import RealRun, of_robots
 
@@ -136,7 +137,7 @@ def recorder(folder: Path) -> "subprocess.CompletedProcess[str]":
 
 
 def test_a_recording_is_not_written_over(platoon_of: ConfigOf, tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text(resolved_yaml(platoon_of("bus.endpoint=tcp/127.0.0.1:7447")))
+    (tmp_path / "config.yaml").write_text(resolved_yaml(platoon_of(f"bus.endpoint={own_endpoint()}")))
     (tmp_path / FILE).write_bytes(b"a run")
     refused = recorder(tmp_path)
     assert refused.returncode == 2

@@ -119,7 +119,7 @@ def test_lockstep_waits_for_no_serial_line() -> None:
 
 def test_a_configuration_without_twins_has_none_to_start(tmp_path: Path) -> None:
     file = tmp_path / "named.yaml"
-    file.write_text(PLATOON.read_text().replace("arena:", "bus: {endpoint: 'tcp/127.0.0.1:7447'}\narena:", 1))
+    file.write_text(PLATOON.read_text())
     said = CliRunner().invoke(app, ["twins", str(file)])
     assert said.exit_code == 2
     assert "no robot has a twin" in said.output
@@ -128,7 +128,7 @@ def test_a_configuration_without_twins_has_none_to_start(tmp_path: Path) -> None
 def test_twins_that_are_killed_end_the_run_and_leave_no_port(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*of_robots("r1"), *A_TWIN)
     run.wait_until_running()
-    (port,) = (run.folder.parent / "runtime").glob("**/*.tty")
+    (port,) = (run.folder.parent / "rt").glob("**/*.tty")
     assert port.is_char_device()
     run.kill("twins")
     assert run.ended(30) == 1

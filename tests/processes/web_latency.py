@@ -25,7 +25,6 @@ import psutil
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Inbox
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.comms.requests import asked
@@ -37,6 +36,7 @@ from robofleet.processes.children import Children
 from robofleet.processes.node import Lifeline
 from robofleet.processes.web import feed, server
 from robofleet.safety.supervisor import Event, Phase
+from tests.endpoints import own_endpoint
 from tests.processes.longfleet import fleet_of
 from tests.processes.realrun import PLATOON, own_folders
 from tests.processes.webstand import WebStand
@@ -165,7 +165,7 @@ class Browser:
 
 def lateness_us(bus: ZenohBus, config: Config, seconds: float) -> list[float]:
     """Return how late the controller's ticks were in a while [us]."""
-    stream = bus.stream(key(config.arena.name, TICK), 1 << 16)
+    stream = bus.stream(key(config.arena.name, TICK), capacity=1 << 16)
     CLOCK.sleep_until(CLOCK.now_ns() + round(seconds * S))
     heads = [TICK_RECORD.decode_head(payload) for *_, payload in stream.drain()]
     return [head[-2] / 1000 for head in heads if head is not None]
@@ -236,7 +236,7 @@ def main() -> None:
     if a.serve is not None:
         measured_server(a.serve, a.lifeline)
         return
-    config = load_config(PLATOON, [*fleet_of(a.robots), f"bus.endpoint={a.say or bind_endpoint('tcp/127.0.0.1:0')}"])
+    config = load_config(PLATOON, [*fleet_of(a.robots), f"bus.endpoint={a.say or own_endpoint()}"])
     if a.say is not None:
         say(config)
     with tempfile.TemporaryDirectory() as name:

@@ -15,7 +15,6 @@ from websockets.sync.client import ClientConnection, connect
 from robofleet.clock import S, WallClock
 from robofleet.comms import keys, messages
 from robofleet.comms.bus import Request
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.messages import (
     FleetPoses,
     Picture,
@@ -32,6 +31,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.web.server import Served, serve
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON, wait
 
 CLOCK = WallClock()
@@ -155,9 +155,10 @@ def placed(x: float, y: float, **changes: float) -> RobotTick:
 @contextmanager
 def web_stand(folder: Path, *overrides: str, of_run: bool = True) -> Iterator[WebStand]:
     """Start a router, the server and the stand; nothing is left of them."""
-    config = load_config(PLATOON, [f"bus.endpoint={bind_endpoint('tcp/127.0.0.1:0')}", *overrides])
+    config = load_config(PLATOON, [f"bus.endpoint={own_endpoint()}", *overrides])
     router = open_router(config.bus.endpoint)
-    buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK) for name in ("test", "web")]
+    roles = {"test": ("supervisor", "tracker"), "web": ()}  # what the test stands for
+    buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
     urls: list[str] = []
     cut = threading.Event()
     served = Served(config, folder, buses[1], CLOCK, _LOOPBACK, of_run)

@@ -14,7 +14,6 @@ from pathlib import Path
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Inbox
-from robofleet.comms.endpoint import bind_endpoint
 from robofleet.comms.keys import STATE, STATUS, TRUTH
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RunState
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
@@ -25,6 +24,7 @@ from robofleet.processes.arena_file import twin_port
 from robofleet.recording.causes import run_cause
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import RobotFault
+from tests.endpoints import own_endpoint
 from tests.processes.kills import wait
 from tests.processes.realrun import own_folders
 from tests.processes.unlaunched import started
@@ -41,7 +41,7 @@ class Pulled:
 
     def __init__(self, config_file: Path, robot: str, seconds: float, folder: Path) -> None:
         fault = f"{{kind: unplugged, robot: {robot}, at_s: {_DRIVEN_S}, duration_s: {seconds}}}"
-        endpoint = bind_endpoint("tcp/127.0.0.1:0")
+        endpoint = own_endpoint()
         self.config = load_config(config_file, [f"bus.endpoint={endpoint}", f"faults=[{fault}]"])
         self.port = twin_port(self.config.arena.name, robot)
         self._children = started(self.config, folder, CLOCK)

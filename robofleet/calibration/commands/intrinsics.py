@@ -18,7 +18,7 @@ from robofleet.calibration.intrinsics_page import page
 from robofleet.calibration.live import Screen, capture, live_config
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
-from robofleet.config.model import NAME_PATTERN
+from robofleet.config.patterns import NAME_PATTERN
 
 
 def intrinsics(

@@ -45,8 +45,8 @@ class Hearing:
         self.tags = {robot.tag: robot.id for robot in robots}
         self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
         self.statuses = Statuses(bus, [robot.id for robot in robots])
-        self._frames = bus.stream(key(arena, POSES, CAMERA), _IMAGES)
-        self._news = bus.stream(key(arena, NEWS, CAMERA), _NEWS)
+        self._frames = bus.stream(key(arena, POSES, CAMERA), capacity=_IMAGES)
+        self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_NEWS)
         self._pictures = bus.newest(PICTURE, CAMERA)
         self._pending: tuple[int, Picture] | None = None  # and when it came
         self.record: TickRecord | None = None

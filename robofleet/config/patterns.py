@@ -1,0 +1,7 @@
+"""What names and endpoints look like. Nothing heavy is imported here: `robofleet stop` reads these too."""
+
+NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
+PRIVATE = "private"  # the endpoint that needs no name: a socket in this user's private folder
+TCP, SOCKET = "tcp/", "unixsock-stream/"
+ENDPOINT_PATTERN = rf"^({PRIVATE}|{SOCKET}/[^\s?#;]+|{TCP}[^\s/?#;]+:\d{{1,5}})$"
+LONGEST_SOCKET_PATH = 107  # [bytes] that the system takes

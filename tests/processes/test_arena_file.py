@@ -1,0 +1,365 @@
+"""Where a run leaves its file, who finds it, and what strangers can do about that."""
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from struct import Struct
+
+import pytest
+
+from robofleet.comms.private_folder import PlaceError
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.processes import operator
+from robofleet.processes.arena_file import ArenaBusyError, ArenaFile, claimed, found, running
+from tests.endpoints import short_folder
+
+PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+ENDPOINT = "bus.endpoint=unixsock-stream//run/lab/bus.sock"
+FLOCK = Struct("hhqqi4x")  # kind, whence, start, length, process
+ME, NOBODY = os.geteuid(), 65534
+as_root = pytest.mark.skipif(ME != 0, reason="only root can be somebody else")
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder in which all users of this test leave their files."""
+    folder = short_folder()
+    folder.chmod(0o1777)
+    for name, variable in (("tmp", "TMPDIR"), ("run", "XDG_RUNTIME_DIR")):
+        (folder / name).mkdir()
+        monkeypatch.setenv(variable, str(folder / name))
+    (folder / "tmp").chmod(0o1777)
+    return folder
+
+
+def config(*changes: str) -> Config:
+    return load_config(PLATOON, [ENDPOINT, *changes])
+
+
+def register(place: Path) -> Path:
+    return place / "tmp" / "robofleet"
+
+
+def as_nobody(act: Callable[[], object]) -> str:
+    """Do something as another user, in a process of its own; returns what it returned or raised, as text."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.environ.pop("XDG_RUNTIME_DIR", None)
+            os.setgroups([])
+            os.setresgid(NOBODY, NOBODY, NOBODY)
+            os.setresuid(NOBODY, NOBODY, NOBODY)
+            try:
+                said = str(act())
+            except BaseException as error:  # noqa: BLE001 - it is told
+                said = f"{type(error).__name__}: {error}"
+            os.write(writing, said.encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        said = told.read()
+    os.waitpid(child, 0)
+    return said
+
+
+class Elsewhere:
+    """A run of another user, for as long as this is open."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder = folder
+
+    def __enter__(self) -> None:
+        ready, writing = os.pipe()
+        reading, self._end = os.pipe()
+        self._child = os.fork()
+        if self._child == 0:
+            try:
+                os.close(self._end)
+                os.environ.pop("XDG_RUNTIME_DIR", None)
+                os.setgroups([])
+                os.setresgid(NOBODY, NOBODY, NOBODY)
+                os.setresuid(NOBODY, NOBODY, NOBODY)
+                with claimed(config(), Path(self._folder)):
+                    os.write(writing, b"x")
+                    os.read(reading, 1)
+            finally:
+                os._exit(0)
+        os.close(writing)
+        os.close(reading)
+        assert os.read(ready, 1) == b"x"
+        os.close(ready)
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._end)
+        os.waitpid(self._child, 0)
+
+
+def test_a_run_is_found_where_the_runtime_folder_is_another_one(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with claimed(config(), Path("somewhere")):
+        for runtime in (short_folder(), short_folder() / "new"):
+            monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
+            assert [there.arena for there in running()] == ["platoon"]
+            with pytest.raises(ArenaBusyError, match=r"has a run already, in .*somewhere"), claimed(config(), Path()):
+                pass
+        monkeypatch.delenv("XDG_RUNTIME_DIR")
+        assert [there.pid for there in running()] == [os.getpid()]
+    assert running() == []
+
+
+def test_a_run_is_found_by_the_private_folder_where_the_register_is_another_one(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with claimed(config(), Path()):
+        monkeypatch.setenv("TMPDIR", str(short_folder()))
+        assert [there.arena for there in running()] == ["platoon"]
+        with pytest.raises(ArenaBusyError), claimed(config(), Path()):
+            pass
+
+
+def test_the_places_where_was_looked_are_named(place: Path) -> None:
+    with pytest.raises(operator.NoArenaError) as refused:
+        operator.chosen(None)
+    assert str(refused.value) == (
+        f"no arena has a run in {register(place)} or {place}/run/robofleet: start one with `robofleet run CONFIG`"
+    )
+
+
+def test_a_file_that_was_left_behind_is_no_run_and_is_replaced(place: Path) -> None:
+    with claimed(config(), Path("somewhere")):
+        (file,) = register(place).iterdir()
+        left_behind = file.read_text()
+        assert file.name == f"platoon.{ME}.json"
+        assert file.stat().st_mode & 0o7777 == 0o644
+        (there,) = running()
+    assert there == ArenaFile(
+        "platoon", "unixsock-stream//run/lab/bus.sock", os.getpid(), str(Path("somewhere").absolute()),
+        there.started, ("r1", "r2", "r3", "r4"), ME,
+    )  # fmt: skip
+    for content in (left_behind, left_behind + " " * 5000, ""):  # its launcher was killed
+        file.write_text(content)
+        assert running() == []
+        with claimed(config(), Path("again")):
+            (there,) = running()
+            assert there.folder == str(Path("again").absolute())
+        assert not file.exists()
+
+
+def test_an_arena_has_one_run_and_who_was_refused_takes_nothing_away(place: Path) -> None:
+    with claimed(config(), Path("somewhere")):
+        with pytest.raises(ArenaBusyError, match=f"`kill {os.getpid()}`"), claimed(config(), Path()):
+            pass
+        assert len(running()) == 1
+    with claimed(config(), Path()):
+        assert len(running()) == 1
+
+
+def test_of_many_who_begin_in_the_same_moment_one_has_the_arena(place: Path) -> None:
+    inside, most, refused = 0, 0, 0
+    lock = threading.Lock()
+
+    def begin() -> None:
+        nonlocal inside, most, refused
+        for _ in range(20):
+            try:
+                with claimed(config(), Path()):
+                    with lock:
+                        inside += 1
+                        most = max(most, inside)
+                    found()
+                    with lock:
+                        inside -= 1
+            except ArenaBusyError:
+                with lock:
+                    refused += 1
+
+    threads = [threading.Thread(target=begin) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == 1
+    assert running() == []
+
+
+@pytest.mark.parametrize("lock", [fcntl.LOCK_SH, fcntl.LOCK_EX])
+def test_who_only_reads_a_file_cannot_make_it_look_alive_nor_keep_it(place: Path, lock: int) -> None:
+    """A file left behind, which a stranger opens and locks in every way that the system gives to a reader."""
+    with claimed(config(), Path()):
+        (file,) = register(place).iterdir()
+        text = file.read_text()
+    file.write_text(text)
+    with file.open() as stranger:
+        fcntl.flock(stranger, lock)
+        fcntl.lockf(stranger, fcntl.LOCK_SH)
+        fcntl.fcntl(stranger, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0))
+        assert running() == []
+        with claimed(config(), Path()):
+            assert len(running()) == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "", "{}", "[]", "null", "7", "{", "[" * 50_000, "x" * 100_000,
+        {"arena": "hall"}, {"endpoint": "private"}, {"endpoint": "udp/1.2.3.4:5"}, {"endpoint": 7}, {"pid": 1},
+        {"pid": -1}, {"pid": True}, {"pid": "7"}, {"folder": "\x1b[2J"}, {"folder": "x" * 5000}, {"started": None},
+        {"robots": "r1 r2"}, {"robots": [["r1"]]}, {"robots": 7}, {"uid": 0}, {"more": 1},
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_what_no_launcher_has_written_is_no_run(place: Path, content: str | dict[str, object]) -> None:
+    with claimed(config(), Path()):
+        for file in (*register(place).iterdir(), *(place / "run" / "robofleet").iterdir()):
+            said = json.loads(file.read_text())
+            text = json.dumps(said | content) if isinstance(content, dict) else content
+            with file.open("r+") as stream:  # the lock stays
+                stream.truncate()
+                stream.write(text)
+        assert [there.uid for there in running()] == ([ME] if content == {"uid": 0} else [])
+
+
+def test_a_link_or_a_pipe_in_the_place_of_a_file_is_passed_over_and_left_as_it_is(place: Path) -> None:
+    found()  # makes the register
+    victim = place / "victim.json"
+    victim.write_text("precious")
+    file = register(place) / f"platoon.{ME}.json"
+    file.symlink_to(victim)
+    os.mkfifo(register(place) / f"hall.{ME}.json")
+    (register(place) / "odd name.json").write_text("")
+    assert found().runs == ()
+    with pytest.raises(PlaceError, match=rf"{file} is not a file of yours.*`rm {file}`"), claimed(config(), Path()):
+        pass
+    file.unlink()
+    os.link(victim, file)
+    with pytest.raises(PlaceError, match="is not a file of yours"), claimed(config(), Path()):
+        pass
+    assert victim.read_text() == "precious"
+
+
+@pytest.mark.parametrize("how", ["a link", "a file", "not sticky", "closed"])
+def test_a_register_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
+    place: Path, how: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with claimed(config(), Path("somewhere")):
+        register(place).rename(place / "away")
+        if how == "a link":
+            register(place).symlink_to(place / "away")
+        elif how == "a file":
+            register(place).write_text("")
+        else:
+            register(place).mkdir()
+            register(place).chmod(0o777 if how == "not sticky" else 0o755)
+        assert operator.chosen(None).arena == "platoon"
+        assert f"not all runs may be found: {register(place)} is not the folder" in capsys.readouterr().err
+        with pytest.raises(PlaceError, match=r"an administrator mends it with `rm -r "), claimed(config(), Path()):
+            pass
+
+
+def test_a_private_folder_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    victim = place / "victim"
+    victim.mkdir(mode=0o700)
+    (victim / "lab.json").write_text("precious")
+    with claimed(config(), Path("somewhere")):
+        (place / "run" / "robofleet").rename(place / "away")
+        (place / "run" / "robofleet").symlink_to(victim)
+        assert operator.chosen(None).arena == "platoon"
+        assert "not all runs may be found" in capsys.readouterr().err
+    assert (victim / "lab.json").read_text() == "precious"
+
+
+def test_of_several_arenas_one_is_named_except_for_the_emergency_stop(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopped: list[str] = []
+
+    def stop(there: ArenaFile) -> tuple[bool, str]:
+        stopped.append(there.arena)
+        return there.arena == "lab", there.arena
+
+    monkeypatch.setattr(operator, "stop", stop)
+    with claimed(config(), Path()), claimed(config("arena.name=lab"), Path()):
+        assert operator.chosen("lab").arena == "lab"
+        with pytest.raises(operator.NoArenaError, match="name one of lab, platoon"):
+            operator.chosen(None)
+        with pytest.raises(operator.NoArenaError, match="the arena attic has no run: name one of lab, platoon"):
+            operator.chosen("attic")
+        assert operator.stop_all(None) == [(True, "lab"), (False, "platoon")]
+        assert sorted(stopped) == ["lab", "platoon"]
+        assert operator.stop_all("lab") == [(True, "lab")]
+
+
+@as_root
+def test_another_user_sees_a_run_and_may_neither_stop_it_nor_begin_one_there(place: Path) -> None:
+    with claimed(config(), Path("/somewhere")):
+        said = as_nobody(lambda: operator.stop_all(None))
+        assert "(False, " in said
+        assert f"the arena platoon has a run of root (process {os.getpid()}), which is not yours" in said
+        assert "ask root or an administrator" in said
+        assert "ask root or an administrator" in as_nobody(lambda: operator.chosen(None))
+        assert as_nobody(running) == "[]"
+
+        def begin() -> None:
+            with claimed(config(), Path("/else")):
+                pass
+
+        said = as_nobody(begin)
+        assert said.startswith("ArenaBusyError: the arena platoon has a run already, in /somewhere since ")
+        assert "of root): ask root to end it, or an administrator" in said
+        assert len(running()) == 1
+    assert as_nobody(begin) == "None"
+
+
+@as_root
+def test_an_administrator_finds_the_runs_of_all(place: Path) -> None:
+    with Elsewhere("/theirs"):
+        (there,) = running()
+        assert (there.uid, there.user, there.folder) == (NOBODY, "nobody", "/theirs")
+        with pytest.raises(ArenaBusyError, match=r"of nobody.*: ask nobody to end it"), claimed(config(), Path()):
+            pass
+    with claimed(config(), Path()):
+        assert [run.uid for run in running()] == [ME]
+
+
+@as_root
+def test_what_a_stranger_writes_in_my_name_is_not_believed(place: Path) -> None:
+    """He made the register, wrote a file under my number, and keeps it locked."""
+    with Elsewhere("/theirs"):
+        (theirs,) = register(place).iterdir()
+        forged = register(place) / f"lab.{ME}.json"
+        forged.write_text(theirs.read_text().replace("platoon", "lab"))
+        os.chown(forged, NOBODY, NOBODY)
+        with forged.open("r+") as held:
+            fcntl.fcntl(held, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
+            assert [(run.arena, run.uid) for run in found().runs] == [("platoon", NOBODY)]
+            with (
+                pytest.raises(PlaceError, match=rf"`rm {forged}`"),
+                claimed(config("arena.name=lab"), Path()),
+            ):
+                pass
+    assert forged.exists(), "nothing of others is removed"
+
+
+def test_a_launcher_is_only_signalled_if_the_process_is_its_users(place: Path) -> None:
+    """The number in a file is what its user wrote: an administrator must not kill others by it."""
+    with ExitStack() as stack:
+        sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+        stack.callback(sleeper.wait)
+        stack.callback(sleeper.kill)
+        there = ArenaFile("lab", "unixsock-stream//nowhere/bus.sock", sleeper.pid, "/x", "", ("r1",), ME + 1)
+        done, said = operator.stop(there)
+        assert not done
+        assert "does not answer" in said
+        assert sleeper.poll() is None
+        operator.stop(there._replace(uid=ME))
+        assert sleeper.wait(10) != 0
