@@ -12,6 +12,7 @@ import typer
 from robofleet.clock import WallClock, utc_now
 from robofleet.experiments import trials
 from robofleet.processes import commands, run_commands
+from robofleet.processes.log_lines import never_raise
 from robofleet.processes.refusal import (
     LAB_MODULES,
     WEB_PACKAGES,
@@ -165,6 +166,7 @@ def schema(
 
 def main() -> None:
     """Run a command; one whose packages are not installed says which extra has them."""
+    never_raise()
     try:
         app()
     except ModuleNotFoundError as error:

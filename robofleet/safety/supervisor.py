@@ -71,6 +71,7 @@ class Event(IntEnum):
     OVERCURRENT = 45
     CHARGING = 46
     UNREACHABLE = 47
+    RUNAWAY = 48  # a wheel turns that is told to stand
     # the checks before a start
     NOT_AT_REST = 50
     ESTOP_UNANSWERED = 51
@@ -123,6 +124,7 @@ CAUSES = {
     Event.OVERCURRENT: "a motor draws too much: a wheel is blocked",
     Event.CHARGING: "it is at its charger",
     Event.UNREACHABLE: "its driver has lost it (unplugged?)",
+    Event.RUNAWAY: "a wheel turns by itself",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
     Event.TAG_LATE: "its tag is not seen",
     Event.TAG_LOST: "the tracker lost the robot",
@@ -187,6 +189,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.OVERCURRENT:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CHARGING:             (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.UNREACHABLE:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.RUNAWAY:              (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.BATTERY_LOW:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.TAG_LATE:             (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.TAG_LOST:             (_SAME, _F,    _F,    _SAME, _SAME, _SAME),

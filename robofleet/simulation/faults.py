@@ -115,12 +115,14 @@ class Schedule:
     def body_trouble(self, robot: str) -> Callable[[], BodyTrouble] | None:
         """Return what tells what is wrong with a simulated robot; None if there will never be anything."""
         stuck, slip = self.of("motor_stuck", robot=robot), self.of("slip", robot=robot)
+        runs = self.of("motor_runs", robot=robot)
 
         def trouble() -> BodyTrouble:
             now_ns = self.now_ns()
-            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0)
+            by_itself = {i.fault.wheel: i.fault.speed_rad_s for i in runs if i.strike(now_ns)}
+            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0, **by_itself)
 
-        return trouble if stuck or slip else None
+        return trouble if stuck or slip or runs else None
 
     def driver(self, robot: str, make: Callable[[], Driver]) -> Driver:
         """Return a robot's driver with its faults. A simulated robot outlives lockstep's process that drove it."""

@@ -123,9 +123,7 @@ def test_who_was_not_stepped_for_less_ramps(step: Step, before: Callable[[Step],
 
 
 @pytest.mark.parametrize("before", [driving, ramping_up, told_and_not_yet_turning])
-def test_what_was_issued_before_a_gate_was_held_up_counts_no_more(
-    step: Step, before: Callable[[Step], Gate]
-) -> None:
+def test_what_was_issued_before_a_gate_was_held_up_counts_no_more(step: Step, before: Callable[[Step], Gate]) -> None:
     """A nonce that it gave out after its last step is younger than 120 ms, and old all the same."""
     gate = before(step)
     issued = gate.now + 30 * MS
