@@ -3,6 +3,7 @@
 A robot must not lose its emergency stop because the disk is full, or because nobody reads a pipe's other end any more.
 """
 
+import io
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
@@ -14,7 +15,7 @@ _LOST = (OSError, ValueError, RuntimeError)  # no room, no reader; closed, or no
 class Unfailing:
     """A text stream on which nothing that is written raises; all else is the stream's own."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO | io.TextIOBase) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:

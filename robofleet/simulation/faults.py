@@ -3,7 +3,10 @@
 Nothing of this is made where a configuration has no faults. ``faulty_bus.py`` and ``faulty_poses.py`` hold the rest.
 """
 
+import errno
+import io
 import math
+import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -141,6 +144,19 @@ class Schedule:
     def disk_is_full(self) -> bool:
         """Return whether the disk takes nothing now."""
         return struck(self.of("disk_full"), self.now_ns())
+
+
+class FaultyLog(io.TextIOBase):
+    """A log on a disk that can be full; where it is not, nobody reads it."""
+
+    def __init__(self, schedule: Schedule) -> None:
+        self._schedule = schedule
+
+    def write(self, text: str) -> int:
+        """Take a line, if the disk takes it."""
+        if self._schedule.disk_is_full():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return len(text)
 
 
 class FaultyDriver:
