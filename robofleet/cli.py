@@ -12,6 +12,7 @@ import typer
 from robofleet.clock import utc_now
 from robofleet.experiments import trials
 from robofleet.processes import commands, run_commands
+from robofleet.processes.log_lines import never_raise
 from robofleet.processes.outlet import unhindered
 from robofleet.processes.refusal import (
     LAB_MODULES,
@@ -167,6 +168,7 @@ def schema(
 
 def main() -> None:
     """Run a command; one whose packages are not installed says which extra has them."""
+    never_raise()
     try:
         app()
     except ModuleNotFoundError as error:

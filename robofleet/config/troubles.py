@@ -32,6 +32,19 @@ class BodyFault(Timed):
     """Whose."""
 
 
+class RunawayFault(Timed):
+    """A simulated robot's wheel turns by itself, whatever it is told."""
+
+    kind: Literal["motor_runs"]
+    """What goes wrong."""
+    robot: Name
+    """Whose."""
+    wheel: Literal["left", "right"]
+    """Which one."""
+    speed_rad_s: Finite
+    """How fast; forward is positive."""
+
+
 class ReadingFault(Timed):
     """What a robot says of itself: a battery at 5 %, or its own e-stop pressed."""
 
@@ -202,6 +215,7 @@ class WholeFault(Timed):
 
 Fault = Annotated[
     BodyFault
+    | RunawayFault
     | ReadingFault
     | TouchFault
     | LinkFault

@@ -17,6 +17,7 @@ from robofleet.comms.living import RoleTakenError
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
+from robofleet.processes.log_lines import never_raise
 from robofleet.processes.node import Lifeline, LineWaker, Node, Waker, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError
 from robofleet.simulation.faults import Schedule
@@ -34,6 +35,7 @@ Make = Callable[[Config, Bus, Clock, Waker, Schedule | None], Node]
 
 def router(config: Config, lifeline: Lifeline) -> None:
     """Zenoh's router, until the lifeline is cut."""
+    never_raise(stdout=True)
     ahead_of_others()
     session = open_router(config.bus.endpoint)
     try:
@@ -79,9 +81,15 @@ def driver(config: Config, lifeline: Lifeline, robots: tuple[str, ...]) -> None:
     from robofleet.processes.keeping import FaultyKeeping, FileKeeping, Keeping  # noqa: PLC0415
 
     def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> DriverProcess:
-        keeping: Keeping = FileKeeping(config.arena.name)
-        if faults is not None:
-            keeping = FaultyKeeping(keeping, faults)
+        files = FileKeeping(config.arena.name)
+        try:
+            files.prove(robots)
+        except OSError as error:
+            raise RefusedError(
+                f"{error.filename}: {error.strerror}: what robots must remember is kept there: "
+                "make room, make it writable, or name another folder in XDG_STATE_HOME"
+            ) from error
+        keeping: Keeping = files if faults is None else FaultyKeeping(files, faults)
         rng = entropy(config.run.seed, *robots)
         try:
             return DriverProcess(config, robots, bus, clock, waker, rng, keeping, faults=faults)
@@ -143,6 +151,7 @@ def recorder(config: Config, lifeline: Lifeline, folder: Path) -> None:
     from robofleet.processes.recorder import Recorder  # noqa: PLC0415
     from robofleet.recording.log import FILE, RunLog  # noqa: PLC0415
 
+    never_raise(stdout=True)
     clock = WallClock()
     try:
         log = RunLog(folder / FILE, config, epoch_ns=epoch_ns())
@@ -172,6 +181,7 @@ def _run(
     waker: Waker | None = None,
     roles: tuple[str, ...] = (),
 ) -> None:
+    never_raise(stdout=True)
     clock, waker = WallClock(), waker or Waker()
     ahead_of_others()
     bus = _joined(config, name, clock, roles or (name,))

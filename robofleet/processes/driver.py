@@ -70,7 +70,7 @@ class DriverProcess:
             self._robots.append(gated)
 
     def step(self, now_ns: int) -> int:
-        """Pass on what arrived; every 10 ms read and publish. Wheels go before the disk, the disk before the bus."""
+        """Pass on what arrived; every 10 ms read and publish. Wheels go first, then latches, disk, bus, log."""
         due = not self._loop_ns - _LOOP_NS <= now_ns < self._loop_ns  # also when the clock was set back
         if due:
             self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
@@ -78,12 +78,16 @@ class DriverProcess:
         now = self._clock.now_ns  # the robot before may have kept us: no gate decides by an old instant
         for robot in self._robots:
             if due:
-                robot.look()
+                robot.look(now())
             robot.pass_on(now())
+        for robot in self._robots:
+            robot.announce(now())
         for robot in self._robots:
             robot.settle(now(), due=due)
             if due:
                 robot.publish(now(), status=self._loops % 2 == 1 or robot.hurries)
+        for robot in self._robots:
+            robot.say()
         deadlines = [robot.deadline_ns for robot in self._robots if robot.deadline_ns is not None]
         return min([self._loop_ns, *deadlines])
 

@@ -59,6 +59,7 @@ class GatedRobot:
         self._build, self._keeping, self._witness = build, keeping, witness
         self._kept = keeping.load(context.robot)
         self._unsaved: Kept | None = None
+        self._lost = False  # what is kept was made to count as lost
         self._gate = GateState(boot_id, *self._kept)
         self._commands = Inbox(bus.newest(COMMAND, context.robot, wake), WHEEL_COMMAND)
         self._enables = Inbox(bus.newest(ENABLE, context.robot, wake), ENABLE_LAYOUT)
@@ -67,7 +68,7 @@ class GatedRobot:
         self._publish_truth: Publish | None = None
         if isinstance(driver, SimulatedDriver):
             self._publish_truth, self._truth = bus.publisher(TRUTH, context.robot), driver.truth
-        self._health = Health(context.robot)
+        self._health = Health(context.robot, context.now_ns())
         self._written: WheelSpeeds | None = None
         self._told, self._told_ns, self._telling = (0.0, 0.0), 0, STOP
         self._status = GateStatus.NO_LEASE
@@ -79,25 +80,28 @@ class GatedRobot:
         self._opened = False  # the gate was open: before, late messages are those of processes that start
         self._hurry_until_ns = 0
         self._closed = False
-        self.look()
+        self._told_latch = (self._gate.latch, self._gate.latch_id)  # in the newest status
+        self._retry = False  # what the robot was told last may not have reached it
+        self.look(context.now_ns())
 
     @property
     def hurries(self) -> bool:
         """Whether its link was bad a short while ago: then its status goes out in every loop."""
         return self._gate.at_ns < self._hurry_until_ns
 
-    def look(self) -> None:
+    def look(self, now_ns: int) -> None:
         """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
-        failed = self._health.look(self._driver, self._gate.latch)
-        if failed or (self._status is not GateStatus.OPEN and self._gate.output == STOP):
-            self._write(self._gate.output)
+        self._retry = self._health.look(self._driver, self._gate.latch, self._gate.output, now_ns)
+        if self._status is not GateStatus.OPEN and self._gate.output == STOP:
+            self._retry = False
+            self._write(STOP)
 
     def pass_on(self, now_ns: int) -> None:
         """Let the gate decide on what arrived, and write the wheels."""
         command, enable = self._commands.take(), self._enables.take()
         quiet = command is None and enable is None and self._health.latch <= self._gate.latch
         due = self.deadline_ns is not None and now_ns >= min(self.deadline_ns, self._gate.at_ns + _LOOK_NS)
-        if quiet and not due and now_ns >= self._gate.at_ns:
+        if quiet and not due and not self._retry and now_ns >= self._gate.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
         self._opened = self._opened or self._status is GateStatus.OPEN
         age_ns = now_ns - min(self._gate.command_nonce, self._gate.enabled[0])
@@ -108,12 +112,19 @@ class GatedRobot:
             None if command is None else _command(command), None if enable is None else _permission(enable)
         )
         state, output = gate.step(self._gate, self._drive, inputs, now_ns)
-        self._adopt(inputs, state, output, now_ns, again=command is not None)
+        self._adopt(inputs, state, output, now_ns, again=command is not None or self._retry)
+        self._retry = False
         said_anew = command is not None and command.exposure_ns != self._applied[0]
         if command is not None and said_anew and self._gate.seq != seq:
             self._accepted_exposure_ns = command.exposure_ns
         if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
             self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
+
+    def announce(self, now_ns: int) -> None:
+        """Publish a latch that is new: before the disk, and before anything is said in the log."""
+        if (self._gate.latch, self._gate.latch_id) != self._told_latch:
+            self._seq += 1
+            self._tell(now_ns)
 
     def settle(self, now_ns: int, *, due: bool) -> None:
         """Answer a lease request and keep what must be kept: the disk is slow, so every robot's wheels went before."""
@@ -121,8 +132,8 @@ class GatedRobot:
         if request is not None:
             self._answer(request, now_ns)
         memory = kept(self._gate)
-        if memory != self._kept and (due or memory != self._unsaved):
-            self._save(memory)
+        if memory != self._kept and (due or memory != self._unsaved) and not self._save(memory):
+            self._lose(memory)
 
     def publish(self, now_ns: int, *, status: bool) -> None:
         """Publish the robot's status, and the truth of a simulated one."""
@@ -130,7 +141,11 @@ class GatedRobot:
         if self._publish_truth is not None:
             self._publish_truth(TRUTH_LAYOUT.encode(Truth(self._gate.epoch, self._seq, now_ns, *self._truth())))
         if status:
-            self._publish_status(ROBOT_STATUS.encode(self._message(now_ns)))
+            self._tell(now_ns)
+
+    def say(self) -> None:
+        """Say in the log what there is to complain about."""
+        self._health.say()
 
     def close(self) -> None:
         """Motors off at once, driver closed. Idempotent."""
@@ -142,6 +157,7 @@ class GatedRobot:
                 self._health.complain(f"its wheels were not told to stop in the end: {error}")
             finally:
                 self._driver.close()
+                self._health.say()
 
     def _inputs(
         self,
@@ -200,8 +216,21 @@ class GatedRobot:
             self._unsaved = memory
             self._health.complain(f"its lease and its latch cannot be kept: {error}")
             return False
-        self._kept, self._unsaved = memory, None
+        self._kept, self._unsaved, self._lost = memory, None, False
         return True
+
+    def _lose(self, memory: Kept) -> None:
+        """A latch that cannot be kept must not be forgotten by a restart: nothing is known then."""
+        if memory.latch and not (self._kept.latch or self._lost):
+            try:
+                self._keeping.lose(self._robot)
+                self._lost = True
+            except OSError as error:
+                self._health.complain(f"after a restart its latch is forgotten: {error}")
+
+    def _tell(self, now_ns: int) -> None:
+        self._told_latch = (self._gate.latch, self._gate.latch_id)
+        self._publish_status(ROBOT_STATUS.encode(self._message(now_ns)))
 
     def _message(self, now_ns: int) -> RobotStatus:
         state, reading = self._gate, self._health.reading

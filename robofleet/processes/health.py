@@ -4,8 +4,10 @@ import math
 import sys
 
 from robofleet.processes.attached import in_words, sound
+from robofleet.safety import runaway
 from robofleet.safety.gate import Latch
-from robofleet.vehicles.interface import Driver, DriverReading, RobotFault
+from robofleet.safety.runaway import Turning
+from robofleet.vehicles.interface import STOP, Driver, DriverReading, RobotFault, WheelSpeeds
 
 _PRESSED = int(RobotFault.WIRED_STOP)  # a plain number: the complement of a flag knows its own class's bits only
 _UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
@@ -14,16 +16,21 @@ _UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
 class Health:
     """A robot's newest reading, and every reason to stop that it gives."""
 
-    def __init__(self, robot: str) -> None:
+    def __init__(self, robot: str, now_ns: int) -> None:
         self._robot = robot
         self.reading = _UNREAD
         self.failed = False  # it could not be written to or read from, in this loop or since
         self._away = False
         self._felt = 0  # faults since the gate was latched
+        self._turning = Turning(now_ns, now_ns)
         self._complaint = ""
+        self._unsaid: list[str] = []
 
-    def look(self, driver: Driver, latch: Latch) -> bool:
-        """Read the robot, whose gate is latched by ``latch``; returns whether it had failed in the last loop."""
+    def look(self, driver: Driver, latch: Latch, output: WheelSpeeds, now_ns: int) -> bool:
+        """Read the robot, whose gate is latched by ``latch`` and gives ``output``.
+
+        Returns whether it had failed in the last loop.
+        """
         failed, self.failed = self.failed, False
         try:
             self.reading = sound(driver.read())
@@ -34,6 +41,10 @@ class Health:
             if self._away and not failed:
                 self._away = False
                 self.complain("its driver has it again: look at the robot, then reset")
+        fastest = 0.0 if self.failed else max(abs(self.reading.left_speed), abs(self.reading.right_speed))
+        ran, self._turning = self._turning.runs, runaway.look(self._turning, output != STOP, fastest, now_ns)
+        if self._turning.runs and not ran:
+            self.complain(f"a wheel turns by itself, {fastest:.1f} rad/s with an output of zero: switch off its power")
         return failed
 
     def fail(self, error: Exception) -> None:
@@ -42,16 +53,24 @@ class Health:
         self.complain(f"its driver failed: {in_words(error)}")
 
     def complain(self, complaint: str) -> None:
-        """Say it in the log, once."""
+        """Have it said in the log, once."""
         if complaint != self._complaint:
             self._complaint = complaint
-            print(f"{self._robot}: {complaint}", file=sys.stderr)
+            self._unsaid.append(f"{self._robot}: {complaint}")
+
+    def say(self) -> None:
+        """Say it: a log may be slow, so the wheels and the bus go first."""
+        if self._unsaid:
+            said, self._unsaid = self._unsaid, []
+            print("\n".join(said), file=sys.stderr)
 
     @property
     def latch(self) -> Latch:
         """The robot's own reason to stop, while it lasts."""
         if self.failed:
             return Latch.DRIVER_FAILED
+        if self._turning.runs:
+            return Latch.RUNAWAY
         if self.reading.faults & RobotFault.WIRED_STOP:
             return Latch.WIRED_STOP
         return Latch.ROBOT_FAULT if self.reading.faults else Latch.NONE

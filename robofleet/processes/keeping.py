@@ -4,13 +4,15 @@ import errno
 import json
 import os
 import sys
+import zlib
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from robofleet.safety.gate import GateState, Latch
 from robofleet.simulation.faults import Schedule
 
-_MOST = 1 << 31  # of what the wire carries in 32 bits: so many leases or latches nobody lives to see
+_MOST = 1 << 63  # half of what the wire carries: so many leases or latches nobody lives to see
+_SLOT = 4096  # bytes: two slots share no block of a disk
 
 
 class Kept(NamedTuple):
@@ -21,6 +23,9 @@ class Kept(NamedTuple):
     latch_id: int = 0
 
 
+_UNKNOWN = Kept(0, Latch.MEMORY_LOST, 1)
+
+
 class Keeping(Protocol):
     """Where it is kept."""
 
@@ -29,6 +34,9 @@ class Keeping(Protocol):
 
     def save(self, robot: str, kept: Kept) -> None:
         """Keep it; it is there, whatever happens next, when this returns. OSError where that cannot be."""
+
+    def lose(self, robot: str) -> None:
+        """Let what is kept count as lost until the next save: it latches. OSError where even that cannot be."""
 
 
 class MemoryKeeping:
@@ -45,34 +53,67 @@ class MemoryKeeping:
         """Keep it."""
         self._kept[robot] = kept
 
+    def lose(self, robot: str) -> None:
+        """Forget it."""
+        self._kept[robot] = _UNKNOWN
+
 
 class FileKeeping:
-    """One small file a robot, in the user's state folder, replaced at once."""
+    """One file a robot, in the user's state folder, of full size from the start: a full disk has room for a latch.
+
+    It has two slots. What is newer goes over what is older, with a number and a checksum: a slot that was not written
+    to its end is no slot, and the other one is what was kept before.
+    """
 
     def __init__(self, arena: str) -> None:
         state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
         self._folder = Path(state) / "robofleet" / arena
 
+    def prove(self, robots: tuple[str, ...]) -> None:
+        """Make room for what these robots must keep, and write it once; OSError, which names the place, if not."""
+        for robot in robots:
+            try:
+                self.save(robot, self.load(robot))
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(self._file(robot))) from error
+
     def load(self, robot: str) -> Kept:
         """Return what was kept; a file that cannot be read latches the robot: nobody knows what was before."""
         file = self._file(robot)
         try:
-            return _checked(json.loads(file.read_text()))
+            slots = _slots(file.read_bytes())
         except FileNotFoundError:
             return Kept()
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            print(f"{robot}: {file}: cannot be read ({error!r}): look at the robot, then reset", file=sys.stderr)
-            return Kept(0, Latch.MEMORY_LOST, 1)
+        except OSError as error:
+            return self._unreadable(robot, error)
+        return max(slots)[1] if slots else self._unreadable(robot, "it is damaged, or of another version")
 
     def save(self, robot: str, kept: Kept) -> None:
-        """Write it beside, then in its place."""
+        """Write it over the older slot."""
         file = self._file(robot)
+        try:
+            content = file.read_bytes()
+        except FileNotFoundError:
+            content = b""
+        if len(content) != 2 * _SLOT:
+            self._make(file, kept)
+            return
+        number = max(_slots(content), default=(0, kept))[0] + 1
+        with file.open("r+b", buffering=0) as stream:
+            stream.seek(number % 2 * _SLOT)
+            _write(stream.fileno(), _slot(number, kept))
+
+    def lose(self, robot: str) -> None:
+        """Leave an empty file, which takes no room."""
+        with self._file(robot).open("wb", buffering=0) as stream:
+            os.fsync(stream.fileno())
+
+    def _make(self, file: Path, kept: Kept) -> None:
+        """Write both slots beside, then in their place."""
         file.parent.mkdir(parents=True, exist_ok=True)
         beside = file.with_suffix(".new")
-        with beside.open("w") as stream:
-            json.dump(kept._asdict(), stream)
-            stream.flush()
-            os.fsync(stream.fileno())
+        with beside.open("wb", buffering=0) as stream:
+            _write(stream.fileno(), _slot(2, kept) + _slot(1, kept))
         beside.replace(file)
         folder = os.open(file.parent, os.O_RDONLY)  # the new name is not on disk before its folder is
         try:
@@ -80,15 +121,19 @@ class FileKeeping:
         finally:
             os.close(folder)
 
+    def _unreadable(self, robot: str, why: object) -> Kept:
+        print(f"{robot}: {self._file(robot)}: cannot be read ({why}): look at the robot, then reset", file=sys.stderr)
+        return _UNKNOWN
+
     def _file(self, robot: str) -> Path:
         return self._folder / f"{robot}.json"
 
 
 class FaultyKeeping:
-    """A keeping whose disk can be full."""
+    """A keeping whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
 
     def __init__(self, keeping: Keeping, faults: Schedule) -> None:
-        self.load, self._keeping, self._faults = keeping.load, keeping, faults
+        self.load, self.lose, self._keeping, self._faults = keeping.load, keeping.lose, keeping, faults
 
     def save(self, robot: str, kept: Kept) -> None:
         """Keep it, if the disk takes it."""
@@ -97,14 +142,51 @@ class FaultyKeeping:
         self._keeping.save(robot, kept)
 
 
+def _slot(number: int, kept: Kept) -> bytes:
+    """Return a slot: a line of JSON and spaces."""
+    said = {"number": number, **kept._asdict()}
+    return json.dumps(said | {"check": _check(said)}).encode().ljust(_SLOT - 1) + b"\n"
+
+
+def _check(said: dict[str, int]) -> int:
+    return zlib.crc32(json.dumps(said).encode())
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    """Write all of it to the disk; OSError where it takes less."""
+    if os.write(descriptor, data) != len(data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    os.fsync(descriptor)
+
+
+def _slots(content: bytes) -> list[tuple[int, Kept]]:
+    """Return what the slots of a file say, with their numbers; one that nobody can have written says nothing."""
+    found = []
+    for start in range(0, len(content), _SLOT):
+        try:
+            said = json.loads(content[start : start + _SLOT])
+            check = said.pop("check")
+            if check != _check(said):
+                raise ValueError("a slot that was not written to its end")
+            found.append((_number(said["number"]), _checked(said)))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            continue
+    return found
+
+
+def _number(value: object) -> int:
+    """Return a number that can be one of these; ValueError if not."""
+    if type(value) is not int or not 0 <= value < _MOST:
+        raise ValueError(f"{value!r}")
+    return value
+
+
 def _checked(found: dict[str, int]) -> Kept:
-    """Return what a file says; ValueError, KeyError or TypeError if nobody can have written that."""
-    epoch, latch, latch_id = found["epoch"], Latch(found["latch"]), found["latch_id"]
-    if type(epoch) is not int or type(latch_id) is not int or not 0 <= epoch < _MOST or not 0 <= latch_id < _MOST:
-        raise ValueError(f"epoch {epoch!r}, latch_id {latch_id!r}")
-    if latch and not latch_id:
+    """Return what a slot says; ValueError, KeyError or TypeError if nobody can have written that."""
+    kept = Kept(_number(found["epoch"]), Latch(found["latch"]), _number(found["latch_id"]))
+    if kept.latch and not kept.latch_id:
         raise ValueError("a latch without its number")
-    return Kept(epoch, latch, latch_id)
+    return kept
 
 
 def kept(state: GateState) -> Kept:

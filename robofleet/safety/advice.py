@@ -28,6 +28,7 @@ _ADVICE = {
     Event.OVERCURRENT: "free its wheels, then `robofleet run --reset`",
     Event.CHARGING: "take it off its charger, then `robofleet run --reset`",
     Event.UNREACHABLE: "plug it in, switch it on, then `robofleet run --reset`; its driver's log says more",
+    Event.RUNAWAY: "switch off its power; mended, it drives after `robofleet run --reset`",
     Event.BATTERY_LOW: "charge it",
     Event.TAG_LOST: "clear the view of its tag, light it, or put the robot back",
     Event.TAG_TWICE: "take one of the two away",

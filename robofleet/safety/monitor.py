@@ -9,7 +9,9 @@ from itertools import combinations
 from math import hypot
 from typing import NamedTuple
 
+from robofleet.safety import runaway
 from robofleet.safety.gate import Latch
+from robofleet.safety.runaway import Rolling
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import RobotFault
@@ -60,6 +62,7 @@ class Memory(NamedTuple):
     since_ns: int = 0  # when it began
     sessions: tuple[int, ...] = ()  # that held the robots' leases when they were proved
     infeasible_ns: tuple[int, ...] = ()  # since when the filter finds no answer; NEVER: it does
+    rolling: tuple[Rolling, ...] = ()  # of robots that are told to stand
 
 
 def watch(
@@ -70,6 +73,7 @@ def watch(
     ``proved``: the checks of a fleet that is armed are passed, and it waits for its start.
     """
     now_ns, before = view.now_ns, memory.view or view
+    radii = settings.body_radius
     running, checking = phase is Phase.RUNNING, phase is Phase.ARMED and not proved
     since = memory.infeasible_ns or (NEVER,) * len(view.robots)
     infeasible_ns = tuple(
@@ -78,7 +82,9 @@ def watch(
     )
     started = phase in (Phase.RUNNING, Phase.HOLD)
     sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
-    memory = Memory(view, phase, memory.since_ns if phase is memory.phase else now_ns, sessions, infeasible_ns)
+    rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * len(view.robots), view.robots, radii))
+    since_ns = memory.since_ns if phase is memory.phase else now_ns
+    memory = Memory(view, phase, since_ns, sessions, infeasible_ns, rolling)
     happenings = [
         *_host(before, memory, settings, view, checking=checking),
         *_controller(before, settings, phase, view),
@@ -90,7 +96,7 @@ def watch(
             happenings += _bystander(row, before.robots[row], robot, settings, phase)
             continue
         happenings += _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
-        happenings += _body(row, robot, phase)
+        happenings += _body(row, robot, phase, runs=rolling[row].runs)
         happenings += _jump(row, before.robots[row], robot, settings)
         happenings += _place(row, robot, settings)
         if infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
@@ -159,14 +165,17 @@ def _driver(
         yield Happening(Event.LEASE_LOST, row)
 
 
-def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
-    """Look at what a robot says of itself."""
+def _body(row: int, robot: RobotView, phase: Phase, *, runs: bool) -> Iterator[Happening]:
+    """Look at what a robot says of itself; ``runs``: by its poses it rolls though it is told to stand."""
     pressed = _pressed(robot, phase)
     if pressed:
         yield Happening(Event.WIRED_STOP, row)
+    turns = _turns(robot, phase)
+    if turns or runs:
+        yield Happening(Event.RUNAWAY, row)
     causes = faults_told(robot.faults)
     yield from (Happening(event, row, detail) for event, detail in causes)
-    if robot.latch and not (pressed or causes or (robot.latch == Latch.DRILL and phase is Phase.ARMED)):
+    if robot.latch and not (pressed or turns or causes or (robot.latch == Latch.DRILL and phase is Phase.ARMED)):
         # before a start a latch waits for its reset, and in an emergency stop it is what was asked for
         past = robot.latch == Latch.EMERGENCY_STOP and phase not in (Phase.IDLE, Phase.ESTOP)
         yield Happening(Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, row, robot.latch)
@@ -176,8 +185,13 @@ def _body(row: int, robot: RobotView, phase: Phase) -> Iterator[Happening]:
 
 def _pressed(robot: RobotView, phase: Phase) -> bool:
     """Return whether a robot's own e-stop is pressed."""
-    # A short press is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
+    # What was short is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
     return bool(robot.faults & RobotFault.WIRED_STOP) or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
+
+
+def _turns(robot: RobotView, phase: Phase) -> bool:
+    """Return whether a robot's gate has latched as a wheel turned by itself."""
+    return robot.latch == Latch.RUNAWAY and (phase is not Phase.IDLE or not robot.at_rest)
 
 
 def _told(happening: Happening, view: FleetView) -> Happening:
@@ -190,10 +204,12 @@ def _told(happening: Happening, view: FleetView) -> Happening:
 def _bystander(
     row: int, before: RobotView, robot: RobotView, settings: MonitorSettings, phase: Phase
 ) -> Iterator[Happening]:
-    """Look at a robot that only stands there. Its e-stop stops the run as everybody's; what else it says of itself,
-    its driver and the arena's edge concern nobody."""
+    """Look at a robot that only stands there. Its e-stop stops the run as everybody's, and so do wheels that turn by
+    themselves; what else it says of itself, its driver and the arena's edge concern nobody."""
     if _pressed(robot, phase):
         yield Happening(Event.WIRED_STOP, row)
+    if _turns(robot, phase):
+        yield Happening(Event.RUNAWAY, row)
     for jumped in _jump(row, before, robot, settings):
         yield jumped._replace(event=Event.BYSTANDER_MOVED)
     if robot.unseen_ns >= LOST_NS:

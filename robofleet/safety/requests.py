@@ -61,6 +61,8 @@ def _unsettled(robot: str, seen: RobotView, phase: Phase) -> str | None:
     """Return why a robot keeps a reset from being granted."""
     if seen.faults & RobotFault.UNREACHABLE:
         return f"{robot}: its driver has lost it: plug it in, switch it on, then reset"
+    if not seen.at_rest and seen.latch == Latch.RUNAWAY:
+        return f"{robot}: a wheel turns by itself: switch off its power, then reset"
     if not seen.at_rest:
         return f"{robot} is not at rest: wait until it stands"
     if seen.faults & RobotFault.WIRED_STOP:

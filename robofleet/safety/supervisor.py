@@ -72,6 +72,7 @@ class Event(IntEnum):
     CHARGING = 46
     UNREACHABLE = 47
     STOPPED_AT_GATE = 48  # an emergency stop that the supervisor had not heard of
+    RUNAWAY = 49  # a wheel turns that is told to stand
     # a bystander: a robot that this run does not drive
     BYSTANDER_LOST = 65  # not seen for 2 s: nobody knows where an obstacle is
     BYSTANDER_MOVED = 66  # carried somewhere else: distance [m]
@@ -128,6 +129,7 @@ CAUSES = {
     Event.OVERCURRENT: "a motor draws too much: a wheel is blocked",
     Event.CHARGING: "it is at its charger",
     Event.UNREACHABLE: "its driver has lost it (unplugged?)",
+    Event.RUNAWAY: "a wheel turns by itself",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
     Event.TAG_LATE: "its tag is not seen",
     Event.TAG_LOST: "the tracker lost the robot",
@@ -195,6 +197,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.OVERCURRENT:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CHARGING:             (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.UNREACHABLE:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.RUNAWAY:              (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.BATTERY_LOW:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.TAG_LATE:             (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.TAG_LOST:             (_SAME, _F,    _F,    _SAME, _SAME, _SAME),

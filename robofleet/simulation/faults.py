@@ -3,7 +3,10 @@
 Nothing of this is made where a configuration has no faults. ``faulty_bus.py`` and ``faulty_poses.py`` hold the rest.
 """
 
+import errno
+import io
 import math
+import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -115,12 +118,14 @@ class Schedule:
     def body_trouble(self, robot: str) -> Callable[[], BodyTrouble] | None:
         """Return what tells what is wrong with a simulated robot; None if there will never be anything."""
         stuck, slip = self.of("motor_stuck", robot=robot), self.of("slip", robot=robot)
+        runs = self.of("motor_runs", robot=robot)
 
         def trouble() -> BodyTrouble:
             now_ns = self.now_ns()
-            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0)
+            by_itself = {i.fault.wheel: i.fault.speed_rad_s for i in runs if i.strike(now_ns)}
+            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0, **by_itself)
 
-        return trouble if stuck or slip else None
+        return trouble if stuck or slip or runs else None
 
     def driver(self, robot: str, make: Callable[[], Driver]) -> Driver:
         """Return a robot's driver with its faults. A simulated robot outlives lockstep's process that drove it."""
@@ -139,6 +144,19 @@ class Schedule:
     def disk_is_full(self) -> bool:
         """Return whether the disk takes nothing now."""
         return struck(self.of("disk_full"), self.now_ns())
+
+
+class FaultyLog(io.TextIOBase):
+    """A log on a disk that can be full; where it is not, nobody reads it."""
+
+    def __init__(self, schedule: Schedule) -> None:
+        self._schedule = schedule
+
+    def write(self, text: str) -> int:
+        """Take a line, if the disk takes it."""
+        if self._schedule.disk_is_full():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return len(text)
 
 
 class FaultyDriver:

@@ -20,7 +20,7 @@ from robofleet.simulation.faults import Injection, Schedule, struck
 
 def _offset(layout: np.dtype[Any], field: str) -> int:
     """Return the bytes before a field."""
-    return int((layout.fields or {})[field][1])
+    return int(dict(layout.fields or {})[field][1])
 
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}

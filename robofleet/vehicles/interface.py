@@ -88,6 +88,8 @@ class BodyTrouble(NamedTuple):
 
     stuck: bool = False  # motors stand still, whatever they are told
     slip: float = 0.0  # share of the wheels' travel that is lost
+    left: float | None = None  # speed at which this wheel turns by itself [rad/s]; None: it does as it is told
+    right: float | None = None
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ a gain error, a wrong base and slip. Randomness is passed in; time is passed in.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -82,10 +83,19 @@ class Plant:
         self._used = 0.0  # battery time [s]
         self._noise: list[float] = []
 
-    def step(self, command: WheelSpeeds, duration: float, *, blocked: bool = False, slip: float = 0.0) -> None:
+    def step(
+        self,
+        command: WheelSpeeds,
+        duration: float,
+        *,
+        blocked: bool = False,
+        slip: float = 0.0,
+        runs: Sequence[float | None] = (None, None),
+    ) -> None:
         """Advance by ``duration`` > 0 [s] with constant commands.
 
-        ``blocked`` motors stand still whatever is asked; ``slip`` is the share of the wheels' travel that is lost.
+        ``blocked`` motors stand still whatever is asked; ``slip`` is the share of the wheels' travel that is lost; the
+        speeds ``runs`` are those of a left and a right wheel that turn by themselves [rad/s], None where one obeys.
         """
         self._used += duration
         if blocked:
@@ -96,6 +106,8 @@ class Plant:
         used = min(1.0, self._used / self._p.battery_life)
         top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * used)
         asked = self._through_wires(*command)
+        if runs[0] is not None or runs[1] is not None:
+            asked = WheelSpeeds(*(told if own is None else own for told, own in zip(asked, runs, strict=True)))
         left = self._left.gain * self._left.turn(asked.left, top, duration)
         right = self._right.gain * self._right.turn(asked.right, top, duration)
         if left == 0.0 and right == 0.0:

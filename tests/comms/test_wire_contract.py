@@ -69,7 +69,7 @@ def test_what_a_gate_says_in_numbers() -> None:
     ]  # fmt: skip
     assert [(latch.name, latch.value) for latch in Latch] == [
         ("NONE", 0), ("DRILL", 1), ("EMERGENCY_STOP", 2), ("WIRED_STOP", 3), ("DRIVER_FAILED", 4), ("MEMORY_LOST", 5),
-        ("ROBOT_FAULT", 6),
+        ("ROBOT_FAULT", 6), ("RUNAWAY", 7),
     ]  # fmt: skip
     assert [(action.name, action.value) for action in LeaseAction] == [("ACQUIRE", 1), ("TAKE_OVER", 2), ("RELEASE", 3)]
 

@@ -1,17 +1,25 @@
 """What a driver must remember: leases are given once, latches outlive a restart, a full disk gives nothing away."""
 
+import io
 import json
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import LEASE
+from robofleet.comms.keys import LEASE, STATUS
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
+from robofleet.processes.health import Health
 from robofleet.processes.keeping import FileKeeping, Kept, MemoryKeeping
+from robofleet.processes.log_lines import Unfailing
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
@@ -22,7 +30,7 @@ THIS = bytes([VERSION])  # of the wire
 
 
 class Disk(MemoryKeeping):
-    """A memory that may be full, and that knows when it was written to."""
+    """A memory that may be full, and that knows when it was written to; to lose what is there takes no room."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -186,6 +194,12 @@ def test_what_is_kept_is_found_again(folder: Path) -> None:
     assert [file.name for file in folder.iterdir()] == ["r1.json"]
 
 
+def slot(number: int = 1, epoch: Any = 1, latch: Any = 0, latch_id: Any = 0) -> str:
+    """Return what a slot says, whoever wrote it: its checksum is right."""
+    said = {"number": number, "epoch": epoch, "latch": latch, "latch_id": latch_id}
+    return json.dumps(said | {"check": zlib.crc32(json.dumps(said).encode())})
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -195,16 +209,20 @@ def test_what_is_kept_is_found_again(folder: Path) -> None:
         "3",
         "null",
         "{}",
-        '{"epoch": 1, "latch": 9, "latch_id": 1}',
-        '{"epoch": 1, "latch": 0}',
-        '{"epoch": -1, "latch": 0, "latch_id": 0}',
-        '{"epoch": 1, "latch": 0, "latch_id": -1}',
-        '{"epoch": 2147483648, "latch": 0, "latch_id": 0}',
-        '{"epoch": 1, "latch": 0, "latch_id": 2147483648}',
-        '{"epoch": 1.5, "latch": 0, "latch_id": 0}',
-        '{"epoch": 1, "latch": 0, "latch_id": "1"}',
-        '{"epoch": 1, "latch": 2, "latch_id": 0}',
+        "[" * 4000,
+        '{"epoch": 1, "latch": 0, "latch_id": 0}',  # as version 3 wrote it
+        slot().replace('"epoch": 1', '"epoch": 2'),
+        slot(latch=19, latch_id=1),
+        slot(epoch=-1),
+        slot(latch_id=-1),
+        slot(number=-1),
+        slot(epoch=1 << 63),
+        slot(latch_id=1 << 63),
+        slot(epoch=1.5),
+        slot(latch_id="1"),
+        slot(latch=2),
         b"\xff\xfe\0",
+        bytes(8192),
     ],
 )
 def test_a_damaged_memory_latches_and_says_which_file(
@@ -231,17 +249,172 @@ def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path,
     stand.enable("r1", clear=stand.newest("r1").latch_id)
     stand.run(S // 5)
     assert stand.newest("r1").gate == GateStatus.OPEN
-    assert json.loads((folder / "r1.json").read_text())["latch"] == 0
+    assert FileKeeping("lab").load("r1").latch is Latch.NONE
 
 
-def test_a_memory_is_replaced_whole_or_not_at_all(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_write_that_was_torn_loses_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At every byte, of the first write over each slot and of later ones."""
+    keeping, before = FileKeeping("lab"), Kept(3, Latch.NONE, 2)
+    keeping.save("r1", before)
+    write = os.write
+    for number in range(3):
+        after = Kept(4 + number, Latch.EMERGENCY_STOP, 3 + number)
+        for size in (*range(0, 140, 7), 4095):
+
+            def torn(descriptor: int, data: bytes, size: int = size) -> int:
+                return write(descriptor, data[:size])
+
+            monkeypatch.setattr(os, "write", torn)
+            with pytest.raises(OSError, match="No space left"):
+                keeping.save("r1", after)
+            assert FileKeeping("lab").load("r1") in (before, after)
+            assert size or FileKeeping("lab").load("r1") == before
+        monkeypatch.setattr(os, "write", write)
+        keeping.save("r1", after)
+        assert FileKeeping("lab").load("r1") == after
+        before = after
+
+
+def test_the_newest_slot_counts_however_often_it_is_written(folder: Path) -> None:
+    keeping = FileKeeping("lab")
+    for epoch in range(20):
+        keeping.save("r1", Kept(epoch, Latch.NONE, 2 * epoch))
+        assert FileKeeping("lab").load("r1") == Kept(epoch, Latch.NONE, 2 * epoch)
+    assert (folder / "r1.json").stat().st_size == 8192
+
+
+@pytest.mark.parametrize("most", [(1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 32, (1 << 63) - 1])
+def test_large_numbers_are_kept(folder: Path, most: int) -> None:
+    FileKeeping("lab").save("r1", Kept(most, Latch.RUNAWAY, most))
+    assert FileKeeping("lab").load("r1") == Kept(most, Latch.RUNAWAY, most)
+
+
+def test_what_is_lost_latches_until_it_is_saved_again(folder: Path) -> None:
     keeping = FileKeeping("lab")
     keeping.save("r1", Kept(3, Latch.NONE, 2))
+    keeping.lose("r1")
+    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+    keeping.save("r1", Kept(4, Latch.EMERGENCY_STOP, 3))
+    assert FileKeeping("lab").load("r1") == Kept(4, Latch.EMERGENCY_STOP, 3)
 
-    def full(*_: Any) -> None:
+
+def test_a_place_that_cannot_be_written_is_named(folder: Path) -> None:
+    folder.parent.mkdir()
+    folder.write_text("no folder")
+    with pytest.raises(OSError, match="Not a directory") as refused:
+        FileKeeping("lab").prove(("r1",))
+    assert refused.value.filename == str(folder / "r1.json")
+
+
+def test_proving_makes_room_and_changes_nothing(folder: Path) -> None:
+    FileKeeping("lab").save("r1", Kept(7, Latch.WIRED_STOP, 3))
+    FileKeeping("lab").prove(("r1", "r2"))
+    assert [FileKeeping("lab").load(robot) for robot in ("r1", "r2")] == [Kept(7, Latch.WIRED_STOP, 3), Kept()]
+    assert {file.name: file.stat().st_size for file in folder.iterdir()} == {"r1.json": 8192, "r2.json": 8192}
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return a state folder on a disk of its own, of 256 kB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", disk], check=False, capture_output=True
+    )
+    if mounted.returncode:
+        pytest.skip("only root may mount a disk that fills up")
+    monkeypatch.setenv("XDG_STATE_HOME", str(disk))
+    yield disk
+    subprocess.run(["umount", "-l", disk], check=True)
+
+
+def fill(disk: Path) -> None:
+    with suppress(OSError), (disk / "filler").open("wb", buffering=0) as stream:
+        while stream.write(bytes(4096)):
+            pass
+
+
+def test_a_disk_that_is_really_full_takes_a_latch(small_disk: Path) -> None:
+    keeping = FileKeeping("lab")
+    keeping.prove(("r1",))
+    fill(small_disk)
+    with pytest.raises(OSError, match="No space left"):
+        (small_disk / "more").write_text("x")
+    for number in range(1, 6):
+        keeping.save("r1", Kept(3, Latch.EMERGENCY_STOP, number))
+        assert FileKeeping("lab").load("r1") == Kept(3, Latch.EMERGENCY_STOP, number)
+    with pytest.raises(OSError, match="No space left") as refused:
+        keeping.prove(("r1", "r2"))
+    assert "r2.json" in str(refused.value.filename)
+    keeping.lose("r1")
+    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+
+
+def test_a_latch_that_cannot_be_kept_is_not_forgotten_by_a_restart(stand: Any, disk: Disk) -> None:
+    """Neither is a reset that cannot be kept taken for one; a lease that was refused has cost nothing."""
+    stand.run(S // 5)
+    disk.full = True
+    stand.ask("r2")
+    stand.enable("r1", latch=Latch.EMERGENCY_STOP)
+    stand.run(S // 5)
+    stand.restart(2)
+    stand.bench.run(stand.node, 25 * MS)
+    assert (stand.newest("r1").latch, stand.newest("r1").gate) == (Latch.MEMORY_LOST, GateStatus.LATCHED)
+    assert stand.newest("r2").latch == Latch.NONE
+    stand.enable("r1", clear=stand.newest("r1").latch_id)
+    stand.bench.run(stand.node, 25 * MS)
+    assert stand.newest("r1").latch == Latch.NONE
+    stand.restart(3)
+    stand.bench.run(stand.node, 25 * MS)
+    assert stand.newest("r1").latch == Latch.MEMORY_LOST, "the disk is as it was"
+
+
+def test_a_drill_is_nothing_to_lose_a_memory_for(stand: Any, disk: Disk) -> None:
+    stand.run(S // 5)
+    disk.full = True
+    stand.enable("r1", latch=Latch.DRILL)
+    stand.run(S // 5)
+    stand.restart(2)
+    stand.bench.run(stand.node, 25 * MS)
+    assert stand.newest("r1").latch == Latch.NONE
+
+
+class Unheard(io.StringIO):
+    """A log on a full disk."""
+
+    def write(self, text: str) -> int:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        keeping.save("r1", Kept(4, Latch.NONE, 2))
-    assert keeping.load("r1") == Kept(3, Latch.NONE, 2)
+
+def test_a_latch_is_said_before_it_is_kept_and_before_the_log(
+    stand: Any, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever these two do, it is out."""
+    for broken in ("disk", "log"):
+        stand.restart(7)
+        stand.acquire("r1")
+        stand.bench.run(stand.node, 25 * MS)
+        before = len(stand.bench.heard(STATUS, "r1"))
+        told: list[Any] = []
+
+        def stalls(*_: Any, told: list[Any] = told) -> None:
+            told.append(stand.newest("r1").latch)
+
+        if broken == "disk":
+            monkeypatch.setattr(disk, "save", stalls)
+        else:
+            monkeypatch.setattr(disk, "save", lambda *_: None)
+            monkeypatch.setattr(Health, "say", stalls)
+        stand.enable("r1", latch=Latch.EMERGENCY_STOP)
+        stand.node.step(stand.bench.now_ns)
+        assert told[0] == Latch.EMERGENCY_STOP
+        assert len(stand.bench.heard(STATUS, "r1")) >= before + 1
+
+
+def test_a_log_that_cannot_be_written_stops_nobody(stand: Any, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand.run(S // 5)
+    disk.full = True
+    monkeypatch.setattr(sys, "stderr", Unfailing(Unheard()))
+    stand.enable("r1", latch=Latch.EMERGENCY_STOP)
+    stand.run(S // 5)
+    assert (stand.newest("r1").gate, stand.made["r1"].target) == (GateStatus.LATCHED, STOP)

@@ -80,6 +80,7 @@ STANDING: list[tuple[Change, Change, Happening]] = [
     (robot(1, heard_ns=NEVER, build=0), robot(1, build=BUILD + 1), Happening(Event.OTHER_BUILD, 1)),
     (robot(2, latch=0), robot(2, latch=Latch.DRIVER_FAILED), Happening(Event.GATE_LATCHED, 2, 4)),
     (robot(2, faults=0), robot(2, faults=WIRED_STOP), Happening(Event.WIRED_STOP, 2)),
+    (robot(2, latch=0), robot(2, latch=Latch.RUNAWAY), Happening(Event.RUNAWAY, 2)),
     (robot(2, latch=0), robot(2, latch=Latch.WIRED_STOP), Happening(Event.WIRED_STOP, 2)),
     (robot(2, faults=0), robot(2, faults=5 << 16), Happening(Event.ROBOT_FAULT, 2, 5 << 16)),
     *((robot(2, faults=0), robot(2, faults=fault), Happening(Event[fault.name], 2)) for fault in NAMED),
@@ -377,3 +378,38 @@ def test_everything_that_is_wrong_is_told_at_once() -> None:
     assert {h.event for h in told(worse)} == {
         Event.BATTERY_LOW, Event.DRIVER_RESTARTED, Event.STOPPED_AT_GATE, Event.TRACKER_SILENT, Event.DISK_FULL,
     }  # fmt: skip
+
+
+def test_a_runaways_latch_is_told_and_in_idle_only_while_the_wheel_turns() -> None:
+    latched = robot(0, latch=Latch.RUNAWAY)
+    turning = robot(0, latch=Latch.RUNAWAY, right_speed=-6.1)
+    for phase in (Phase.ARMED, Phase.RUNNING, Phase.HOLD, Phase.FAULT, Phase.ESTOP):
+        assert told(latched, phase) == [Happening(Event.RUNAWAY, 0)]
+    for phase in Phase:
+        assert told(turning, phase) == [Happening(Event.RUNAWAY, 0)]
+    assert told(latched, Phase.IDLE) == [Happening(Event.GATE_LATCHED, 0, Latch.RUNAWAY)], "what a reset clears"
+    assert told(robot(0, right_speed=-6.1), Phase.IDLE) == []
+
+
+def rolled_on(phase: Phase, images: int, **changes: Any) -> list[Happening]:
+    """Return what is told when robot 1 has rolled 10 mm in each of so many windows of 240 ms and one view."""
+    memory, happenings = Memory(), []
+    for k in range(images):
+        now_ns = NOW + k * 250 * MS
+        x = 0.01 * k
+        view = robot(1, pose=(x * 0.5403023, x * 0.8414710, 1.0), **changes)(healthy(now_ns))
+        memory, told_now = monitor.watch(memory, SETTINGS, phase, view)
+        happenings.append([happening for happening in told_now if happening.event is Event.RUNAWAY])
+    return happenings[-1]
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+def test_a_robot_without_encoders_that_rolls_by_itself_is_told_in_every_phase(phase: Phase) -> None:
+    assert rolled_on(phase, 4) == []
+    assert rolled_on(phase, 5) == rolled_on(phase, 9) == [Happening(Event.RUNAWAY, 1)]
+    assert rolled_on(phase, 9, left_output=1.0) == rolled_on(phase, 9, left_angle=1.0) == []
+
+
+def test_a_jump_without_bounds_is_told() -> None:
+    far = robot(0, pose=(1.7e308, -1.7e308, 1.0))
+    assert Happening(Event.POSE_JUMPED, 0, float("inf")) in told(far, before=robot(0, pose=(-1.7e308, 1.7e308, 1.0)))

@@ -53,6 +53,11 @@ def test_every_phase_has_a_way_out_in_words() -> None:
     [
         ({"left_speed": 0.1}, "b is not at rest: wait until it stands"),
         ({"right_output": -0.1}, "b is not at rest: wait until it stands"),
+        (
+            {"left_speed": 6.1, "latch": Latch.RUNAWAY},
+            "b: a wheel turns by itself: switch off its power, then reset",
+        ),
+        ({"left_speed": 6.1, "latch": Latch.ROBOT_FAULT}, "b is not at rest: wait until it stands"),
         ({"faults": WIRED_STOP}, "b: its own e-stop is pressed: release it, then reset"),
         ({"faults": WIRED_STOP | 4}, "b: its own e-stop is pressed: release it, then reset"),
         (

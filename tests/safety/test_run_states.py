@@ -16,7 +16,7 @@ from robofleet.safety.supervisor import (
     step,
 )
 
-EMERGENCIES = {Event.ESTOP_REQUESTED, Event.WIRED_STOP}  # whatever the run does
+EMERGENCIES = {Event.ESTOP_REQUESTED, Event.WIRED_STOP, Event.RUNAWAY}  # whatever the run does
 ENDS = {  # nobody can go on from here without looking
     Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.DRIVER_RESTARTED, Event.CONTROLLER_SILENT,
     Event.CONTROLLER_RESTARTED, Event.OTHER_BUILD, Event.LEASE_LOST, Event.CAMERA_LOST, Event.CAMERA_MOVED,

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,15 @@ from robofleet.clock import S
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.storm.gates import intervals
+from robofleet.processes.storm.ledger import Decision, Outage
 from robofleet.processes.storm.verdict import Violation
+from robofleet.safety.gate import Latch
+from robofleet.vehicles.interface import STOP
 
 _GRID_NS = 10_000_000  # a robot goes 2 mm in it
 _REST_RAD_S = 0.02  # of a wheel; friction holds it soon after
 _STANDING_M_S = 1e-3
+_NAMED_WITHIN_NS = 1_200_000_000  # of a wheel that turns by itself: 0.8 s, and its lag up and down
 
 Array = NDArray[np.float64]
 
@@ -27,24 +32,55 @@ def rest_within_s(robot: Robot) -> float:
     return plant.actuation_delay_s + plant.motor_lag_s * decay + 2 * plant.loop_period_s
 
 
-def rolling_on(robot: Robot, decisions: Array, said_ns: Array, truth: NDArray[Any]) -> list[Violation]:
+def rolling_on(
+    robot: Robot, decisions: Array, said_ns: Array, truth: NDArray[Any], runaways: Sequence[Outage]
+) -> list[Violation]:
     """Find robots that move although their output has been zero for long enough.
 
-    ``decisions``: instant [ns] and whether the output is zero, (K, 2).
+    ``decisions``: instant [ns] and whether the output is zero, (K, 2); ``runaways``: when a wheel turned by itself.
     """
     found = []
+    innocent = np.zeros(len(said_ns), dtype=np.bool_)
+    for runs in runaways:
+        innocent |= (said_ns >= runs.start_ns) & (said_ns <= runs.end_ns + rest_within_s(robot) * S)
     half_base = robot.vehicle.wheel_base_m / 2
     speed = abs(truth["v_m_s"]) + half_base * abs(truth["omega_rad_s"])
     within_ns = rest_within_s(robot) * S
     for first, last in intervals(decisions[:, 1] > 0):
         until = decisions[last + 1, 0] if last + 1 < len(decisions) else math.inf
         a, b = np.searchsorted(said_ns, [decisions[first, 0] + within_ns, until], side="right")
-        late = np.flatnonzero(speed[a : max(a, b - 1)] > _STANDING_M_S)
+        moving = (speed > _STANDING_M_S) & ~innocent
+        late = np.flatnonzero(moving[a : max(a, b - 1)])
         if len(late):
             row = a + int(late[0])
             since_ms = (said_ns[row] - decisions[first, 0]) / 1e6
             numbers = f"{1e3 * speed[row]:.2f} mm/s {since_ms:.0f} ms after its output was zero"
             found.append(Violation("the robot is not at rest", said_ns[row] / S, robot.id, numbers))
+    return found
+
+
+def unnamed(
+    robot: str, decisions: Sequence[Decision], runaways: Sequence[Outage], outages: Sequence[Outage]
+) -> list[Violation]:
+    """Find wheels that turned by themselves for a second, with an output of zero, and whose gates were not latched.
+
+    ``outages``: when nobody looked at them, or their motors stood.
+    """
+    at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
+    standing = np.array([decision.output.output == STOP for decision in decisions], dtype=np.bool_)
+    found = []
+    for first, last in intervals(standing):
+        until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else math.inf
+        for runs in runaways:
+            start_ns, end_ns = max(at_ns[first], runs.start_ns), min(until_ns, runs.end_ns)
+            named_ns = start_ns + _NAMED_WITHIN_NS
+            watched = all(out.end_ns + S < start_ns or out.start_ns > named_ns for out in outages)
+            if named_ns >= end_ns or not watched:
+                continue
+            newest = decisions[int(np.searchsorted(at_ns, named_ns, side="right")) - 1]
+            if newest.state.latch is not Latch.RUNAWAY:
+                numbers = f"{newest.state.latch.name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
+                found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
     return found
 
 

@@ -4,6 +4,7 @@ import gc
 import math
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, redirect_stderr
 from itertools import combinations
 from typing import NamedTuple
 
@@ -17,7 +18,8 @@ from robofleet.config import slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.storm.bodies import apart, rolling_on
+from robofleet.processes.log_lines import Unfailing
+from robofleet.processes.storm.bodies import apart, rolling_on, unnamed
 from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
 from robofleet.processes.storm.forger import Forger
 from robofleet.processes.storm.gates import GateAudit
@@ -25,6 +27,7 @@ from robofleet.processes.storm.ledger import Ledger, Outage
 from robofleet.processes.storm.schedule import Plan, plan
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.supervisor import Event, Phase
+from robofleet.simulation.faults import FaultyLog
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
@@ -58,7 +61,8 @@ def play(config: Config, seed: int) -> Episode:
     gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode
     try:
         player = _Player(tree, storm)
-        episode = player.play()
+        with player.log():
+            episode = player.play()
         player.forget()
         return episode
     finally:
@@ -79,6 +83,11 @@ class _Player:
         self._said = b""  # by the supervisor, to the newest request
         self._crowded = False
         self._rng = generator(config.run.seed, "operator")
+
+    def log(self) -> AbstractContextManager[object]:
+        """Have everybody's log lines go where theirs go in a run: to the disk that may be full."""
+        assert self._lockstep.faults is not None
+        return redirect_stderr(Unfailing(FaultyLog(self._lockstep.faults)))
 
     def play(self) -> Episode:
         lockstep, storm = self._lockstep, self._plan
@@ -177,11 +186,13 @@ class _Player:
             full = key(arena, TRUTH, robot.id)
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
-            audit = GateAudit(
-                robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(robot.id)
-            )
+            outages = self._outages(robot.id)
+            audit = GateAudit(robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), outages)
             self._found += audit.violations(ledger.decisions[robot.id])
-            self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
+            runaways = self._acting("motor_runs", robot=robot.id)
+            self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
+            unwatched = outages + self._acting("motor_stuck", robot=robot.id)
+            self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, unwatched)
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
         if self._longest_queue > _MOST_QUEUED:
@@ -198,6 +209,9 @@ class _Player:
 
     def _outages(self, robot: str) -> list[Outage]:
         """Return when a robot's driver did not run, or had another time than the rest."""
+        return self._acting("killed", "stopped", "clock_step", process=self._config.driver_of(robot))
+
+    def _acting(self, *kinds: str, **keys: str) -> list[Outage]:
+        """Return when faults of some kinds acted."""
         assert self._lockstep.faults is not None
-        faults = self._lockstep.faults.of("killed", "stopped", "clock_step", process=self._config.driver_of(robot))
-        return [Outage(fault.start_ns, fault.end_ns) for fault in faults]
+        return [Outage(fault.start_ns, fault.end_ns) for fault in self._lockstep.faults.of(*kinds, **keys)]

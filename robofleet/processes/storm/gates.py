@@ -27,6 +27,7 @@ _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make g
 _LIMIT = 1.01
 _NEVER = GateState(0).command_nonce
 _PASSING = (
+    "since_ns",
     "refused",
     "output",
     "target",
@@ -52,6 +53,7 @@ class GateAudit:
         self._robot, self._drive = robot, drive
         self._authorised = authorised  # whether a reset was asked for before an instant of lockstep's clock
         self._outages = outages  # of its driver
+        self._held_ns = _NEVER  # when it was last asked again after it had not been for too long
         self._found: list[Violation] = []
         self.standing: Array = np.empty((0, 2))  # instant [ns], whether the output is zero
         self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
@@ -65,6 +67,7 @@ class GateAudit:
             if state.boot_id != before.boot_id:
                 start = row if previous is None or now_ns >= previous.now_ns else start
                 before = self._begun(decision, before, previous)
+            self._held_up(decision, previous)
             if _memory(state) != _memory(before):
                 self._explain(decision, before)
             elif state.refused == before.refused:
@@ -81,6 +84,17 @@ class GateAudit:
     def _fail(self, at_ns: float, invariant: str, numbers: object) -> None:
         self._found.append(Violation(invariant, at_ns / S, self._robot, str(numbers)))
 
+    def _held_up(self, decision: Decision, previous: Decision | None) -> None:
+        """A gate that let its wheels turn and was not asked for 120 ms gives nothing, and takes nothing of before."""
+        if previous is None or previous.state.boot_id != decision.state.boot_id:
+            self._held_ns = _NEVER
+            return
+        moved = not previous.output.output == STOP == previous.output.target
+        if moved and decision.now_ns - previous.now_ns > _VALID_NS:
+            self._held_ns = decision.now_ns
+            if decision.output.output != STOP:
+                self._fail(decision.true_ns, "a gate that was held up goes on", decision.output.output)
+
     # What the gate remembers
 
     def _begun(self, decision: Decision, before: GateState, previous: Decision | None) -> GateState:
@@ -90,6 +104,8 @@ class GateAudit:
             return before._replace(
                 boot_id=state.boot_id, heard_ns=state.heard_ns, command_nonce=_NEVER, enabled=(_NEVER, 0)
             )
+        if state.latch is Latch.MEMORY_LOST and before.latch is not Latch.MEMORY_LOST:
+            return GateState(state.boot_id, state.epoch, state.latch, state.latch_id, refused=state.refused)
         latch = Latch.NONE if before.latch is Latch.DRILL else before.latch
         return GateState(state.boot_id, before.epoch, latch, before.latch_id, refused=state.refused)
 
@@ -167,7 +183,7 @@ class GateAudit:
         permission = decision.inputs.permission
         if (
             permission is None
-            or not _fresh(permission, decision)
+            or not self._fresh(permission, decision)
             or (permission.nonce, permission.seq) <= before.enabled
         ):
             return None
@@ -178,13 +194,19 @@ class GateAudit:
         assert command is not None
         left, right = command.wheels
         return (
-            _fresh(command, decision)
+            self._fresh(command, decision)
             and (command.epoch, command.session) == (state.epoch, state.session)
             and state.session != 0
             and command.seq > last_seq
             and max(abs(left), abs(right)) <= _LIMIT * drive.max_wheel_speed
             and drive.wheel_radius * abs(left + right) / 2.0 <= _LIMIT * drive.max_speed
         )
+
+    def _fresh(self, message: Command | Permission, decision: Decision) -> bool:
+        """Whether it echoes this start of the driver, not long ago, and since the gate was held up."""
+        age_ns = decision.now_ns - message.nonce
+        known = message.boot_id == decision.state.boot_id and message.nonce >= max(0, self._held_ns)
+        return known and 0 <= age_ns < _VALID_NS
 
     # What reaches the wheels
 
@@ -217,10 +239,12 @@ class GateAudit:
         elapsed_ns = np.maximum(np.diff(true_ns), np.clip(np.diff(now_ns), 0, _CATCH_UP_NS))
         change = abs(np.diff(output, axis=0)).max(axis=1)
         fast = change > drive.max_wheel_acceleration * elapsed_ns / S + 1e-9
-        self._report(
-            "a wheel accelerates more than it may", true_ns[1:], fast & same, change * S / np.maximum(elapsed_ns, 1.0)
-        )
         standing = np.asarray(~output.any(axis=1))
+        held_up = standing[1:] & (np.diff(now_ns) > _VALID_NS)
+        self._report(
+            "a wheel accelerates more than it may",
+            true_ns[1:], fast & same & ~held_up, change * S / np.maximum(elapsed_ns, 1.0),
+        )  # fmt: skip
         closed = np.asarray(~target.any(axis=1))
         self.standing, self.moving = np.column_stack([true_ns, standing]), np.column_stack([true_ns, ~closed])
         rising = (abs(output[1:]) > abs(output[:-1]) + 1e-12) | (output[1:] * output[:-1] < 0)
@@ -245,12 +269,6 @@ class GateAudit:
     def _report(self, invariant: str, at_ns: Array, wrong: NDArray[np.bool_], figure: Array) -> None:
         for row in np.flatnonzero(wrong)[:3]:
             self._fail(at_ns[row], invariant, f"{figure[row]:.6g}")
-
-
-def _fresh(message: Command | Permission, decision: Decision) -> bool:
-    """Whether it echoes this start of the driver, not long ago."""
-    age_ns = decision.now_ns - message.nonce
-    return message.boot_id == decision.state.boot_id and message.nonce >= 0 and 0 <= age_ns < _VALID_NS
 
 
 def intervals(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

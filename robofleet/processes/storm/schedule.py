@@ -90,6 +90,11 @@ def _lab(dice: _Dice) -> dict[str, Any]:
     return {"process": dice.one(("controller", "tracker", "supervisor"))}
 
 
+def _runs(dice: _Dice) -> dict[str, Any]:
+    speed = dice.one((-1.0, 1.0)) * dice.between(1.0, 8.0)
+    return {**_robot(dice), "wheel": dice.one(("left", "right")), "speed_rad_s": speed}
+
+
 # Each kind's own fields.
 _GENTLE: dict[str, Callable[[_Dice], dict[str, Any]]] = {
     "motor_stuck": _robot,
@@ -111,6 +116,7 @@ _GENTLE: dict[str, Callable[[_Dice], dict[str, Any]]] = {
 }
 _ROUGH: dict[str, Callable[[_Dice], dict[str, Any]]] = {
     "slip": _robot,
+    "motor_runs": _runs,
     "id_swap": lambda dice: {"robots": tuple(dice.rng.permutation(dice.robots)[:2].tolist())},
     "duplicate_tag": _robot,
     "pose_noise": lambda dice: {**_robot(dice), "sigma_m": dice.between(0.005, 0.1), "sigma_rad": 0.1},
@@ -123,8 +129,9 @@ _ROUGH: dict[str, Callable[[_Dice], dict[str, Any]]] = {
         "step_s": dice.one((-1.0, -0.05, 0.05, 1.0)),
     },
 }
-# Outside the envelope bodies may touch: whoever is told wrong poses by so much cannot keep them apart.
-_OUTSIDE = ("id_swap", "pose_noise", "pose_delay")
+# Outside the envelope bodies may touch: whoever is told wrong poses by so much cannot keep them apart, nor can who has
+# a wheel that does not stop.
+_OUTSIDE = ("id_swap", "pose_noise", "pose_delay", "motor_runs")
 KINDS = tuple(dict.fromkeys((*_GENTLE, *_ROUGH)))
 
 

@@ -1,0 +1,84 @@
+"""A wheel that turns by itself: its output is zero, and it does not come to rest. Pure.
+
+Encoders tell it at the driver, poses at the supervisor where a robot has none. Both wait, since three things look like
+it for a while: a wheel that comes to rest (a motor's lag, 0.25 s from top speed), a reading that is old because the
+line was cut (0.5 s, then the driver says so), and a hand that nudges a robot. What turned all the time, without one
+moment of rest, is none of these. Who pushes a robot on for longer is taken for a motor: nobody can tell.
+"""
+
+import math
+from typing import NamedTuple
+
+from robofleet.safety.view import NEVER, RobotView
+
+_MS = 1_000_000
+
+TURNING_RAD_S = 0.5  # 8 mm/s of the smallest wheels; a count that flickers, in means over 0.1 s, is a third of it
+RESTS_WITHIN_NS = 800 * _MS  # a lag from top speed, and a reading as old as one may be
+_HEARD_WITHIN_NS = 100 * _MS  # 10 loops of a driver: who did not look did not see the wheel all the time
+
+WINDOW_NS = 250 * _MS
+WINDOWS = 4  # in a row: a second
+ROLLED_M = 0.005  # in a window, of the body's middle or its edge: 20 mm/s, ten times what poses' noise makes of rest
+_SIDEWAYS_M, _SIDEWAYS = 0.003, 0.2  # a wheel rolls along its robot's heading; a hand that carries a robot does not
+
+
+class Turning(NamedTuple):
+    """Since when a wheel turns that is told to stand, and when that was looked at last [driver's clock, ns]."""
+
+    since_ns: int
+    at_ns: int
+
+    @property
+    def runs(self) -> bool:
+        """Whether it turns by itself."""
+        return self.at_ns - self.since_ns >= RESTS_WITHIN_NS
+
+
+def look(before: Turning, told: bool, measured: float, now_ns: int) -> Turning:
+    """Return what is known now; ``told`` to turn, and the faster wheel as measured [rad/s]."""
+    continuous = before.at_ns <= now_ns <= before.at_ns + _HEARD_WITHIN_NS
+    asleep = told or not abs(measured) > TURNING_RAD_S or not continuous
+    return Turning(now_ns if asleep else before.since_ns, now_ns)
+
+
+class Rolling(NamedTuple):
+    """How a robot without encoders moved while it was told to stand, by the images in which it was seen."""
+
+    seen_ns: int = NEVER  # the image at which this window begins [supervisor's clock]
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in it
+    windows: int = 0  # before, each with a motion the same way; below 0: backwards, or clockwise on the spot
+
+    @property
+    def runs(self) -> bool:
+        """Whether a wheel turns by itself."""
+        return abs(self.windows) >= WINDOWS
+
+
+def watch(before: Rolling, robot: RobotView, radius: float) -> Rolling:
+    """Return what the newest view adds; ``radius`` of the body [m]."""
+    counts = robot.left_angle or robot.right_angle or robot.left_speed or robot.right_speed
+    if counts or robot.left_output or robot.right_output or robot.seen_ns == NEVER:
+        return Rolling()
+    since_ns = robot.seen_ns - before.seen_ns
+    if before.seen_ns == NEVER or not 0 <= since_ns < 2 * WINDOW_NS:
+        return Rolling(robot.seen_ns, robot.pose)
+    if since_ns < WINDOW_NS:
+        return before
+    way = _way(before.pose, robot.pose, radius)
+    onward = before.windows if before.windows * way > 0 else 0
+    return Rolling(robot.seen_ns, robot.pose, onward + way)
+
+
+def _way(before: tuple[float, float, float], after: tuple[float, float, float], radius: float) -> int:
+    """Return which way a robot rolled between two poses: 1, -1, or 0 where it did not."""
+    turn = math.remainder(math.remainder(after[2], math.tau) - math.remainder(before[2], math.tau), math.tau)
+    heading = before[2] + turn / 2.0
+    x, y = after[0] - before[0], after[1] - before[1]
+    ahead = x * math.cos(heading) + y * math.sin(heading)
+    aside = y * math.cos(heading) - x * math.sin(heading)
+    edge = radius * turn
+    furthest = ahead if abs(ahead) >= abs(edge) else edge
+    if not abs(furthest) >= ROLLED_M or abs(aside) > _SIDEWAYS_M + _SIDEWAYS * abs(ahead):
+        return 0
+    return 1 if furthest > 0.0 else -1

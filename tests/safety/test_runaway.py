@@ -1,0 +1,184 @@
+"""A wheel that turns though it is told to stand: by its encoders and by poses, each threshold from both sides."""
+
+import math
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+
+import pytest
+
+from robofleet.safety import runaway
+from robofleet.safety.runaway import RESTS_WITHIN_NS, ROLLED_M, TURNING_RAD_S, WINDOW_NS, Rolling, Turning
+from robofleet.safety.view import RobotView
+
+MS = 1_000_000
+NOW = 1_000_000 * MS
+LOOP_NS = 10 * MS
+RADIUS = 0.05
+FAST = 6.1
+Pose = tuple[float, float, float]
+
+
+def looked(speeds: Iterable[float], *, told: bool = False, every_ns: int = LOOP_NS) -> list[bool]:
+    """Return whether a wheel runs by itself, at each look."""
+    turning, found = Turning(NOW, NOW), []
+    for k, speed in enumerate(speeds):
+        turning = runaway.look(turning, told, speed, NOW + (k + 1) * every_ns)
+        found.append(turning.runs)
+    return found
+
+
+@pytest.mark.parametrize("speed", [FAST, -FAST, 0.51, -0.51, math.inf])
+def test_a_wheel_that_never_rests_is_named_after_800_ms(speed: float) -> None:
+    assert looked([speed] * 100).index(True) == 79
+    assert all(looked([speed] * 300)[79:]), "it is told as long as it lasts"
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5, -0.5, math.nan])
+def test_a_wheel_that_is_no_faster_than_that_is_at_rest(speed: float) -> None:
+    assert TURNING_RAD_S == 0.5
+    assert not any(looked([speed] * 1000))
+
+
+def test_a_wheel_that_is_told_to_turn_may() -> None:
+    assert not any(looked([FAST] * 1000, told=True))
+
+
+def test_one_moment_of_rest_begins_anew() -> None:
+    found = looked([*[FAST] * 79, 0.0, *[FAST] * 81])
+    assert found.index(True) == 80 + 79
+    assert looked([*[FAST] * 200, 0.0, FAST])[-2:] == [False, False]
+
+
+@pytest.mark.parametrize(("pause_ns", "named"), [(100 * MS, True), (100 * MS + 1, False), (1_000 * MS, False)])
+def test_who_did_not_look_did_not_see_it_turn_all_the_time(pause_ns: int, named: bool) -> None:
+    assert any(looked([FAST] * 20, every_ns=pause_ns)) is named
+
+
+def test_a_clock_that_is_set_back_begins_anew() -> None:
+    turning = Turning(NOW - 790 * MS, NOW)
+    back = runaway.look(turning, False, FAST, NOW - 1)
+    assert back == Turning(NOW - 1, NOW - 1)
+    assert runaway.look(turning, False, FAST, NOW) == turning
+
+
+def test_a_wheel_that_comes_to_rest_after_driving_is_not_named() -> None:
+    turning, now = Turning(NOW, NOW), NOW
+    for _ in range(100):
+        now += LOOP_NS
+        turning = runaway.look(turning, True, FAST, now)
+    for k in range(200):  # a lag of 50 ms, from 12.5 rad/s
+        now += LOOP_NS
+        turning = runaway.look(turning, False, 12.5 * math.exp(-k / 5), now)
+        assert not turning.runs
+    assert now - turning.since_ns < RESTS_WITHIN_NS
+
+
+def seen(poses: Iterable[Pose], every_ns: int = WINDOW_NS, **changes: float) -> list[bool]:
+    """Return whether a robot without encoders rolls by itself, at each image."""
+    rolling, found = Rolling(), []
+    for k, pose in enumerate(poses):
+        robot = RobotView(seen_ns=NOW + k * every_ns, pose=pose)._replace(**changes)
+        rolling = runaway.watch(rolling, robot, RADIUS)
+        found.append(rolling.runs)
+    return found
+
+
+def ahead(step: float, psi: float = 0.7, number: int = 12) -> list[Pose]:
+    return [(k * step * math.cos(psi), k * step * math.sin(psi), psi) for k in range(number)]
+
+
+def spin(turn: float, number: int = 12) -> list[Pose]:
+    return [(0.3, 0.2, math.remainder(3.0 + k * turn, math.tau)) for k in range(number)]
+
+
+def one_wheel(speed: float, number: int = 12) -> list[Pose]:
+    """The other wheel stands: an arc round it, 105 mm of base and 16 mm of wheel."""
+    base, omega = 0.105, speed * 0.016 / 0.105
+    angles = [omega * k * WINDOW_NS * 1e-9 for k in range(number)]
+    return [(base / 2 * math.sin(a), base / 2 * (1 - math.cos(a)), math.remainder(a, math.tau)) for a in angles]
+
+
+JUST = 1.0001 * ROLLED_M
+RUNAWAYS: dict[str, list[Pose]] = {
+    "forward": ahead(0.0244), "backward": ahead(-0.0244), "just": ahead(JUST), "just back": ahead(-JUST),
+    "round": spin(0.3), "round the other way": spin(-0.3), "just round": spin(JUST / RADIUS),
+    "one wheel": one_wheel(FAST), "one wheel back": one_wheel(-FAST),
+    "aside, a little": [(0.01 * k, 0.0049 * k, 0.0) for k in range(12)],
+}  # fmt: skip
+OTHERS: dict[str, list[Pose]] = {
+    "standing": ahead(0.0), "creeping": ahead(0.9999 * ROLLED_M), "turning slowly": spin(0.9999 * ROLLED_M / RADIUS),
+    "to and fro": [(0.02 * (k % 2), 0.0, 0.0) for k in range(12)],
+    "carried aside": [(0.0, 0.02 * k, 0.0) for k in range(12)],
+    "carried askew": [(0.01 * k, 0.0051 * k, 0.0) for k in range(12)],
+    "nudged": [*ahead(0.0, 0.0, 4), *((0.02 * k, 0.0, 0.0) for k in range(4)), *[(0.06, 0.0, 0.0)] * 6],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", list(RUNAWAYS))
+def test_a_robot_that_rolls_for_four_windows_is_named(kind: str) -> None:
+    found = seen(RUNAWAYS[kind])
+    assert found.index(True) == 4
+    assert all(found[4:]), "it is told as long as it lasts"
+
+
+@pytest.mark.parametrize("kind", list(OTHERS))
+def test_a_robot_that_does_something_else_is_not(kind: str) -> None:
+    assert not any(seen(OTHERS[kind]))
+
+
+@pytest.mark.parametrize(
+    "changes", [{name: value} for name in ("left_output", "right_output", "left_angle", "right_angle", "left_speed",
+                                           "right_speed") for value in (1e-9, -1e-9)]
+)  # fmt: skip
+def test_who_is_told_to_turn_and_who_has_encoders_is_not_judged_by_poses(changes: dict[str, float]) -> None:
+    assert not any(seen(RUNAWAYS["forward"], **changes))
+
+
+def test_a_robot_that_was_never_seen_is_not_judged() -> None:
+    assert runaway.watch(Rolling(NOW, (0.0, 0.0, 0.0), 4), RobotView(), RADIUS) == Rolling()
+
+
+def test_images_in_between_do_not_shorten_a_window() -> None:
+    poses = [(0.001 * k, 0.0, 0.0) for k in range(60)]  # 33 ms each, 8 a window: 8 mm
+    found = seen(poses, every_ns=33 * MS)
+    assert found.index(True) == 32
+
+
+@pytest.mark.parametrize(("gap_ns", "named"), [(2 * WINDOW_NS - 1, True), (2 * WINDOW_NS, False), (-1, False)])
+def test_a_robot_that_was_not_seen_for_two_windows_begins_anew(gap_ns: int, named: bool) -> None:
+    rolling = Rolling(NOW, (0.0, 0.0, 0.0), 3)
+    after = runaway.watch(rolling, RobotView(seen_ns=NOW + gap_ns, pose=(0.02, 0.0, 0.0)), RADIUS)
+    assert after.runs is named
+    assert after.windows == (4 if named else 0)
+
+
+def test_a_window_without_motion_or_the_other_way_ends_it() -> None:
+    def next_(windows: int, x: float) -> int:
+        robot = RobotView(seen_ns=NOW + WINDOW_NS, pose=(x, 0.0, 0.0))
+        return runaway.watch(Rolling(NOW, (0.0, 0.0, 0.0), windows), robot, RADIUS).windows
+
+    assert [next_(3, 0.02), next_(-3, 0.02), next_(5, 0.0), next_(-3, -0.02), next_(3, -0.02)] == [4, 1, 0, -4, -1]
+
+
+@pytest.mark.parametrize("value", [1e300, -1e300, 1.7e308, -1.7e308])
+def test_no_pose_that_can_be_said_raises(value: float) -> None:
+    poses = [(value, -value, value), (-value, value, -value), (0.0, 0.0, 0.0)] * 3
+    assert len(seen(poses)) == 9
+
+
+@pytest.mark.parametrize("sigma_m", [0.0003, 0.002])
+def test_noise_is_no_motion(sigma_m: float, noise: Callable[[float, int], list[Pose]]) -> None:
+    poses = noise(sigma_m, 4000)
+    assert any(one != other for one, other in pairwise(poses))
+    assert not any(seen(poses))
+
+
+@pytest.fixture
+def noise() -> Callable[[float, int], list[Pose]]:
+    import numpy as np
+
+    def drawn(sigma_m: float, number: int) -> list[Pose]:
+        rows = np.random.default_rng(3).normal(0.0, (sigma_m, sigma_m, 0.005), (number, 3))
+        return [(x, y, psi) for x, y, psi in rows.tolist()]
+
+    return drawn
