@@ -1,27 +1,33 @@
 """How long an emergency stop takes, from the request to the robot's word that its target is zero.
 
-    python -m tests.processes.estop --times 100
+    python -m tests.processes.estop --times 100 [--supervisor frozen|killed|flooded]
 
 A run of the shipped platoon in real time, without pixels. Each time the fleet drives, a client of the bus asks for the
 emergency stop as `robofleet stop` does, then resets and starts it again, which takes about ten seconds. The figure is
 the time from its request to the first status that shows a latched gate, by the status's own stamp: one host, one clock.
-The target is zero then, and has been for up to the status's period of 20 ms.
+The target is zero then, and has been for up to the status's period of 20 ms. The supervisor can be stopped (SIGSTOP) or
+killed just before the request, or two clients flood it with theirs; afterwards it goes on, or is started again.
 """
 
 import argparse
+import signal
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
 from robofleet.clock import MS, S, WallClock
-from robofleet.comms.keys import STATE, STATUS, key
+from robofleet.comms.keys import REQUEST, STATE, STATUS, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.processes.children import Children
 from robofleet.processes.estop import emergency_stop
 from robofleet.safety.supervisor import Phase
 from tests.endpoints import own_endpoint
@@ -30,12 +36,16 @@ from tests.processes.unlaunched import started
 
 _CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop
+_TROUBLED_NS = 50 * MS  # before the stop
+_FLOODERS = 2
+TROUBLES = ("frozen", "killed", "flooded")
 
 
 class Tries:
-    """A fleet that is started, stopped and started again."""
+    """A fleet that is started, stopped and started again; ``trouble`` is its supervisor's at each stop."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, fleet: Children, trouble: str | None) -> None:
+        self._config, self._fleet, self._trouble = config, fleet, trouble
         self._arena, self._robots = config.arena.name, config.groups[0].robots
         self.bus = ZenohBus(self._arena, config.bus.endpoint, "estop", _CLOCK)
         self._state = self.bus.newest(STATE)
@@ -47,8 +57,9 @@ class Tries:
         self._wait_running()
         _CLOCK.sleep_until(_CLOCK.now_ns() + _DRIVES_NS)
         statuses = self.bus.stream(key(self._arena, STATUS, "*"), capacity=4096)
-        asked_ns = _CLOCK.now_ns()
-        stopped = emergency_stop(self.bus, _CLOCK, self._robots)
+        with self._troubled():
+            asked_ns = _CLOCK.now_ns()
+            stopped = emergency_stop(self.bus, _CLOCK, self._robots)
         assert not stopped.silent, stopped.describe()
         after_ms: dict[str, float] = {}
         for _, full, payload in statuses.drain():
@@ -58,11 +69,39 @@ class Tries:
         assert len(after_ms) == len(self._robots)
         return list(after_ms.values())
 
+    @contextmanager
+    def _troubled(self) -> Iterator[None]:
+        """Bring the supervisor its trouble, for as long as a stop takes."""
+        flooders: list[subprocess.Popen[bytes]] = []
+        if self._trouble == "frozen":
+            self._fleet.signal("supervisor", signal.SIGSTOP)
+        elif self._trouble == "killed":
+            self._fleet.kill("supervisor")
+        elif self._trouble == "flooded":
+            command = [sys.executable, "-m", "tests.processes.estop", "--flood", self._config.bus.endpoint, self._arena]
+            flooders = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(_FLOODERS)]
+            for flooder in flooders:
+                assert flooder.stdout is not None
+                flooder.stdout.readline()
+        try:
+            _CLOCK.sleep_until(_CLOCK.now_ns() + _TROUBLED_NS)
+            yield
+        finally:
+            for flooder in flooders:
+                flooder.kill()
+                flooder.wait()
+            if self._trouble == "frozen":
+                self._fleet.signal("supervisor", signal.SIGCONT)
+            elif self._trouble == "killed":
+                self._fleet.start_again("supervisor")
+
     def _ask(self, what: bytes) -> None:
         """Ask until it is done: robots come to rest, and a supervisor that has just started knows nobody."""
-        deadline_ns = _CLOCK.now_ns() + 10 * S
-        while not (answer := asked(self.bus, _CLOCK, "supervisor", what)).startswith(b"ok"):
+        deadline_ns, answer = _CLOCK.now_ns() + 20 * S, b""
+        while not answer.startswith(b"ok"):
             assert _CLOCK.now_ns() < deadline_ns, answer
+            with suppress(TimeoutError):  # it is being started again
+                answer = asked(self.bus, _CLOCK, "supervisor", what)
             _CLOCK.sleep_until(_CLOCK.now_ns() + 50 * MS)
 
     def _wait_running(self) -> None:
@@ -75,14 +114,22 @@ class Tries:
             _CLOCK.sleep_until(_CLOCK.now_ns() + 5 * MS)
 
 
-def measure(folder: Path, times: int) -> list[float]:
+def flood(endpoint: str, arena: str) -> None:
+    """Ask a supervisor for something as fast as a process can, until this one is killed."""
+    bus = ZenohBus(arena, endpoint, "flooder", _CLOCK)
+    print("ready", flush=True)
+    while True:
+        bus.ask(REQUEST, "supervisor", b"status")
+
+
+def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]:
     """Return the time of every robot and try [ms]."""
     endpoint = own_endpoint()
     config = load_config(PLATOON, ["tracker.source=truth", f"bus.endpoint={endpoint}"])
     fleet = started(config, folder, _CLOCK)
     found: list[float] = []
     try:
-        tries = Tries(config)
+        tries = Tries(config, fleet, trouble)
         try:
             for k in range(times):
                 one = tries.once()
@@ -99,10 +146,16 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=100)
-    times = parser.parse_args().times
+    parser.add_argument("--supervisor", choices=TROUBLES)
+    parser.add_argument("--flood", nargs=2, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.flood is not None:
+        flood(*asked.flood)
+    times, trouble = asked.times, asked.supervisor
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(Path(folder), times)
+        found = measure(Path(folder), times, trouble)
     p50, p99 = np.percentile(found, (50, 99))
+    print(f"supervisor {trouble or 'well'}: ", end="")
     print(f"p50 {p50:.1f}, p99 {p99:.1f}, worst {max(found):.1f} ms of {times} stops of {len(found) // times} robots")
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.config.tree import Config
+from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.storm.episode import play
 from robofleet.processes.storm.schedule import Plan, plan
@@ -143,6 +144,33 @@ def _no_reset(patch: Patch) -> None:
     patch.setattr(supervisor, "step", lambda s, h: s if h.event is Event.RESET else step(s, h))
 
 
+def _only_the_supervisor_is_asked(patch: Patch) -> None:
+    patch.setattr(EmergencyStop, "__init__", _asking_only(EmergencyStop.__init__))
+
+
+def _asking_only(begin: Callable[..., None]) -> Callable[..., None]:
+    def begun(stop: Any, bus: Any, robots: Any, now_ns: int) -> None:
+        begin(stop, bus, robots, now_ns)
+        stop._tell = [lambda _: None for _ in robots]
+
+    return begun
+
+
+def _deaf_to_stops(patch: Patch) -> None:
+    step, deaf = supervisor.step, (Event.ESTOP_REQUESTED, Event.STOPPED_AT_GATE, Event.SUPERVISOR_STALLED)
+    patch.setattr(supervisor, "step", lambda s, h: s if h.event in deaf else step(s, h))
+
+
+def _frozen_stop(storm: Plan) -> bool:
+    frozen = [fault for fault in storm.faults if fault.kind == "stopped" and fault.process == "supervisor"]
+    return any(
+        fault.at_s < act.at_s < fault.at_s + fault.duration_s - 0.1
+        for fault in frozen
+        for act in storm.acts
+        if act.request == b"estop"
+    )
+
+
 def _any(_storm: Plan) -> bool:
     return True
 
@@ -178,6 +206,9 @@ def _seeds(fleet: Config, wanted: Storms) -> Iterator[int]:
         (_slow_ramp, _any, "the output was not zero 230 ms"),
         (_no_limit, _any, "a refused enable"),
         (_cleared_by_anything, _estop, "a latch was cleared"),
+        (_only_the_supervisor_is_asked, _frozen_stop, "an emergency stop has not latched"),
+        (_deaf_to_stops, _estop, "the run went on after an emergency stop"),
+        (_cleared_by_anything, _estop, "the latch went before a reset"),
         (_latch_ignored, _estop, "the target is not zero without"),
         (_lease_for_everybody, _with("second_controller"), "the lease changed"),
         (_nothing_kept, _with("killed", "driver"), "the lease changed"),

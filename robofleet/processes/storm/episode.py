@@ -17,6 +17,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
+from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.log_lines import Unfailing
 from robofleet.processes.storm.bodies import apart, rolling_on, unnamed
@@ -25,6 +26,7 @@ from robofleet.processes.storm.forger import Forger
 from robofleet.processes.storm.gates import GateAudit
 from robofleet.processes.storm.ledger import Ledger, Outage
 from robofleet.processes.storm.schedule import Plan, plan
+from robofleet.processes.storm.stops import going_on, out_of_reach, stops, unlatched
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import FaultyLog
@@ -33,6 +35,7 @@ _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
 _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most seeds, and in one of so many
 _MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
+_POLL_S = 0.002  # of whoever stops the fleet
 _LOOK_S = 0.05  # the operator's eye
 _ROOM_M = 0.06  # what the wheels' trial before a start may ask for
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
@@ -79,6 +82,7 @@ class _Player:
         self._forger = Forger(config.arena.name, self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
+        self._stops_ns: list[int] = []
         self._answer: Answer | None = None
         self._said = b""  # by the supervisor, to the newest request
         self._crowded = False
@@ -101,6 +105,8 @@ class _Player:
             if request is None:
                 self._look()
                 self._forger.forge(self._rng)
+            elif request == b"estop":
+                self._stop()
             else:
                 self._ask(request)
         lockstep.advance(run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S)
@@ -169,6 +175,14 @@ class _Player:
     def _ask(self, request: bytes) -> None:
         self._said, self._answer = b"", self._lockstep.request(request)
 
+    def _stop(self) -> None:
+        """Stop them all, as whoever stops a run does."""
+        clock = self._lockstep.clock
+        self._stops_ns.append(clock.now_ns())
+        stop = EmergencyStop(self._lockstep.bus, self._config.groups[0].robots, clock.now_ns())
+        while stop.step(clock.now_ns()) is None:
+            self._lockstep.advance(_POLL_S)
+
     def _fail(self, invariant: str, numbers: str) -> None:
         self._found.append(Violation(invariant, self._lockstep.clock.now_ns() / S, "", numbers))
 
@@ -182,13 +196,20 @@ class _Player:
             if payload == b"reset"
         ]  # fmt: skip
         truths, said_ns = [], []
+        faults = self._lockstep.faults
+        assert faults is not None
+        asked = stops(self._stops_ns, resets)
+        unheard: list[Outage] = []
         for row, robot in enumerate(config.platoon):
             full = key(arena, TRUTH, robot.id)
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
-            outages = self._outages(robot.id)
+            outages = self._outages(config.driver_of(robot.id))
             audit = GateAudit(robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), outages)
             self._found += audit.violations(ledger.decisions[robot.id])
+            unreached = out_of_reach(faults, robot.id)
+            unheard += unreached
+            self._found += unlatched(robot.id, ledger.decisions[robot.id], asked, unreached)
             runaways = self._acting("motor_runs", robot=robot.id)
             self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
             unwatched = outages + self._acting("motor_stuck", robot=robot.id)
@@ -197,6 +218,7 @@ class _Player:
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
         if self._longest_queue > _MOST_QUEUED:
             self._fail("a queue grows without bound", f"{self._longest_queue} steps")
+        self._found += going_on(self._states, asked, self._outages("supervisor"), unheard)
         self._found += without_cause(self._states, config.groups[0].robots)
         self._found += unanswered(self._states, self._plan.faults, run_ns)
 
@@ -207,9 +229,9 @@ class _Player:
             effects[injection.fault.kind] += injection.effects
         return effects
 
-    def _outages(self, robot: str) -> list[Outage]:
-        """Return when a robot's driver did not run, or had another time than the rest."""
-        return self._acting("killed", "stopped", "clock_step", process=self._config.driver_of(robot))
+    def _outages(self, process: str) -> list[Outage]:
+        """Return when a process did not run, or had another time than the rest."""
+        return self._acting("killed", "stopped", "clock_step", process=process)
 
     def _acting(self, *kinds: str, **keys: str) -> list[Outage]:
         """Return when faults of some kinds acted."""

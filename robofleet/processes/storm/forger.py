@@ -14,6 +14,12 @@ from robofleet.recording.run import Recording
 _OLD_NS = 130 * MS
 _FAST = 3.0  # times the limit; the true command may be slow
 
+
+def _after(seq: int) -> int:
+    """Return the next sequence number; an operator's emergency stop has the last one."""
+    return (seq + 1) % (1 << 32)
+
+
 _COMMANDS: tuple[Callable[[WheelCommand, float], WheelCommand], ...] = (
     lambda c, _: c._replace(seq=c.seq + 1, epoch=max(0, c.epoch - 1)),
     lambda c, _: c._replace(seq=c.seq + 1, session=c.session + 1),
@@ -23,9 +29,9 @@ _COMMANDS: tuple[Callable[[WheelCommand, float], WheelCommand], ...] = (
     lambda c, _: c._replace(left_rad_s=1.0, right_rad_s=1.0),  # a sequence number once more
 )
 _ENABLES: tuple[Callable[[Enable], Enable], ...] = (
-    lambda e: e._replace(seq=e.seq + 1, epoch=e.epoch + 1, limit_rad_s=5.0),
-    lambda e: e._replace(seq=e.seq + 1, boot_id=e.boot_id ^ 1, limit_rad_s=5.0),
-    lambda e: e._replace(seq=e.seq + 1, nonce=e.nonce - _OLD_NS, limit_rad_s=5.0),
+    lambda e: e._replace(seq=_after(e.seq), epoch=e.epoch + 1, limit_rad_s=5.0),
+    lambda e: e._replace(seq=_after(e.seq), boot_id=e.boot_id ^ 1, limit_rad_s=5.0),
+    lambda e: e._replace(seq=_after(e.seq), nonce=e.nonce - _OLD_NS, limit_rad_s=5.0),
     lambda e: e._replace(limit_rad_s=5.0),
 )
 

@@ -16,6 +16,7 @@ _SHORTEST_S, _LONGEST_S = 0.05, 5.0
 _MOST = 6  # faults of one seed
 _CALM = 0.5  # share of seeds with gentle faults only, inside the envelope
 _TOPICS = ("cmd", "enable", "status", "poses", "state", "tick")
+_FROZEN, _FROZEN_S = 0.3, (0.1, 2.0)  # share of seeds whose supervisor is frozen at an emergency stop, and how long
 _REQUESTS = (b"hold", b"resume", b"estop", b"reset", b"stop", b"start", b"status", b"\xff nonsense")
 _FAULTS: TypeAdapter[Fault] = TypeAdapter(Fault)
 
@@ -150,4 +151,11 @@ def plan(config: Config, seed: int) -> Plan:
         outside_s = min(outside_s, at_s if rough and kind in _OUTSIDE else math.inf)
         healed_s = max(healed_s, at_s + duration_s)
     acts = [Act(dice.between(0.0, WINDOW_S), dice.one(_REQUESTS)) for _ in range(int(dice.rng.integers(3)))]
+    if dice.likely(_FROZEN):
+        duration_s = dice.between(*_FROZEN_S)
+        at_s = dice.between(0.0, WINDOW_S - duration_s)
+        frozen = {"kind": "stopped", "process": "supervisor", "at_s": at_s, "duration_s": duration_s}
+        faults.append(_FAULTS.validate_python(frozen))
+        acts.append(Act(round(at_s + dice.between(0.0, duration_s), 3), b"estop"))
+        healed_s = max(healed_s, round(at_s + duration_s, 3))
     return Plan(tuple(faults), tuple(sorted(acts)), max([healed_s, *(act.at_s for act in acts)]), outside_s)
