@@ -1,13 +1,14 @@
 """Which of a user's functions numba cannot compile, when a model of them cannot be."""
 
+import inspect
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numba
 
-from robofleet.control.arrays import compiled
 from robofleet.control.flow_settings import FlowError
 from robofleet.control.prediction import Plant
+from robofleet.kernels import INFINITE, snapshot
 from robofleet.kernels.complaint import complaint
 
 _VECTOR = numba.float64[::1]
@@ -29,8 +30,9 @@ def blame(error: Exception, functions: Iterable[Suspect]) -> FlowError:
         if function is None:
             continue
         try:
-            alone = compiled(function)
-            alone.compile((_VECTOR,) * count)
+            alone, _ = snapshot(function, INFINITE)
+            others = list(inspect.signature(alone.py_func).parameters.values())[count:]
+            alone.compile((*(_VECTOR,) * count, *(numba.types.Omitted(one.default) for one in others)))
         except Exception as found:  # noqa: BLE001 - numba raises what it likes, not its own errors alone
             return FlowError(f"{name}: {complaint(found, function)}")
         returned.append(f"{name} returns {alone.nopython_signatures[0].return_type}")

@@ -9,7 +9,7 @@ import numba
 from robofleet.kernels.meaning import UnknownMeaningError, digest_of, snapshot
 from robofleet.kernels.store import Kept
 
-__all__ = ["UnknownMeaningError", "image_kernel", "infinite_kernel", "kernel", "model"]
+__all__ = ["INFINITE", "UnknownMeaningError", "image_kernel", "infinite_kernel", "kernel", "model", "snapshot"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
