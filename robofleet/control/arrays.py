@@ -7,10 +7,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import INFINITE
-from robofleet.kernels import infinite_kernel as cached
+from robofleet.kernels import INFINITE, infinite_kernel
 
 Array = NDArray[np.float64]
+cached = infinite_kernel
 
 
 def compiled(function: Callable[..., Any]) -> Any:

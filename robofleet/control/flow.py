@@ -19,14 +19,14 @@ w <- w + c (x - Phi(x_before, u_before; w)) / step, c = 1 - exp(-step / T), and 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
 from robofleet.control.arrays import all_finite, compiled, copy, finite
+from robofleet.control.blame import Suspect, blame, plant_functions
 from robofleet.control.flow_settings import (
     FlowError,
     FlowSettings,
@@ -39,7 +39,7 @@ from robofleet.control.flow_settings import (
 from robofleet.control.flow_step import Slot, Status, compile_step, layout
 from robofleet.control.prediction import MAX_STEPS, Plant
 from robofleet.control.sensitivity import difference_jacobian
-from robofleet.kernels import kernel
+from robofleet.kernels import UnknownMeaningError, kernel
 
 __all__ = [
     "FlowError", "FlowSettings", "Integrator", "MemorylessFlow", "NewtonRaphsonFlow", "Plant",
@@ -68,8 +68,13 @@ def point_update(u: float, x: float, r: float, horizon: float, gain: float) -> f
 class NewtonRaphsonFlow:
     """The controller of one plant. ``warnings``: what is unwise in its settings, in plain words."""
 
-    def __init__(self, plant: Plant, settings: FlowSettings, u0: ArrayLike) -> None:
-        """Check and compile; FlowError names the argument that is wrong."""
+    def __init__(
+        self, plant: Plant, settings: FlowSettings, u0: ArrayLike, *, suspects: Iterable[Suspect] | None = None
+    ) -> None:
+        """Check and compile; FlowError names the argument that is wrong.
+
+        ``suspects``: the user's functions that the plant is made of, where they are not the plant's own.
+        """
         self.plant, self.settings = plant, settings
         u0 = vector("u0", u0, plant.m)
         if not np.isfinite(u0).all():
@@ -84,7 +89,7 @@ class NewtonRaphsonFlow:
         self._fill(whole, part)
         self.applied(u0)
         self._history[:] = self._u
-        self.compiled_step = _ready(plant, settings)
+        self.compiled_step = _ready(plant, settings, plant_functions(plant) if suspects is None else suspects)
 
     @property
     def u(self) -> Array:
@@ -188,7 +193,8 @@ class MemorylessFlow:
         settings = FlowSettings(alpha, 1.0, step, integrator, prediction_steps=1, lower=lower, upper=upper)
         for name, function, expected in (("g", g, (m,)), ("g_u", g_u, (m, m))):
             check_shape(name, function, (vector("u0", u0, m),), expected)
-        self._flow = NewtonRaphsonFlow(_memoryless_plant(g, m, g_u), settings, u0)
+        plant = _memoryless_plant(g, m, g_u)
+        self._flow = NewtonRaphsonFlow(plant, settings, u0, suspects=(("g", g, 1), ("g_u", g_u, 1)))
         self._no_state = np.zeros(1)
 
     def update(self, r: Array) -> Array:
@@ -225,16 +231,19 @@ def _memoryless_plant(g: Callable[[Array], Array], m: int, g_u: Callable[[Array]
     )
 
 
-def _ready(plant: Plant, settings: FlowSettings) -> Any:
+def _ready(plant: Plant, settings: FlowSettings, suspects: Iterable[Suspect]) -> Any:
     """Return the compiled step of a plant, called once."""
     by_hand = plant.fused is not None and settings.predictor == "rk4" and not settings.offset_free
-    step = compile_step(plant, by_hand)
+    try:
+        step = compile_step(plant, by_hand)
+    except UnknownMeaningError as error:
+        raise FlowError(f"plant: {error}") from error
     if not step.signatures:
         nothing = np.zeros(layout(plant.n, plant.m, 2)["history"].stop)
         try:
             step(np.full(plant.n, np.nan), np.zeros(plant.m), nothing)
-        except NumbaError as error:
-            raise FlowError(f"plant: numba cannot compile it: {str(error).strip().splitlines()[-1]}") from error
+        except Exception as error:
+            raise blame(error, suspects) from error
         step.disable_compile()
     return step
 

@@ -1,5 +1,6 @@
 """The parameters of the Newton-Raphson flow, and what is wrong or unwise in them."""
 
+import inspect
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -76,13 +77,16 @@ def check_shape(
     """Call one function; FlowError if its array has another shape. None, or undefined at this point: no complaint."""
     if function is None:
         return
+    if not inspect.isfunction(getattr(function, "py_func", function)):
+        raise FlowError(f"{name}: expected a Python function, got {function!r}")
     try:
         with np.errstate(all="ignore"):
             got = np.shape(function(*(a.copy() for a in arguments)))
     except ArithmeticError:
         return
-    except (IndexError, ValueError, TypeError) as error:
-        raise FlowError(f"{name}: fails for arrays of {[len(a) for a in arguments]} numbers: {error}") from error
+    except Exception as error:
+        raised = f"{type(error).__name__}: {error}"
+        raise FlowError(f"{name}: fails for arrays of {[len(a) for a in arguments]} numbers: {raised}") from error
     if got != expected:
         raise FlowError(f"{name}: expected an array of shape {expected}, got {got}")
 

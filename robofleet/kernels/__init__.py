@@ -5,17 +5,16 @@ from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
 import numba
-from numba.core.dispatcher import Dispatcher
 
-from robofleet.kernels.meaning import UnknownMeaningError, meaning, snapshot
+from robofleet.kernels.meaning import UnknownMeaningError, digest_of, snapshot
 from robofleet.kernels.store import Kept
 
-__all__ = ["UnknownMeaningError", "image_kernel", "infinite_kernel", "kernel", "model"]
+__all__ = ["INFINITE", "UnknownMeaningError", "image_kernel", "infinite_kernel", "kernel", "model", "snapshot"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-INFINITE = {"error_model": "numpy"}  # a division by zero is an infinity, which is then reported
+INFINITE: dict[str, Any] = {"error_model": "numpy"}  # a division by zero is an infinity, which is then reported
 _models: dict[str, Any] = {}
 
 
@@ -45,17 +44,19 @@ def model(function: Callable[..., Any]) -> Any:
     """
     copy, digest = snapshot(function, INFINITE)
     if digest not in _models:
-        _models[digest] = _kept(copy, INFINITE, lambda: digest)
+        _models[digest] = _kept(copy, lambda: digest)
     return _models[digest]
 
 
 def _kernel(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
-    return _kept(function, options, functools.cache(lambda: meaning(function, options)))
+    compiled: Callable[P, R] = _kept(
+        numba.njit(**options)(function), functools.cache(lambda: digest_of(function, options))
+    )
+    return compiled
 
 
-def _kept(function: Callable[..., Any], options: dict[str, Any], digest: Callable[[], str]) -> Any:
-    compiled = numba.njit(**options)(function)
-    if isinstance(compiled, Dispatcher):  # else numba is switched off
-        compiled._cache = Kept(function.__name__, digest)  # enable_caching() takes none but numba's own
+def _kept(compiled: Any, digest: Callable[[], str]) -> Any:
+    if hasattr(compiled, "py_func"):  # else numba is switched off
+        compiled._cache = Kept(compiled.py_func.__name__, digest)  # enable_caching() takes none but numba's own
         compiled.meaning = digest
     return compiled

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from numba.core import serialize
 from numba.core.caching import _Cache
+from numba.core.codegen import RuntimeLinker
 from numba.core.compiler import CompileResult
-from numba.core.serialize import dumps
 
 _PACKAGE = Path(__file__).parents[1]
 _LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
@@ -26,7 +27,7 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robofleet" / "kernels"
 
 
-class Kept(_Cache):  # type: ignore[misc]  # numba has no types
+class Kept(_Cache):
     """The cache of one of numba's dispatchers, which asks it before it compiles and gives it what it compiled.
 
     A file that is missing, damaged or cannot be written costs a compilation, never an error. It is complete or not
@@ -55,14 +56,16 @@ class Kept(_Cache):  # type: ignore[misc]  # numba has no types
         if check != _digest(data):  # cut, or changed: the linker would end the process
             return None
         try:
-            return CompileResult._rebuild(target_context, *pickle.loads(data))
+            rebuild: Callable[..., Any] = CompileResult._rebuild
+            return rebuild(target_context, *pickle.loads(data))
         except Exception:  # noqa: BLE001 - whatever it needs is no longer there: compile it again
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function."""
-        if data.library.has_dynamic_globals or any(not one.can_cache for one in data.lifted):
+        if data.library.has_dynamic_globals or any(not one.can_cache for one in data.lifted) or _calls_back(data):
             return  # addresses of this process are in it
+        dumps: Callable[..., bytes] = serialize.dumps
         path, content = self._path(sig, data.codegen), dumps(data._reduce())
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,6 +85,12 @@ class Kept(_Cache):  # type: ignore[misc]  # numba has no types
         fields = [getattr(one, "fields", ()) for one in getattr(sig, "args", sig)]
         what = repr((self._meaning(), sig, fields, codegen.magic_tuple()))
         return folder() / f"{self._name}-{_digest(what.encode()).hex()}"
+
+
+def _calls_back(compiled: Any) -> bool:
+    """Whether it calls a function that calls it: numba links such in memory."""
+    variables = compiled.library._final_module.global_variables
+    return any(one.name.startswith(RuntimeLinker.PREFIX) for one in variables)
 
 
 def _digest(content: bytes) -> bytes:

@@ -1,5 +1,6 @@
 """What the flow refuses, in words; and that a refusal changes nothing."""
 
+import functools
 import re
 from dataclasses import replace
 
@@ -71,7 +72,8 @@ def test_unwise_settings_are_warned_of() -> None:
         ({"n": 3}, "plant.f: expected an array of shape (3,), got (6,)"),
         ({"n": 5, "f": lambda x, u: x + STRAIGHT}, "plant.f: fails for arrays of [5, 2] numbers"),
         ({"n": 0}, "plant.n: expected a whole number of at least 1, got 0"),
-        ({"f": lambda x, u: x * bool(re.escape("a"))}, "plant: numba cannot compile it"),
+        ({"f": functools.partial(np.multiply, 2.0)}, "plant.f: expected a Python function, got functools.partial"),
+        ({"f": lambda x, u: x.mass}, "plant.f: fails for arrays of [6, 2] numbers: AttributeError: 'numpy.ndarray'"),
     ],
 )
 def test_bad_plants_are_named(change: dict[str, object], words: str) -> None:

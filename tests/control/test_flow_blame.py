@@ -1,0 +1,59 @@
+"""A function that numba cannot compile is named: function, file, line, source and cause."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from robofleet.control.flow import FlowError, FlowSettings, MemorylessFlow, NewtonRaphsonFlow, Plant
+
+SETTINGS = FlowSettings(20.0, 0.5, 0.01)
+FILE = Path(__file__).parent / "uncompilable.py"
+LINES = FILE.read_text().splitlines()
+
+
+def _models() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("uncompilable", FILE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+BAD = _models()
+
+
+@pytest.mark.parametrize(
+    ("function", "source", "cause"),
+    [
+        ("formats", 'len(f"{x[0]:.3f}")', "format spec in f-strings not supported yet"),
+        ("counts_bytes", "len(x.tobytes())", "Unknown attribute 'tobytes' of type array(float64, 1d, C)"),
+        ("fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
+        ("multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype"),
+        ("asks_too_much", "np.full(", "it knows no full("),
+    ],
+)
+@pytest.mark.parametrize("role", ["plant.f", "plant.h", "g"])
+def test_function_line_and_cause_are_named(role: str, function: str, source: str, cause: str) -> None:
+    bad = getattr(BAD, function)
+    line = next(k for k, text in enumerate(LINES, 1) if source in text)
+    with pytest.raises(FlowError) as error:
+        if role == "g":
+            MemorylessFlow(bad, 1, 5.0, 0.02, [0.0])
+        else:
+            f, h = (bad, lambda x: x) if role == "plant.f" else (lambda x, u: u, bad)
+            NewtonRaphsonFlow(Plant(f, h, 1, 1), SETTINGS, [0.0])
+    place = f"{FILE}:{line}: `{LINES[line - 1].strip()}`"
+    assert str(error.value).startswith(f"{role}: numba cannot compile {function}: {place}: {cause}")
+    assert "\n" not in str(error.value)
+
+
+def test_what_cannot_be_told_from_a_changed_one_is_named() -> None:
+    with pytest.raises(FlowError, match=r"reads_a_dict \(.*uncompilable.py:\d+\) reads CAR, of type dict"):
+        NewtonRaphsonFlow(Plant(BAD.reads_a_dict, lambda x: x, 1, 1), SETTINGS, [0.0])
+
+
+def test_functions_that_do_not_fit_together_are_shown_with_what_they_return() -> None:
+    with pytest.raises(FlowError, match=r"functions together \(plant.f returns array\(complex128, 1d, C\), plant.h "):
+        NewtonRaphsonFlow(Plant(lambda x, u: u + 0j, lambda x: x, 1, 1), SETTINGS, [0.0])

@@ -1,0 +1,174 @@
+"""A compiled model means what its functions mean now: whatever they read, however deep."""
+
+import math
+import types
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import pytest
+
+from robofleet.kernels import UnknownMeaningError, model
+
+
+class Gains(NamedTuple):
+    first: float
+    second: float
+
+
+class Kind(IntEnum):
+    SMALL = 1
+    LARGE = 2
+
+
+class World:
+    """A module of a user's own, whose values change."""
+
+    def __init__(self, source: str, **values: Any) -> None:
+        self.module = types.ModuleType("somebodys_module")
+        self.names = vars(self.module)
+        self.names.update(np=np, math=math, numba=numba, **values)
+        exec(source, self.names)
+
+    def function(self) -> Callable[[float], Any]:
+        found: Callable[[float], Any] = self.names["f"]
+        return found
+
+
+def plain(world: World) -> str:
+    """What Python itself makes of the function now: numba keeps what it compiled."""
+    compiled = {name: one for name, one in world.names.items() if hasattr(one, "py_func")}
+    world.names.update({name: one.py_func for name, one in compiled.items()})
+    found = world.function()(1.5)
+    world.names.update(compiled)
+    return repr(found.item() if isinstance(found, np.generic) else found)
+
+
+def made(source: str, name: str = "f", **values: Any) -> Any:
+    return World(source, **values).names[name]
+
+
+def closed_over(value: Any) -> Callable[[float], float]:
+    def f(x: float) -> float:
+        return x * value
+
+    return f
+
+
+CHANGES: dict[str, tuple[Callable[[], World], Callable[[World], None]]] = {
+    "a number": (
+        lambda: World("def f(x): return x * K", K=2.0),
+        lambda world: world.names.update(K=3.0),
+    ),
+    "its type": (
+        lambda: World("def f(x): return 7 // K", K=2),
+        lambda world: world.names.update(K=2.0),
+    ),
+    "the sign of zero": (
+        lambda: World("def f(x): return math.copysign(x, K)", K=0.0),
+        lambda world: world.names.update(K=-0.0),
+    ),
+    "an array, in place": (
+        lambda: World("def f(x): return x * A[1]", A=np.array([1.0, 2.0])),
+        lambda world: world.names["A"].__setitem__(1, 5.0),
+    ),
+    "a tuple in a tuple": (
+        lambda: World("def f(x): return x * K[1][0]", K=(1.0, (2.0,))),
+        lambda world: world.names.update(K=(1.0, (4.0,))),
+    ),
+    "fields that change places": (
+        lambda: World("def f(x): return x * K.first", K=Gains(2.0, 3.0)),
+        lambda world: world.names.update(K=NamedTuple("Gains", [("second", float), ("first", float)])(2.0, 3.0)),
+    ),
+    "a member of an enumeration": (
+        lambda: World("def f(x): return x + KIND.value", KIND=Kind.SMALL),
+        lambda world: world.names.update(KIND=Kind.LARGE),
+    ),
+    "a compiled function": (
+        lambda: World("@numba.njit\ndef g(x): return x + 1.0\ndef f(x): return g(x)"),
+        lambda world: exec("@numba.njit\ndef g(x): return x - 1.0", world.names),
+    ),
+    "a number that a compiled function reads": (
+        lambda: World("@numba.njit\ndef g(x): return x * K\ndef f(x): return g(x)", K=2.0),
+        lambda world: world.names.update(K=3.0),
+    ),
+    "a number that a plain function reads, three calls deep": (
+        lambda: World("def e(x): return K\ndef h(x): return e(x)\ndef g(x): return h(x)\ndef f(x): return g(x)", K=2.0),
+        lambda world: world.names.update(K=3.0),
+    ),
+    "an attribute of a module": (
+        lambda: World("def f(x): return x * car.mass", car=World("mass = 2.0").module),
+        lambda world: setattr(world.names["car"], "mass", 3.0),
+    ),
+    "a number that a function of a module reads": (
+        lambda: World("def f(x): return car.pull(x)", car=World("mass = 2.0\ndef pull(x): return x * mass").module),
+        lambda world: setattr(world.names["car"], "mass", 3.0),
+    ),
+    "another function's attribute of the same module": (
+        lambda: World(
+            "def g(x): return car.drag\ndef f(x): return x * car.mass + g(x)", car=World("mass, drag = 2.0, 1.0").module
+        ),
+        lambda world: setattr(world.names["car"], "drag", 3.0),
+    ),
+    "a default value": (
+        lambda: World("def f(x, k=2.0): return x * k"),
+        lambda world: setattr(world.names["f"], "__defaults__", (3.0,)),
+    ),
+    "which function of a library": (
+        lambda: World("def f(x): return wave(x)", wave=math.sin),
+        lambda world: world.names.update(wave=math.cos),
+    ),
+    "the body alone": (
+        lambda: World("def f(x): return x + 1.0"),
+        lambda world: exec("def f(x): return x + 2.0", world.names),
+    ),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_model_made_after_a_change_is_another(change: str) -> None:
+    make, alter = CHANGES[change]
+    world = make()
+    before = plain(world)
+    first = model(world.function())
+    assert repr(first(1.5)) == before
+    alter(world)
+    after = plain(world)
+    assert after != before  # the change is one
+    second = model(world.function())
+    assert repr(second(1.5)) == after
+    assert repr(first(1.5)) == before
+
+
+def test_a_model_keeps_what_it_was_made_of_until_it_is_compiled() -> None:
+    world = World("def f(x): return x * A[0] * K", A=np.array([2.0]), K=3.0)
+    first = model(world.function())
+    world.names["A"][0], world.names["K"] = 5.0, 7.0
+    assert first(1.0) == 6.0
+
+
+def test_the_same_meaning_is_the_same_model() -> None:
+    assert model(closed_over(2.0)) is model(closed_over(2.0))
+    assert model(closed_over(2.0)) is not model(closed_over(3.0))
+    moved = "\n\n# a line of a file is not a meaning\n"
+    source = "def f(x):\n    return x + 1.0"
+    assert model(made(source)) is model(made(moved + source))
+
+
+def test_a_function_that_calls_itself() -> None:
+    source = "def f(n):\n    if n <= 0:\n        return 0\n    return K + f(n - 1)"
+    assert [model(made(source, K=k))(4) for k in (1, 10)] == [4, 40]
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [({"mass": 1.0}, "dict"), (object(), "object"), (np.array([None]), "ndarray"), (iter([1]), "list_iterator")],
+)
+def test_what_cannot_be_told_from_a_changed_one_is_refused_by_name(value: object, kind: str) -> None:
+    source = "def g(x): return x * BOX\ndef f(x): return g(x)"
+    with pytest.raises(UnknownMeaningError, match=rf"f \(<string>:2\), which calls g .* reads BOX, of type {kind}"):
+        model(made(source, BOX=value))
+    with pytest.raises(UnknownMeaningError, match=f"reads value, of type {kind}"):
+        model(closed_over(value))
