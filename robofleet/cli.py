@@ -95,7 +95,8 @@ def run(
                 held.enter_context(_claimed(tree, folder))
             new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": web}
-        summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
+        with bad_input():
+            summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     try:
         write_text(folder / "summary.json", dumps(summary, indent=1) + "\n")
     except OSError as error:
