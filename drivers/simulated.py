@@ -1,5 +1,7 @@
 """A robot that does not exist: the driver closes its loop through the plant of ``robofleet.vehicles.plant``."""
 
+from typing import ClassVar
+
 from robofleet.vehicles.body import Body
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, TruePose, WheelSpeeds
 
@@ -8,6 +10,8 @@ _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so l
 
 class SimulatedRobot:
     """Integrates the plant up to the present whenever it is written to or read from."""
+
+    body_faults: ClassVar[bool] = True
 
     def __init__(self, context: DriverContext) -> None:
         self._now_ns = context.now_ns

@@ -4,6 +4,7 @@ import json
 import shlex
 import sys
 from contextlib import ExitStack, contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +12,7 @@ import typer
 
 from robofleet.clock import utc_now
 from robofleet.experiments import trials
+from robofleet.files import write_text
 from robofleet.processes import commands, run_commands
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.outlet import unhindered
@@ -23,6 +25,7 @@ from robofleet.processes.refusal import (
     need_extra,
     new_folder,
 )
+from robofleet.valid_json import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -95,14 +98,15 @@ def run(
                 held.enter_context(_claimed(tree, folder))
             new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": web}
-        summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
+        with bad_input():
+            summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     try:
-        (folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+        write_text(folder / "summary.json", dumps(summary, indent=1) + "\n")
     except OSError as error:
         print(f"{folder / 'summary.json'}: {error.strerror}: here is the summary all the same", file=sys.stderr)
         as_json = True
     if as_json:
-        print(json.dumps(summary))
+        print(dumps(summary))
     else:
         from rich.console import Console  # noqa: PLC0415
 
@@ -127,15 +131,18 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     from rich.box import SIMPLE_HEAD  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
 
+    from robofleet.config.yamlfile import printable  # noqa: PLC0415
     from robofleet.processes.check import proofs  # noqa: PLC0415
 
-    table = Table(title=f"{config} can run. What was proved:", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    proved = Text(printable(f"{config} can run. What was proved:"), "italic")  # a name is no markup
+    table = Table(title=proved, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("")
     for column in ("value", "limit", "used"):
         table.add_column(column, justify="right", no_wrap=True)
     for row in proofs(tree):
-        table.add_row(*row)
+        table.add_row(*map(Text, row))
     Console().print(table)
     print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
 
@@ -168,6 +175,9 @@ def schema(
 
 def main() -> None:
     """Run a command; one whose packages are not installed says which extra has them."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a folder's name may be no text
     never_raise()
     try:
         app()

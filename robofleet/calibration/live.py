@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import yaml
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -15,6 +14,7 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.views import COLUMNS, ROWS, Coverage, Lean, Offer
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.config.yamlfile import Source, read_yaml
 from robofleet.tracking.sources import Camera, CameraError
 
 _ARROWS = {Lean.LEFT: "<", Lean.RIGHT: ">", Lean.UPPER: "^", Lean.LOWER: "v", Lean.FLAT: "o"}
@@ -103,10 +103,14 @@ def _lines(gathering: Gathering, measured: Measured | None) -> list[Text]:
 def live_config(file: Path) -> Config:
     """Read a configuration for its camera alone: whatever its model was, it is what is to be measured."""
     try:
-        camera = yaml.safe_load(file.read_text())["camera"]
-        size = f"width: {camera['width']}, height: {camera['height']}"
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
+        tree, _ = read_yaml(file, Source(str(file)))
+    except FileNotFoundError:
+        tree = None
+    camera = None if tree is None else tree.child("camera")
+    sides = [None if camera is None else camera.child(name) for name in ("width", "height")]
+    if not all(side is not None and isinstance(side.value, int) for side in sides):
         return load_config(file)  # says what is wrong
+    size = ", ".join(f"{name}: {side.value}" for name, side in zip(("width", "height"), sides, strict=True) if side)
     place = "T_world_camera: {position_m: [0.0, 0.0, 1.0], rotation_rad: [3.0, 0.0, 0.0]}"
     nominal = f"{{{size}, focal_px: [1000.0, 1000.0], centre_px: [0.0, 0.0], distortion: [], {place}}}"
     return load_config(file, [f"camera.model={nominal}"])

@@ -13,6 +13,7 @@ from robofleet.clock import utc_now
 from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
 from robofleet.config.model import Model
+from robofleet.config.yamlfile import Source, read_yaml
 
 KEPT = "earlier"  # folder beside a calibration, of those that it replaced
 
@@ -49,11 +50,12 @@ def provenance(
 def load(file: Path, kind: type[M]) -> M:
     """Read a calibration; CalibrationError with every fault of a file that cannot be read or is impossible."""
     try:
-        return kind.model_validate(yaml.safe_load(file.read_text(encoding="utf-8")))
-    except OSError as error:
+        tree, wrong = read_yaml(file, Source(str(file)))
+        if wrong or tree is None:
+            raise CalibrationError(map(str, wrong))
+        return kind.model_validate(tree.plain())
+    except FileNotFoundError as error:
         raise CalibrationError(f"{file}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{file}: is no YAML: {' '.join(str(error).split())}") from error
     except ValidationError as invalid:
         faults = (f"{': '.join(_where(file, e['loc']))}: {plain_words(e, kind)}" for e in invalid.errors())
         raise CalibrationError(faults) from invalid

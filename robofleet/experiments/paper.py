@@ -1,6 +1,5 @@
 """The paper's experiments by name; runs them, writes their figures and numbers, prints their tables."""
 
-import json
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from robofleet.control.flow import FlowError
 from robofleet.experiments.parameters import SHIPPED, load_parameters
 from robofleet.experiments.results import Result, Table
 from robofleet.experiments.simulate import DivergedError
+from robofleet.valid_json import dumps
 
 # the module, whose ``run(parameters) -> Result`` does it, and its class of parameters: configs/paper/<name>.yaml
 EXPERIMENTS = {
@@ -74,7 +74,7 @@ def report(name: str, parameters: Any, folder: Path, *, quiet: bool) -> dict[str
         "figures": stems,
         **result.data,
     }
-    (folder / f"{name}.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    (folder / f"{name}.json").write_text(dumps(content, indent=1) + "\n")
     if not quiet:
         console = Console()
         for table in result.tables:

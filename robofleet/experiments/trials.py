@@ -1,6 +1,5 @@
 """The commands that need no laboratory: the paper's experiments, and storms of faults in simulation."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +8,7 @@ import typer
 
 from robofleet.clock import S, WallClock, utc_now
 from robofleet.processes.refusal import RefusedError, bad_input, new_folder
+from robofleet.valid_json import dumps
 
 app = typer.Typer()
 
@@ -45,7 +45,7 @@ def paper(
         print(error, file=sys.stderr)
         raise typer.Exit(1) from error
     if as_json:
-        print(json.dumps({"folder": str(folder), "experiments": contents}))
+        print(dumps({"folder": str(folder), "experiments": contents}))
     else:
         print(folder)
 

@@ -72,11 +72,11 @@ def load_checked(
 ) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
-    Where nothing else is wrong with the robots, those that exist are opened once: what does not answer is a fault too.
+    Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too.
     """
     source = ConfigFile(file, overrides, faults_file)
     complaints = refusals(source.config, lockstep=lockstep)
-    if not lockstep and not any(path.startswith("robots.") for path, _ in complaints):
+    if not any(path.startswith("robots.") for path, _ in complaints):
         complaints += check_drivers.unreachable(source.config)
     source.refuse(complaints)
     return source.config

@@ -53,14 +53,15 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
 
 
 def unreachable(config: Config) -> list[Complaint]:
-    """Open every robot that exists, all at once, and close them again; returns which do not answer. Nothing moves.
+    """Open every robot but twins', all at once, and close them again; returns which do not answer. Nothing moves.
 
-    Drivers that systemd has started have their ports already.
+    Simulated ones are opened too: their drivers may be anybody's. Drivers that systemd has started have their ports
+    already.
     """
     if config.drivers.started_by == "systemd":
         return []
     clock = WallClock()
-    attempts = [_Attempt(config, robot, clock) for robot in config.robots if robot.twin is None and _is_real(robot)]
+    attempts = [_Attempt(config, robot, clock) for robot in config.robots if robot.twin is None]
     if slow := _unfinished(attempts, clock.now_ns() + round(_TOLD_AFTER_S * S), clock):
         names = ", ".join(attempt.robot.id for attempt in slow)
         print(
@@ -94,7 +95,3 @@ def _unfinished(attempts: Sequence[_Attempt], deadline_ns: int, clock: Clock) ->
     for attempt in attempts:
         attempt.join(max(0.0, (deadline_ns - clock.now_ns()) / S))
     return [attempt for attempt in attempts if attempt.is_alive()]
-
-
-def _is_real(robot: Robot) -> bool:
-    return not issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)

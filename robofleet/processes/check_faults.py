@@ -7,7 +7,8 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.config.troubles import BodyFault, LineFault, LinkFault, TouchFault
 from robofleet.plugins import PluginError, load
-from robofleet.vehicles.interface import SimulatedDriver
+from robofleet.simulation.faulty_line import TOUCHES
+from robofleet.vehicles.interface import RobotFault, SimulatedDriver
 
 
 def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
@@ -16,17 +17,39 @@ def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
     for i, fault in enumerate(config.faults):
         if not lockstep and fault.kind in ("clock_step", "second_controller"):
             yield f"faults.{i}.kind", f"{fault.kind} is for lockstep alone: add --lockstep, or remove it"
-        if isinstance(fault, BodyFault) and not _has_a_simulated_body(config.robot(fault.robot)):
-            yield f"faults.{i}.robot", f"{fault.robot} is real: {fault.kind} is for a simulated robot"
+        if isinstance(fault, BodyFault) and (why := _obeys_no_body_fault(config.robot(fault.robot))):
+            yield f"faults.{i}.robot", f"{fault.robot} {why}"
         if isinstance(fault, TouchFault | LinkFault | LineFault):
             if not twins:
                 yield f"faults.{i}.kind", f"no robot has a twin: {fault.kind} is for one, so remove it"
             elif fault.robot is not None and fault.robot not in twins:
                 yield f"faults.{i}.robot", f"{fault.robot} has no twin: {fault.kind} is for {', '.join(twins)}"
+            elif isinstance(fault, TouchFault) and not _feels(config.robot(fault.robot), fault.kind):
+                twin = config.robot(fault.robot).twin
+                yield f"faults.{i}.kind", f"{twin!r} has no sense of it, nothing would happen: remove it"
 
 
-def _has_a_simulated_body(robot: Robot) -> bool:
+def _obeys_no_body_fault(robot: Robot) -> str:
+    """Return why a body's fault does nothing to a robot; nothing where it does."""
+    if robot.twin is not None:
+        return ""
     try:
-        return robot.twin is not None or issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
+        kind = load("robofleet.drivers", robot.driver)
+    except PluginError:
+        return ""  # said already
+    if not issubclass(kind, SimulatedDriver):
+        return "is real: name a simulated robot"
+    if getattr(kind, "body_faults", False) is not True:
+        return (
+            f"would not obey it, {robot.driver!r} has faults of its own or none: remove it, or let the driver take "
+            "context.simulation.trouble and say body_faults = True"
+        )
+    return ""
+
+
+def _feels(robot: Robot, touch: str) -> bool:
+    try:
+        reports = getattr(load("robofleet.twins", robot.twin or ""), "reports", RobotFault(0))
     except PluginError:
         return True  # said already
+    return TOUCHES[touch] in reports

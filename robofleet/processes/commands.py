@@ -1,6 +1,5 @@
 """The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
 
-import json
 import os
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
+from robofleet.valid_json import dumps
 
 if TYPE_CHECKING:
     import socket
@@ -97,7 +97,7 @@ def status(
     except operator.UnreachableError as error:
         _told(False, str(error))
     if as_json:
-        print(json.dumps(found))
+        print(dumps(found))
     else:
         from rich.console import Console  # noqa: PLC0415
 

@@ -9,22 +9,38 @@ from robofleet.config.tree import Config
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.live import LiveView
 from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.refusal import RefusedError
 from robofleet.processes.terminal import Terminal, hangup_interrupts
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording
+from robofleet.vehicles.interface import DriverError
 
 
 def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict[str, Any]:
     """Run on a simulated clock and return the summary."""
     view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
     with hangup_interrupts(), view_of as view, RunLog(folder / FILE, config) as log:
-        run = Lockstep(config, log=log)
-        outcome, cause = run.run(view)
+        try:
+            run = Lockstep(config, log=log)
+        except DriverError as error:
+            raise RefusedError(str(error)) from error
+        try:
+            outcome, cause = run.run(view)
+        except* DriverError as raised:  # of a step, or of closing afterwards
+            outcome, cause = "fault", _first(raised)
+            run.recording.outcome, run.recording.cause = outcome, cause
         log.end(run.recording.ending())
         run.recording.dropped = log.dropped
     return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause)
+
+
+def _first(raised: BaseException) -> str:
+    """Return the first complaint of a group."""
+    while isinstance(raised, BaseExceptionGroup):
+        raised = raised.exceptions[0]
+    return str(raised)
 
 
 def in_real_time(

@@ -1,6 +1,5 @@
 """The channels of a run's file: which keys a run has, and a description by which a stranger decodes their messages."""
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -42,6 +41,7 @@ from robofleet.comms.messages import (
     TRUTH as TRUTH_LAYOUT,
 )
 from robofleet.config.tree import Config
+from robofleet.valid_json import dumps
 
 ENCODING = f"robofleet-{VERSION}"  # of this project's own messages
 SCHEMA_ENCODING = "numpy"  # a JSON object of dtypes
@@ -76,4 +76,4 @@ def schema(full: str) -> tuple[str, bytes]:
     topic = named(full)
     layout = None if topic is None else _LAYOUTS.get(topic[0])
     name, parts = _OTHER if layout is None else layout.describe()
-    return f"robofleet.{name}", json.dumps(parts).encode()
+    return f"robofleet.{name}", dumps(parts).encode()

@@ -140,7 +140,11 @@ class Overlay(NamedTuple):
 
 
 def _mean(values: Array | None) -> Array | None:
-    return None if values is None else np.asarray(np.nanmean(values, axis=1))
+    if values is None:
+        return None
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore"):  # a tick of which nothing is known is a gap
+        return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
 
 
 def _leader(values: Array | None) -> Array | None:
@@ -149,7 +153,7 @@ def _leader(values: Array | None) -> Array | None:
 
 def _off(series: Series) -> Array | None:
     asked_mm = series.run.config.groups[0].spacing_m * 1e3
-    return np.abs(series.spacing_mm - asked_mm).max(axis=1) if series.spacing_mm.shape[1] else None
+    return np.fmax.reduce(np.abs(series.spacing_mm - asked_mm), axis=1) if series.spacing_mm.shape[1] else None
 
 
 OVERLAYS = (

@@ -53,7 +53,7 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "tracker": _tracker(run, recording),
         "tick": _tick(run, recording),
         "latency_ms": _latency(run),
-        "saturated_fraction": _rounded(run.items["saturated"].mean()) if len(run.t) else None,
+        "saturated_fraction": _mean(run.items["saturated"]),
         "filtered_fraction": _rounded((run.items["filtered"] > 0).mean()) if len(run.t) else None,
         "recording": {"messages": recording.count, "dropped": recording.dropped},
         "stops": stops(run),
@@ -70,7 +70,7 @@ def _errors(metres: Array) -> Figures | None:
     known = mm[np.isfinite(mm)]
     if not known.size:
         return None
-    each = [None if np.isnan(column).any() else _rounded(column.mean()) for column in mm.T]
+    each = [_mean(column) for column in mm.T]
     return {"mean": _rounded(known.mean()), "max": _rounded(known.max()), "per_robot_mean": each}
 
 
@@ -85,10 +85,12 @@ def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
     if points is None or not counted.any() or points.shape[1] < 2:
         return None
     gaps = spacings(points[counted])
+    if np.isnan(gaps).all():
+        return None
     deviation = np.abs(gaps - run.config.groups[0].spacing_m)
     return {
-        "mean": [_rounded(value, 5) for value in gaps.mean(axis=0)],
-        "max_deviation_mm": _rounded(deviation.max() * 1e3),
+        "mean": [_mean(column, 5) for column in gaps.T],
+        "max_deviation_mm": _rounded(np.nanmax(deviation) * 1e3),
     }
 
 
@@ -119,6 +121,9 @@ def _pose_error(run: Run) -> Figures | None:
     if run.truth is None:
         return None
     off, turn = (errors[:, run.known] for errors in pose_errors(run, run.truth))
+    off, turn = off[np.isfinite(off)], turn[np.isfinite(turn)]
+    if not (off.size and turn.size):
+        return None
     return {
         "rms_mm": _rounded(math.sqrt((off**2).mean()) * 1e3),
         "max_mm": _rounded(off.max() * 1e3),
@@ -195,6 +200,12 @@ def _percentiles(values: Array, percents: tuple[int, ...]) -> Figures | None:
         return None
     found = np.percentile(values, percents)
     return {"max" if p == 100 else f"p{p}": _rounded(v) for p, v in zip(percents, found, strict=True)}
+
+
+def _mean(values: Array, digits: int = 4) -> float | None:
+    """Return the mean of what is known; None where nothing is."""
+    known = values[np.isfinite(values)]
+    return _rounded(known.mean(), digits) if known.size else None
 
 
 def _rounded(value: float, digits: int = 4) -> float:

@@ -63,6 +63,9 @@ def _bodies(axes: Axes, view: View) -> None:
 
 def trail(points: Array) -> Array:
     """Return points (K, 2) without those that are closer to the last one than a pixel."""
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return np.full((1, 2), np.nan)
     walked = np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
     _, kept = np.unique((walked / _TRAIL_M).astype(np.int64), return_index=True)
     return points[[*kept, -1]]

@@ -119,7 +119,8 @@ def pose_distribution(view: View) -> Figure | None:
     share = np.linspace(0.0, 100.0, 201)
     for axes, values in ((position, off), (heading, np.abs(turn))):
         for column, colour in zip(values.T, view.colours, strict=True):
-            axes.plot(np.percentile(column, share), share, color=colour, lw=1.2)
+            if (known := column[np.isfinite(column)]).size:
+                axes.plot(np.percentile(known, share), share, color=colour, lw=1.2)
         axes.set(ylim=(0, 100), xlim=(0, None))
     position.set(xlabel="position off, mm", ylabel="share of ticks, %")
     heading.set(xlabel="heading off, deg")

@@ -4,6 +4,7 @@ from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from robofleet.recording.provenance import Provenance
 from robofleet.valid_json import dumps
 
 Array = NDArray[np.float64]
+
+_BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
 
 Duration = Annotated[int, Field(ge=0, lt=1 << 62)]
 
@@ -87,6 +90,11 @@ class Recording:
         payloads = [p for p in self.messages.get(full, ()) if len(p) == layout.size]
         return np.frombuffer(b"".join(payloads), dtype=layout.dtype)
 
+    def measured(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
+        """Return the rows of a key whose figures can be true."""
+        rows = self.rows(full, layout)
+        return rows[_can_be(rows)]
+
     def placed(self, full: str) -> Iterator[tuple[int, bytes]]:
         """Yield the messages of a key, each with its place in the order of all messages."""
         return zip(self._places.get(full, ()), self.messages.get(full, ()), strict=True)
@@ -106,21 +114,23 @@ class Run:
         self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
         self.ticks = self.all_ticks[self.all_ticks["run_tick"] >= 0]
         self.t = self.ticks["run_tick"] * config.controller.tick_s
-        self.items = self.ticks["items"]
-        self.statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
-        self.status_places = [
+        self.items = _with_gaps(self.ticks["items"])  # NaN: a figure that nobody can have measured
+        statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
+        self.statuses = [status[_can_be(status)] for status in statuses]
+        places = [
             [place for place, p in recording.placed(key(arena, STATUS, r.id)) if len(p) == ROBOT_STATUS.size]
             for r in robots
         ]
+        self.status_places = [list(compress(own, _can_be(told))) for own, told in zip(places, statuses, strict=True)]
         self.path = Path.hermite(*slices.knots(config.groups[0]))
-        truths = [recording.rows(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in config.bodies]
+        truths = [recording.measured(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in config.bodies]
         told = np.array([len(truth) > 0 for truth in truths])
         # (K, M, 3) of all bodies, the group's robots first; NaN: not told
         self.bodies = self._at_ticks(truths) if told.any() and len(self.t) else None
         self.known = told[: len(robots)]  # (N,) whose truth was told
         self.truth = None if self.bodies is None or not self.known.any() else self.bodies[:, : len(robots)]
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
-        self.news = recording.rows(key(arena, NEWS, CAMERA), TRACKER_NEWS)
+        self.news = recording.measured(key(arena, NEWS, CAMERA), TRACKER_NEWS)
         self.states = _changes(recording, key(arena, STATE))
         frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
         began = int(self.ticks["poses_seq"][0]) if len(self.ticks) else 0
@@ -158,6 +168,26 @@ class Run:
     def after(self, start_s: float) -> NDArray[np.bool_]:
         """Return which ticks count."""
         return np.asarray(self.t >= start_s)
+
+
+def _can_be(rows: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return of which rows (K,) every figure can be true."""
+    good = np.ones(len(rows), np.bool_)
+    for name in rows.dtype.names or ():
+        if rows.dtype[name].kind == "f":
+            good &= np.abs(rows[name]) < _BEYOND  # a NaN is not
+    return good
+
+
+def _with_gaps(items: NDArray[Any]) -> NDArray[Any]:
+    """Return the robots of ticks (K, N) with NaN in place of every figure that is not finite, or beyond any arena."""
+    wrong = {name: ~(np.abs(items[name]) < _BEYOND) for name in items.dtype.names or ()}
+    if not any(where.any() for where in wrong.values()):
+        return items
+    items = items.copy()
+    for name, where in wrong.items():
+        items[name][where] = np.nan
+    return items
 
 
 def _changes(recording: Recording, full: str) -> list[tuple[int, RunState]]:

@@ -91,10 +91,10 @@ def write_csv(columns: Series, file: Path) -> None:
         *(run.items[name] for name in _FLAGS),
     ]
     values = np.stack(told, axis=-1)
-    row = ",%.6g" * (values.shape[-1] - len(_FLAGS)) + ",%d" * len(_FLAGS)
+    row = ",%.6g" * (values.shape[-1] - len(_FLAGS)) + ",%.0f" * len(_FLAGS)
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
         out.write(",".join(_HEAD + _POSES + _AS_TOLD + _WHEELS + _ERRORS + _FLAGS) + "\n")
         for t, tick, of_tick in zip(columns.t, run.ticks, values, strict=True):
             when = f"{t:.3f},{tick['tick']},{tick['run_tick']},"
-            text = "\n".join(when + robot + row % tuple(of) for robot, of in zip(columns.robots, of_tick, strict=True))
-            out.write(text.replace("nan", "") + "\n")
+            for robot, of in zip(columns.robots, of_tick, strict=True):
+                out.write(when + robot + (row % tuple(of)).replace("nan", "") + "\n")

@@ -19,7 +19,7 @@ def summary_table(summary: Summary) -> Table:
     table = Table(
         title=Text(f"{summary['config']}: {summary['outcome']}{cause}", "bold"),
         title_justify="left",
-        caption=_caption(summary),
+        caption=Text(_caption(summary)),
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -29,7 +29,7 @@ def summary_table(summary: Summary) -> Table:
     table.add_column("the paper\n(hardware)", justify="right")
     table.add_column("each robot\n" + " ".join(f"{robot:>5}" for robot in summary["robots"]))
     for row in (*_errors(summary), *_health(summary)):
-        table.add_row(*row)
+        table.add_row(*map(Text, row))  # no text of a run is markup
     return table
 
 
@@ -61,8 +61,9 @@ def _errors(s: Summary) -> list[tuple[str, str, str, str]]:
             rows.append((label, f"{figure['mean']:.2f} ({figure['max']:.1f})", paper, each))
     spacing = s["spacing_m"]
     if spacing is not None:
-        each = " " * 6 + " ".join(f"{value * 1e3:5.1f}" for value in spacing["mean"])
-        mean = f"{1e3 * sum(spacing['mean']) / len(spacing['mean']):.1f}"
+        each = " " * 6 + " ".join("    -" if value is None else f"{value * 1e3:5.1f}" for value in spacing["mean"])
+        known = [value for value in spacing["mean"] if value is not None]
+        mean = f"{1e3 * sum(known) / len(known):.1f}"
         rows.append(("spacing, mm", mean, f"target {PAPER_SPACING_M * 1e3:g}", each))
         rows.append(("spacing's deviation, mm", f"({spacing['max_deviation_mm']:.1f})", "-", ""))
     return rows
@@ -104,7 +105,7 @@ def status_table(status: dict[str, Any]) -> Table:
     table = Table(
         title=Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold"),
         title_justify="left",
-        caption=f"{status['folder']}, since {status['started']}, process {status['pid']}",
+        caption=Text(f"{status['folder']}, since {status['started']}, process {status['pid']}"),
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -113,10 +114,10 @@ def status_table(status: dict[str, Any]) -> Table:
         table.add_column(column)
     for robot in status["robots"]:
         if robot["gate"] is None:
-            table.add_row(robot["id"], Text("silent", "bold red"), "", "", "", robot["halted"])
+            table.add_row(robot["id"], Text("silent", "bold red"), "", "", "", Text(robot["halted"] or ""))
             continue
         battery = "unknown" if robot["battery"] is None else f"{100 * robot['battery']:.0f} %"
         gate = Text(robot["gate"], "green" if robot["gate"] == "open" else "yellow")
         latch = Text(robot["latch"], "" if robot["latch"] == "none" else "bold red")
-        table.add_row(robot["id"], gate, latch, battery, f"{robot['age_ms']:.0f} ms ago", robot["halted"])
+        table.add_row(robot["id"], gate, latch, battery, f"{robot['age_ms']:.0f} ms ago", Text(robot["halted"] or ""))
     return table

@@ -10,7 +10,7 @@ from robofleet.simulation.faults import Injection, Schedule, struck
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.vehicles.interface import STOP, RobotFault, WheelSpeeds
 
-_FELT = {"bumper_hit": RobotFault.BUMPED, "cliff": RobotFault.CLIFF, "wheel_lifted": RobotFault.WHEEL_DROPPED}
+TOUCHES = {"bumper_hit": RobotFault.BUMPED, "cliff": RobotFault.CLIFF, "wheel_lifted": RobotFault.WHEEL_DROPPED}
 _GARBLED = 0.25  # share of a line's bytes that are replaced in garbage; one at least
 _REMEMBERED_NS = 300 * MS  # of what the driver has sent: a line that comes late is not a wrong one
 
@@ -22,7 +22,7 @@ class TwinTroubles:
         def of(*kinds: str) -> tuple[Injection, ...]:
             return () if schedule is None else schedule.of(*kinds, robot=robot)
 
-        self._felt = [(flag, of(kind)) for kind, flag in _FELT.items()]
+        self._felt = [(flag, of(kind)) for kind, flag in TOUCHES.items()]
         self._unplugged, self._hangs = of("unplugged"), of("firmware_hangs")
         self.to_robot, self.to_host = (LineTroubles(schedule, robot, way) for way in ("to robot", "to host"))
 

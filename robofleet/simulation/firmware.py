@@ -44,6 +44,7 @@ class Firmware(Protocol):
 
     baud: int
     watchdog_s: float | None  # without a word for so long it stops its motors; None: it never does by itself
+    # ``reports``, a RobotFault, if it has one: what it says of what its hardware feels; faults of touch need it
 
     def opened(self, now_ns: int) -> None:
         """The host opened the port: a board that resets by DTR starts anew."""

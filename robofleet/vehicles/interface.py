@@ -128,7 +128,8 @@ class Driver(Protocol):
 
     Its class may have ``Settings``, a pydantic model of what ``robots[].settings`` may say, and a static method
     ``refusals(settings, drive)`` that returns what cannot work as (dotted path below the robot, what is wrong and how
-    to mend it): ``robofleet check`` asks it before anything is opened.
+    to mend it): ``robofleet check`` asks it before anything is opened. It may say ``body_faults = True``, where
+    ``context.simulation.trouble`` acts on its robot: faults of a body are refused for every other one.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:

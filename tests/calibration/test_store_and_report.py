@@ -62,8 +62,8 @@ def test_a_folder_that_refuses_leaves_the_earlier_one_in_place(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (b"a: [", "is no YAML"),
-        (b"\xff\xfe", "is no YAML"),
+        (b"a: [", "is not YAML"),
+        (b"\xff\xfe", "is not UTF-8 text"),
         (b"width: 80", "height: is missing"),
         (b"[1, 2]", "must be a mapping"),
         (b"{width: 80, height: 60, focal_px: [-1.0, 1.0], centre_px: [0.0, 0.0], distortion: []}", "focal_px.0"),

@@ -8,6 +8,7 @@ from typing import Annotated, TypeVar
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from robofleet.calibration import drive as drives
 from robofleet.calibration import drive_file
@@ -127,7 +128,7 @@ def _keep(
     head, rows = table
     shown = Table(*head)
     for row in rows:
-        shown.add_row(*row)
+        shown.add_row(*map(Text, row))
     Console().print(shown)
     print(folder / "report.html")
     for calibration in calibrations:

@@ -5,7 +5,6 @@ fewer. So nothing grows behind a slow page, and no other page waits for it.
 """
 
 import asyncio
-import json
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from functools import cached_property
@@ -20,6 +19,7 @@ from robofleet.processes.web.frames import Frame
 from robofleet.processes.web.hearing import Hearing
 from robofleet.processes.web.words import phase_name
 from robofleet.tracking.outlines import TagOutlines
+from robofleet.valid_json import dumps
 
 _IDLE_NS = 100 * MS  # between two looks when nothing comes
 _BEAT_NS = 90 * MS  # then the next look brings a beat: at least one in 200 ms
@@ -36,7 +36,7 @@ class Feed:
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock) -> None:
         self._config, self._clock = config, clock
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
-        self.hello = json.dumps(frames.hello(config, folder))
+        self.hello = dumps(frames.hello(config, folder))
         self.hearing = Hearing(config, bus, clock, self._wake)
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
@@ -61,7 +61,7 @@ class Feed:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
             frame = frames.tick(self.hearing, self._config, self.seq, self._clock.now_ns())
-            self._tick = self.seq, json.dumps(frame, separators=(",", ":"))
+            self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
 
     def picture(self) -> tuple[int, str]:
@@ -69,12 +69,12 @@ class Feed:
         shown = self.hearing.shown
         if shown is not None and shown.picture.exposure_ns != self._picture[0]:
             frame = frames.picture(self.hearing, self._outlines)
-            self._picture = shown.picture.exposure_ns, json.dumps(frame, separators=(",", ":"))
+            self._picture = shown.picture.exposure_ns, dumps(frame, compact=True)
         return self._picture
 
     def beat(self) -> str:
         """Return the ages of the newest words."""
-        return json.dumps(frames.beat(self.hearing, self._clock.now_ns()))
+        return dumps(frames.beat(self.hearing, self._clock.now_ns()))
 
     @property
     def phase(self) -> str:
@@ -161,7 +161,7 @@ class Page:
         """Yield what is to be sent; each is made when the one before is gone, so that it is the newest."""
         feed = self._feed
         while self._answers:
-            yield json.dumps(self._answers.popleft())
+            yield dumps(self._answers.popleft())
         if self._tick_due():
             self._seq, self._sent_ns, self._phase = feed.seq, feed.now_ns(), feed.phase
             self._undrawn.append((feed.seq, feed.record_ns))
@@ -170,7 +170,7 @@ class Page:
             self._beat_ns = feed.now_ns()
             yield feed.beat()
         lines, self._written = feed.diary.since(self._written), feed.diary.written
-        yield from map(json.dumps, lines)
+        yield from map(dumps, lines)
         exposure_ns, picture = feed.picture() if self.wants_picture else (0, "")
         if exposure_ns not in (0, self._exposure_ns):
             self._exposure_ns = exposure_ns

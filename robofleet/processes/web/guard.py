@@ -5,14 +5,13 @@ for this port; and whoever has not the token was not given the page's address. T
 """
 
 import secrets
-import sys
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from robofleet.clock import Clock, S
+from robofleet.processes.web.places import Complaints
 
 _LARGEST_BODY = 1024  # [bytes]
 _WITHOUT_TOKEN = (".js", ".css")  # they hold no secret, and a browser asks for them without
@@ -34,10 +33,8 @@ def authorities(names: set[str], port: int) -> frozenset[str]:
 class Guard:
     """Lets through what comes from the page of this server; counts and logs the rest."""
 
-    def __init__(self, app: ASGIApp, hosts: frozenset[str], token: str, clock: Clock) -> None:
-        self._app, self._hosts, self._token, self._clock = app, hosts, token, clock
-        self.refused = 0
-        self._logged_ns = -S
+    def __init__(self, app: ASGIApp, hosts: frozenset[str], token: str, complaints: Complaints) -> None:
+        self._app, self._hosts, self._token, self._complaints = app, hosts, token, complaints
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or one WebSocket."""
@@ -68,16 +65,8 @@ class Guard:
         return None
 
     def _log(self, scope: Scope, why: str) -> None:
-        """Write a line, at most one a second: who asks again and again does not fill the disk."""
-        self.refused += 1
-        now_ns = self._clock.now_ns()
-        if now_ns - self._logged_ns >= S:
-            self._logged_ns = now_ns
-            client = (scope.get("client") or ("?",))[0]
-            line = (
-                f"refused ({self.refused} so far): {scope['type']} {scope['path']!r:.80} of {client}: wrong {why:.200}"
-            )
-            print(line.encode("ascii", "backslashreplace").decode(), file=sys.stderr)
+        client = (scope.get("client") or ("?",))[0]
+        self._complaints.add(f"{scope['type']} {scope['path']!r:.80} of {client}: wrong {why:.200}")
 
 
 def _body_size(headers: Headers) -> int:

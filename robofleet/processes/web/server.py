@@ -6,6 +6,7 @@ import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from robofleet.processes.web import frames
 from robofleet.processes.web.controls import ASKED, ESTOP, Controls
 from robofleet.processes.web.feed import Feed, Page
 from robofleet.processes.web.guard import Guard, authorities, new_token
+from robofleet.processes.web.places import Complaints, Connection, Places
 
 LOOPBACK = "127.0.0.1"
 _NICE = 5  # the page waits for the run, never the other way round
@@ -33,7 +35,7 @@ _PAGE = Path(__file__).parent / "page"
 _LARGEST_MESSAGE = 1024  # of a page [bytes]
 _LARGEST_HEAD = 16384  # of a request [bytes]
 _PAGES = 16
-_CONNECTIONS = 64
+_QUEUE, _AT_ONCE = 1024, 32  # connections that wait to be let in; those that are let in before anybody is answered
 _PING_S, _PONG_WITHIN_S = 5.0, 10.0  # then a page that sleeps is forgotten; it comes back by itself
 _POLL_S = 0.05
 _LEAVE_WITHIN_S = 0.5  # of the end
@@ -78,12 +80,14 @@ async def serve(
     token = new_token()
     feed = Feed(config, folder, bus, clock)
     controls = Controls(bus, clock, config.ids)
-    guard = Guard(application(feed, controls), authorities(names, port), token, clock)
-    server = uvicorn.Server(_settings(guard))
+    complaints = Complaints(clock)
+    guard = Guard(application(feed, controls), authorities(names, port), token, complaints)
+    server = uvicorn.Server(_settings(guard, Places(complaints)))
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
         while not server.started:
             await asyncio.sleep(_POLL_S)
+        listening.listen(_QUEUE)
         ready(f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}")
         while not (cut() or feeding.done() or serving.done()):
             await asyncio.sleep(_POLL_S)
@@ -172,13 +176,15 @@ async def _obey(link: WebSocket, page: Page, controls: Controls) -> bool:
     return True
 
 
-def _settings(app: Any) -> uvicorn.Config:
+def _settings(app: Any, places: Places) -> uvicorn.Config:
+    connection: Any = partial(Connection, places)
     return uvicorn.Config(
         app,
-        http="h11",
+        http=connection,
         ws="websockets-sansio",
         lifespan="off",
         log_config=None,
+        log_level="error",  # what is refused is counted and said here
         access_log=False,
         server_header=False,
         date_header=False,
@@ -187,7 +193,7 @@ def _settings(app: Any) -> uvicorn.Config:
         ws_ping_interval=_PING_S,
         ws_ping_timeout=_PONG_WITHIN_S,
         ws_per_message_deflate=False,  # it costs more time than a local network takes
-        limit_concurrency=_CONNECTIONS,
         h11_max_incomplete_event_size=_LARGEST_HEAD,
         timeout_keep_alive=5,
+        backlog=_AT_ONCE,
     )

@@ -41,6 +41,7 @@ class Create2Firmware:
 
     baud = 115200
     watchdog_s: float | None = None  # none is described
+    reports = RobotFault.BUMPED | RobotFault.CLIFF | RobotFault.WHEEL_DROPPED
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
