@@ -63,14 +63,14 @@ class RealRun:
     def __init__(
         self, folder: Path, *arguments: str, terminal: bool = False, name: str = "run", config: Path = PLATOON
     ) -> None:
-        self._environment = own_folders(folder)
+        self.environment = own_folders(folder)
         self._stdout, self._stderr, self.folder = folder / f"{name}.stdout", folder / f"{name}.stderr", folder / name
         self.latches = folder / "state" / "robofleet" / "platoon"
         command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(config), "--out", str(self.folder)]
         self.keyboard, theirs = pty.openpty() if terminal else (None, subprocess.DEVNULL)
         with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
             self.launcher = subprocess.Popen(
-                [*command, "--json", *arguments], stdin=theirs, stdout=out, stderr=err, env=self._environment,
+                [*command, "--json", *arguments], stdin=theirs, stdout=out, stderr=err, env=self.environment,
                 start_new_session=terminal,
                 preexec_fn=_take_terminal if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
             )  # fmt: skip
@@ -80,7 +80,7 @@ class RealRun:
     def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Do something to the run from another terminal."""
         command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
-        return subprocess.run(command, env=self._environment, capture_output=True, text=True, timeout=20, check=False)
+        return subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=20, check=False)
 
     def press(self, keys: bytes) -> None:
         """Press keys in the run's terminal."""

@@ -260,7 +260,7 @@ def test_a_register_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
             register(place).chmod(0o777 if how == "not sticky" else 0o755)
         assert operator.chosen(None).arena == "platoon"
         assert f"not all runs may be found: {register(place)} is not the folder" in capsys.readouterr().err
-        with pytest.raises(PlaceError, match=r"an administrator mends it with `rm -r "), claimed(config(), Path()):
+        with pytest.raises(PlaceError, match=r"an administrator moves it away with `mv "), claimed(config(), Path()):
             pass
 
 
