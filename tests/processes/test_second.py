@@ -1,11 +1,37 @@
 """A process that is started by hand where one is at work already: it is refused and named, and nothing is disturbed."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from tests.processes.realrun import ALONE, RealRun
+import zenoh
+
+from tests.processes.realrun import ALONE, RealRun, wait
 
 Start = Callable[..., RealRun]
+
+
+@contextmanager
+def forged(endpoint: str, full: str, heard: list[str]) -> Iterator[None]:
+    """Say that nobody else need be asked, answer ok, and do nothing."""
+
+    def answer(query: zenoh.Query) -> None:
+        heard.append("" if query.payload is None else query.payload.to_string())
+        query.reply(query.key_expr, "ok")
+        kept.append(query)  # it never ends
+
+    kept: list[zenoh.Query] = []
+    config = zenoh.Config()
+    for name, value in (("mode", "client"), ("connect/endpoints", [endpoint])):
+        config.insert_json5(name, json.dumps(value))
+    session = zenoh.open(config)
+    try:
+        queryable = session.declare_queryable(full, zenoh.handlers.Callback(answer, indirect=False), complete=True)
+        assert wait(lambda: [r for r in session.liveliness().get("rf/platoon/alive/supervisor/**") if r.ok], 5)
+        yield
+        queryable.undeclare()
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
 
 
 def test_a_second_of_each_process_is_refused_and_the_run_goes_on(real_run: Start) -> None:
@@ -28,14 +54,27 @@ def test_a_second_of_each_process_is_refused_and_the_run_goes_on(real_run: Start
     assert sorted(file.name for file in copy.iterdir()) == ["config.yaml"], "nothing is left half done"
     found = json.loads(run.robofleet("status", "--json").stdout)
     assert found["phase"] == "running"
-    assert run.robofleet("hold").stdout == "ok\n"
+
+    stolen: list[str] = []
+    with forged(found["endpoint"], "rf/platoon/request/supervisor", stolen):
+        assert run.robofleet("hold").stdout == "ok\n"
+        run.wait_for(lambda: "\nheld: hold requested" in run.said)
+        assert run.robofleet("resume").stdout == "ok\n"
+        stopped = run.robofleet("stop")
+        assert (stopped.returncode, stopped.stderr) == (0, "")
+        assert {"hold", "resume", "estop"} <= set(stolen)
+    assert run.ended(20) == 1
+    assert run.latched() == {"r1": 2}
     phases = dict.fromkeys(line.split()[0].strip(":") for line in run.said.splitlines())
     assert list(phases)[:4] == ["compiling", "starting", "arming", "running"]
-    assert phases.keys() <= {"compiling", "starting", "arming", "running", "held"}, run.said
 
 
 def test_a_bare_stop_stops_every_arena_wherever_it_was_started(real_run: Start) -> None:
-    runs = [real_run(*ALONE, "--set", f"arena.name={name}", name=name) for name in ("lab", "hall")]
+    tcp = "--set", "bus.endpoint=tcp/127.0.0.1:0", "--set", "bus.insecure=loopback"
+    runs = [
+        real_run(*ALONE, "--set", f"arena.name={name}", *where, name=name)
+        for name, where in (("lab", ()), ("hall", tcp))
+    ]
     for run in runs:
         run.wait_until_running()
     elsewhere = runs[0].folder.parent / "elsewhere"
