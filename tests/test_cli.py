@@ -265,3 +265,21 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     assert re.fullmatch(
         r"this needs (numba|mcap): \S+ -m pip install -e '\.\[lab\]' in robofleet's folder\n", done.stderr
     )
+
+
+COMMANDS_ON_A_RUN = [["stop"], ["hold"], ["status"], ["status", "--json"], ["web"]]
+ONE_PROCESS = [["router"], ["supervisor"], ["tracker"], ["controller"], ["driver", "--robots", "r1"]]
+
+
+@pytest.mark.parametrize("command", [*COMMANDS_ON_A_RUN, *ONE_PROCESS, ["run"]], ids=" ".join)
+def test_a_runtime_folder_that_is_a_file_is_named_in_a_line(
+    command: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "file").write_text("")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "file"))
+    given = [] if command in COMMANDS_ON_A_RUN else [str(PLATOON)]
+    said = robofleet(*command, *given)
+    assert said.exit_code == 2
+    assert f"{folder}/file/robofleet: Not a directory: set XDG_RUNTIME_DIR to a folder of yours" in said.stderr
+    assert len(said.stderr.splitlines()) == (2 if command in COMMANDS_ON_A_RUN else 1), said.stderr
+    assert not (folder / "runs").exists()

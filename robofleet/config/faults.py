@@ -15,6 +15,7 @@ from robofleet.config.patterns import (
     ENDPOINT_PATTERN,
     LONGEST_SOCKET_PATH,
     NAME_PATTERN,
+    PRIVATE,
     SOCKET,
     TCP,
 )
@@ -269,6 +270,12 @@ def _troubles(config: Config) -> Iterator[Complaint]:
 def _endpoint(config: Config) -> Iterator[Complaint]:
     """An address that strangers can reach is refused to every process, also to one that is started by hand."""
     endpoint = config.bus.endpoint
+    if config.drivers.started_by == "systemd" and (endpoint == PRIVATE or endpoint.endswith(":0")):
+        yield (
+            "bus.endpoint",
+            "drivers that are there before the run cannot know where it will be: "
+            "name a socket, as unixsock-stream//run/robofleet/lab.sock",
+        )
     if endpoint.startswith(SOCKET):
         length = len(endpoint.removeprefix(SOCKET).encode())
         if length > LONGEST_SOCKET_PATH:
@@ -290,5 +297,3 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
         )
     if int(port) > 65535:
         yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
-    if int(port) == 0 and config.drivers.started_by == "systemd":
-        yield "bus.endpoint", "drivers that are there before the run cannot know a free port: name one, as 7447"

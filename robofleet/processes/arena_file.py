@@ -127,8 +127,8 @@ def _register() -> Path:
     seen = folder.lstat()
     if not stat.S_ISDIR(seen.st_mode) or stat.S_IMODE(seen.st_mode) & _REGISTER_MODE != _REGISTER_MODE:
         raise PlaceError(
-            f"{folder} is not the folder in which every user's runs are found (mode 1777): an administrator mends it "
-            f"with `rm -r {folder}`"
+            f"{folder} is not the folder in which every user's runs are found (mode 1777): an administrator "
+            f"moves it away with `mv {folder} {folder}.old`, or set TMPDIR for everybody who uses robofleet"
         )
     return folder
 

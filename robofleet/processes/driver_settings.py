@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from robofleet.comms.private_folder import PlaceError
 from robofleet.config import slices
 from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.robots import Robot
@@ -58,6 +59,8 @@ def complaints(config: Config, index: int) -> list[Complaint]:
         return twin + ([(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else [])
     try:
         of(config, robot)
+    except PlaceError as error:
+        return [(f"robots.{index}.twin", str(error))]
     except ValidationError as invalid:
         errors = invalid.errors(include_url=False)
         return [(".".join([path, *map(str, error["loc"])]), plain_words(error, kind)) for error in errors]

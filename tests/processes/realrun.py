@@ -77,7 +77,7 @@ class RealRun:
         self, folder: Path, *arguments: str, terminal: bool = False, screen: int | str | None = None,
         nohup: bool = False, name: str = "run", config: Path = PLATOON,
     ) -> None:  # fmt: skip
-        self._environment = own_folders(folder)
+        self.environment = own_folders(folder)
         self._stdout, self._stderr, self.folder = folder / f"{name}.stdout", folder / f"{name}.stderr", folder / name
         self.latches = folder / "state" / "robofleet" / "platoon"
         command = [sys.executable, "-W", "error", "-m", "robofleet", "run", str(config), "--out", str(self.folder)]
@@ -88,7 +88,7 @@ class RealRun:
             said = theirs if isinstance(screen, str) else screen
             self.launcher = subprocess.Popen(
                 [*(["nohup"] if nohup else []), *command, *(["--json"] if screen is None else []), *arguments],
-                stdin=theirs, stdout=said or out, stderr=said or err, env=self._environment,
+                stdin=theirs, stdout=said or out, stderr=said or err, env=self.environment,
                 start_new_session=terminal,
                 preexec_fn=_take_terminal if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
             )  # fmt: skip
@@ -98,12 +98,12 @@ class RealRun:
     def begin(self, *arguments: str) -> "subprocess.Popen[bytes]":
         """Begin to do something to the run from another terminal."""
         command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
-        return subprocess.Popen(command, env=self._environment, stdout=subprocess.DEVNULL)
+        return subprocess.Popen(command, env=self.environment, stdout=subprocess.DEVNULL)
 
     def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Do something to the run from another terminal."""
         command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
-        return subprocess.run(command, env=self._environment, capture_output=True, text=True, timeout=20, check=False)
+        return subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=20, check=False)
 
     def press(self, keys: bytes) -> None:
         """Press keys in the run's terminal."""

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -13,6 +14,7 @@ from struct import Struct
 
 import pytest
 
+from robofleet.comms.endpoint import settled
 from robofleet.comms.private_folder import PlaceError
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -260,7 +262,7 @@ def test_a_register_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
             register(place).chmod(0o777 if how == "not sticky" else 0o755)
         assert operator.chosen(None).arena == "platoon"
         assert f"not all runs may be found: {register(place)} is not the folder" in capsys.readouterr().err
-        with pytest.raises(PlaceError, match=r"an administrator mends it with `rm -r "), claimed(config(), Path()):
+        with pytest.raises(PlaceError, match=r"an administrator moves it away with `mv "), claimed(config(), Path()):
             pass
 
 
@@ -363,3 +365,28 @@ def test_a_launcher_is_only_signalled_if_the_process_is_its_users(place: Path) -
         assert sleeper.poll() is None
         operator.stop(there._replace(uid=ME))
         assert sleeper.wait(10) != 0
+
+
+@as_root
+def test_another_user_does_not_reach_the_bus(place: Path) -> None:
+    """As seen: nobody drove, over TCP on loopback."""
+    (place / "run").chmod(0o777)
+    settled_at = settled(load_config(PLATOON), listen=True).bus.endpoint
+    path = settled_at.partition("/")[2]
+    with socket.socket(socket.AF_UNIX) as router, socket.socket(socket.AF_UNIX) as mine:
+        router.bind(path)
+        router.listen()
+        Path(path).chmod(0o777)  # whatever the umask was: the folder keeps others out
+        mine.connect(path)
+
+        def connect() -> None:
+            with socket.socket(socket.AF_UNIX) as stranger:
+                stranger.connect(path)
+
+        assert as_nobody(connect).startswith("PermissionError")
+
+        def join() -> None:
+            os.environ["XDG_RUNTIME_DIR"] = str(place / "run")
+            settled(load_config(PLATOON), listen=False)
+
+        assert "belongs to somebody else" in as_nobody(join)

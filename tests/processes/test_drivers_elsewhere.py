@@ -14,9 +14,10 @@ from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders
 SYSTEMD = "drivers.started_by=systemd"
 
 
-def test_a_port_that_the_drivers_cannot_know_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"bus\.endpoint: drivers that are there before the run.*7447"):
-        load_config(PLATOON, [SYSTEMD, "bus.endpoint=tcp/127.0.0.1:0", "bus.insecure=loopback"])
+@pytest.mark.parametrize("changes", [[], ["bus.endpoint=tcp/127.0.0.1:0", "bus.insecure=loopback"]])
+def test_an_endpoint_that_the_drivers_cannot_know_is_refused(changes: list[str]) -> None:
+    with pytest.raises(ConfigError, match=r"bus\.endpoint: drivers that are there before the run.*/lab\.sock"):
+        load_config(PLATOON, [SYSTEMD, *changes])
 
 
 def test_a_driver_that_waits_for_the_bus_serves_one_run_after_the_other(

@@ -3,16 +3,18 @@
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 
-from robofleet.clock import MS, S
+from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Arrival
 from robofleet.comms.keys import COMMAND, RECORDER, STATE, STATUS, TICK, key
 from robofleet.comms.messages import RUN_STATE, RecorderStatus
+from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
@@ -25,7 +27,7 @@ from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import Phase
 from tests.endpoints import own_endpoint
 from tests.processes.conftest import Bench
-from tests.processes.realrun import RealRun, of_robots
+from tests.processes.realrun import RealRun, of_robots, wait
 
 ConfigOf = Callable[..., Config]
 
@@ -48,7 +50,7 @@ class Stand:
     def __init__(self, config: Config, folder: Path) -> None:
         self.bench, self.heard, self.folder = Bench(config), Everything(), folder
         self.log = RunLog(folder / FILE, config)
-        self.bench.bus.stream = lambda *_: self.heard  # type: ignore[method-assign]
+        self.bench.bus.stream = lambda *_, **__: self.heard  # type: ignore[method-assign]
         self.node = Recorder(config, self.bench.bus, np.random.default_rng(1), self.log, lambda: b"")
 
     def say(self, full: str, payload: bytes) -> None:
@@ -201,3 +203,32 @@ def test_a_disk_that_is_said_to_be_full_holds_a_run_too(real_run: Callable[..., 
     run.wait_for(lambda: run.robofleet("resume").stdout == "ok\n")
     assert run.ended(20) == 0, run.said
     assert run.summary["recording"]["dropped"] == 0, "it was not"
+
+
+def test_a_flood_of_keys_that_nobody_knows_is_not_recorded_and_kills_nobody(
+    platoon_of: ConfigOf, tmp_path: Path
+) -> None:
+    """A file has 65,536 channels at most."""
+    config, clock, endpoint = platoon_of(), WallClock(), own_endpoint()
+    with ExitStack() as stack:
+        router = open_router(endpoint)
+        stack.callback(router.close)
+        heard, saying = (ZenohBus("platoon", endpoint, name, clock) for name in ("recorder", "stranger"))
+        stack.callback(heard.close)
+        stack.callback(saying.close)
+        log = RunLog(tmp_path / FILE, config)
+        recorder = Recorder(config, heard, np.random.default_rng(1), log, lambda: b"")
+        stack.callback(log.close)
+        tick = saying.publisher(TICK)
+
+        def recorded(count: int) -> bool:
+            recorder.step(clock.now_ns())
+            return log.messages > count
+
+        assert wait(lambda: tick(b"\x03") or recorded(3), 5)
+        for k in range(66_000):
+            saying._session.put(f"rf/platoon/x{k}", b"x", congestion_control=zenoh.CongestionControl.BLOCK)
+        before = log.messages
+        assert wait(lambda: tick(b"\x03") or recorded(before + 3), 5)
+        recorder.close()
+    assert read(tmp_path).messages.keys() <= {key("platoon", topic) for topic in (TICK, RECORDER)}

@@ -112,6 +112,15 @@ def test_a_firmware_that_is_not_there_is_named() -> None:
         load_checked(PLATOON, ["tracker.source=truth", "robots.0.driver=gternal", "robots.0.twin=gternl"])
 
 
+def test_a_twins_port_has_no_place_where_the_runtime_folder_is_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "file"))
+    with pytest.raises(ConfigError, match=r"robots\.0\.twin: .*Not a directory: set XDG_RUNTIME_DIR"):
+        load_checked(PLATOON, ["tracker.source=truth", *A_TWIN[1::2]])
+
+
 def test_lockstep_waits_for_no_serial_line() -> None:
     with pytest.raises(ConfigError, match=r"robots\.0\.driver: .* run without --lockstep"):
         load_checked(PLATOON, ["tracker.source=truth", *A_TWIN[1::2]], lockstep=True)
