@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import Finite, Model, Name, NonNegative, Positive
+from robofleet.config.model import Finite, Model, Name, NonNegative, Positive, Vector2
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -30,6 +30,17 @@ class BodyFault(Timed):
     """``motor_stuck``: the motors stand; ``slip``: half of the travel is lost."""
     robot: Name
     """Whose."""
+
+
+class Push(Timed):
+    """A hand pushes a simulated robot over the floor, whatever its wheels do."""
+
+    kind: Literal["pushed"]
+    """What goes wrong."""
+    robot: Name
+    """Whose."""
+    velocity_m_s: Vector2
+    """Along x and y [world frame]."""
 
 
 class ReadingFault(Timed):
@@ -202,6 +213,7 @@ class WholeFault(Timed):
 
 Fault = Annotated[
     BodyFault
+    | Push
     | ReadingFault
     | TouchFault
     | LinkFault

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from robofleet.config.faults import Complaint
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.config.troubles import BodyFault, LineFault, LinkFault, TouchFault
+from robofleet.config.troubles import BodyFault, LineFault, LinkFault, Push, TouchFault
 from robofleet.plugins import PluginError, load
 from robofleet.vehicles.interface import SimulatedDriver
 
@@ -16,7 +16,7 @@ def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
     for i, fault in enumerate(config.faults):
         if not lockstep and fault.kind in ("clock_step", "second_controller"):
             yield f"faults.{i}.kind", f"{fault.kind} is for lockstep alone: add --lockstep, or remove it"
-        if isinstance(fault, BodyFault) and not _has_a_simulated_body(config.robot(fault.robot)):
+        if isinstance(fault, BodyFault | Push) and not _has_a_simulated_body(config.robot(fault.robot)):
             yield f"faults.{i}.robot", f"{fault.robot} is real: {fault.kind} is for a simulated robot"
         if isinstance(fault, TouchFault | LinkFault | LineFault):
             if not twins:

@@ -115,12 +115,15 @@ class Schedule:
     def body_trouble(self, robot: str) -> Callable[[], BodyTrouble] | None:
         """Return what tells what is wrong with a simulated robot; None if there will never be anything."""
         stuck, slip = self.of("motor_stuck", robot=robot), self.of("slip", robot=robot)
+        pushes = self.of("pushed", robot=robot)
 
         def trouble() -> BodyTrouble:
             now_ns = self.now_ns()
-            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0)
+            hands = [push.fault.velocity_m_s for push in pushes if push.strike(now_ns)]
+            pushed = sum(x for x, _ in hands), sum(y for _, y in hands)
+            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0, pushed)
 
-        return trouble if stuck or slip else None
+        return trouble if stuck or slip or pushes else None
 
     def driver(self, robot: str, make: Callable[[], Driver]) -> Driver:
         """Return a robot's driver with its faults. A simulated robot outlives lockstep's process that drove it."""

@@ -88,6 +88,7 @@ class BodyTrouble(NamedTuple):
 
     stuck: bool = False  # motors stand still, whatever they are told
     slip: float = 0.0  # share of the wheels' travel that is lost
+    pushed: tuple[float, float] = (0.0, 0.0)  # by a hand: velocity along x and y [m/s; world]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
+from robofleet.config.troubles import Fault
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.storm.bodies import apart, rolling_on
 from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
@@ -54,7 +55,8 @@ class Episode(NamedTuple):
 def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
     storm = plan(config, seed)
-    tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": storm.faults})
+    run, robots = config.run.model_copy(update={"seed": seed}), (*config.robots, *storm.parked)
+    tree = config.model_copy(update={"run": run, "faults": storm.faults, "robots": robots})
     gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode
     try:
         player = _Player(tree, storm)
@@ -132,13 +134,13 @@ class _Player:
             turned |= self._ledger.turning()
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
-            words = lockstep.status.describe(self._config.groups[0].robots)
+            words = lockstep.status.describe(self._config.ids)
             numbers = f"{lockstep.status.phase.name}: {words}; answer {self._said!r}; turned: {sorted(turned)}"
             self._fail("it does not run again within 5 s", numbers)
 
     def _no_room(self) -> bool:
         """Whether robots stand where none may start: their bodies nearly touch, or they are nearly in the wall."""
-        robots, arena = self._config.platoon, self._config.arena
+        robots, arena = self._config.bodies, self._config.arena
         keys = [key(arena.name, TRUTH, robot.id) for robot in robots]
         poses = [TRUTH_LAYOUT.decode(self._lockstep.recording.messages[full][-1]) for full in keys]
         bodies = [(p.x_m, p.y_m, r.vehicle.body_radius_m) for p, r in zip(poses, robots, strict=True) if p is not None]
@@ -167,13 +169,13 @@ class _Player:
         config, recording, ledger = self._config, self._lockstep.recording, self._ledger
         arena = config.arena.name
         state_key, request_key = key(arena, STATE), key(arena, REQUEST, "supervisor")
-        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.platoon))
+        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.bodies))
         resets = [
             ns for ns, payload in zip(ledger.said_ns[request_key], recording.messages[request_key], strict=True)
             if payload == b"reset"
         ]  # fmt: skip
         truths, said_ns = [], []
-        for row, robot in enumerate(config.platoon):
+        for row, robot in enumerate(config.bodies):
             full = key(arena, TRUTH, robot.id)
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
@@ -181,13 +183,19 @@ class _Player:
                 robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), self._outages(robot.id)
             )
             self._found += audit.violations(ledger.decisions[robot.id])
-            self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
+            if row < len(config.platoon):  # a hand moves bystanders
+                self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1])
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
         if self._longest_queue > _MOST_QUEUED:
             self._fail("a queue grows without bound", f"{self._longest_queue} steps")
         self._found += without_cause(self._states, config.groups[0].robots)
-        self._found += unanswered(self._states, self._plan.faults, run_ns)
+        self._found += unanswered(self._states, len(config.platoon), self._of_the_fleet(), run_ns)
+
+    def _of_the_fleet(self) -> list[Fault]:
+        """Return the faults but those of bystanders, which need stop nobody."""
+        parked = {robot.id for robot in self._plan.parked}
+        return [fault for fault in self._plan.faults if getattr(fault, "robot", None) not in parked]
 
     def _injected(self) -> Counter[str]:
         assert self._lockstep.faults is not None
