@@ -13,9 +13,9 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 from tests.robots import GTERNAL
 from tests.safety import barrier_scenes
 from tests.safety.barrier_scenes import (
-    Answer,
     BODY,
     KEEPOUT,
+    Answer,
     D,
     L,
     Rows,

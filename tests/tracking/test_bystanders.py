@@ -89,7 +89,7 @@ def test_what_is_old_or_nothing_changes_nothing() -> None:
 def test_each_is_on_its_own() -> None:
     bystanders = Bystanders(np.array([0.05, 0.05]), 0.133)
     for k, pose in enumerate(pushed(0.1, 0.0)):
-        other = pose + (0.5, 0.0, 0.0) if k % 2 else np.full(3, np.nan)
+        other = pose + np.array([0.5, 0.0, 0.0]) if k % 2 else np.full(3, np.nan)
         bystanders.observe(np.full(2, START_NS + k * PERIOD_NS), np.stack([pose, other]))
     assert bystanders.velocities[:, 0] == pytest.approx([0.1, 0.1], rel=0.01)
 
