@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import Finite, Model, Name, NonNegative, Positive
+from robofleet.config.model import Finite, Model, Name, NonNegative, Positive, Vector2
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -43,6 +43,17 @@ class RunawayFault(Timed):
     """Which one."""
     speed_rad_s: Finite
     """How fast; forward is positive."""
+
+
+class Push(Timed):
+    """A hand pushes a simulated robot over the floor, whatever its wheels do."""
+
+    kind: Literal["pushed"]
+    """What goes wrong."""
+    robot: Name
+    """Whose."""
+    velocity_m_s: Vector2
+    """Along x and y [world frame]."""
 
 
 class ReadingFault(Timed):
@@ -216,6 +227,7 @@ class WholeFault(Timed):
 Fault = Annotated[
     BodyFault
     | RunawayFault
+    | Push
     | ReadingFault
     | TouchFault
     | LinkFault

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from robofleet.config.faults import Complaint
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.config.troubles import BodyFault, LineFault, LinkFault, TouchFault
+from robofleet.config.troubles import BodyFault, LineFault, LinkFault, Push, RunawayFault, TouchFault
 from robofleet.plugins import PluginError, load
 from robofleet.simulation.faulty_line import TOUCHES
 from robofleet.vehicles.interface import RobotFault, SimulatedDriver
@@ -17,7 +17,9 @@ def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
     for i, fault in enumerate(config.faults):
         if not lockstep and fault.kind in ("clock_step", "second_controller"):
             yield f"faults.{i}.kind", f"{fault.kind} is for lockstep alone: add --lockstep, or remove it"
-        if isinstance(fault, BodyFault) and (why := _obeys_no_body_fault(config.robot(fault.robot))):
+        if isinstance(fault, BodyFault | RunawayFault | Push) and (
+            why := _obeys_no_body_fault(config.robot(fault.robot))
+        ):
             yield f"faults.{i}.robot", f"{fault.robot} {why}"
         if isinstance(fault, TouchFault | LinkFault | LineFault):
             if not twins:

@@ -18,7 +18,7 @@ from robofleet.safety.supervisor import Phase
 _WITHIN_NS = 200 * MS  # then who has not answered is named
 _AGAIN_NS = 40 * MS
 _POLL_NS = MS
-_LAST_SEQ = (1 << 32) - 1  # a gate takes it whatever the supervisor has said with the same nonce
+_LAST_SEQ = (1 << 64) - 1  # a gate takes it whatever the supervisor has said with the same nonce
 
 
 class Stopped(NamedTuple):

@@ -12,7 +12,7 @@ from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.clock import S
-from robofleet.comms.messages import TICK_RECORD, TRUTH, RobotTick, RunState
+from robofleet.comms.messages import FLEET_POSES, TICK_RECORD, TRUTH, RobotTick, RunState
 from robofleet.config.tree import Config
 from robofleet.recording import shapes
 from robofleet.recording.shapes import WORLD, Look
@@ -35,10 +35,16 @@ def pose_topic(robot: str) -> str:
 
 
 class FleetScene:
-    """Told what is known of the robots, it draws what is new. Rows are in the group's order, times are dates [ns]."""
+    """Told what is known of the robots, it draws what is new. Times are dates [ns].
+
+    Rows are in the bodies' order: the group's robots, where the controller believes that they are, then the bystanders,
+    where an image showed them.
+    """
 
     def __init__(self, config: Config) -> None:
-        self._config, self._robots = config, config.platoon
+        self._config, self._robots, self._driven = config, config.bodies, len(config.platoon)
+        self._parked = {robot.tag: self._driven + k for k, robot in enumerate(config.bystanders)}
+        self._image: tuple[int, bytes] | None = None  # the newest one, where there are bystanders, and its date
         self.state: RunState | None = None  # as the supervisor said it last
         self.latches = [0] * len(self._robots)  # safety.gate.Latch
         self._ticked: tuple[int, bytes] | None = None  # the newest tick not drawn yet, and its date
@@ -58,9 +64,15 @@ class FleetScene:
         self._truths[row] = date_ns, payload
         return ()
 
+    def image(self, payload: bytes, date_ns: int) -> Said:
+        """Take what an image showed; the bystanders are drawn later."""
+        self._image = (date_ns, payload) if self._parked else None
+        return ()
+
     def draw(self, date_ns: int) -> Said:
         """Return what is new since the last call."""
         said, frames = self._estimates()
+        frames += self._standing()
         frames += self._true_frames()
         if frames:
             said.append(("/tf", FrameTransforms(transforms=frames)))
@@ -77,21 +89,32 @@ class FleetScene:
         frames: list[FrameTransform] = []
         (date_ns, payload), self._ticked = self._ticked or (0, b""), None
         tick = TICK_RECORD.decode(payload)
-        if tick is None or len(tick.robots) != len(self._robots):
+        if tick is None or len(tick.robots) != self._driven:
             return said, frames
         self._items, at = tick.robots, stamp(date_ns)
         self._seen.update(row for row, item in enumerate(self._items) if not item.lost)
-        for row in sorted(self._seen):
+        driven = [row for row in sorted(self._seen) if row < self._driven]
+        for row in driven:
             robot, item = self._robots[row].id, self._items[row]
             frames.append(_frame(robot, at, item.x_m, item.y_m, item.psi_rad))
             pose = Pose(position=Vector3(x=item.x_m, y=item.y_m), orientation=shapes.turned(item.psi_rad))
             said.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
-        referring = [row for row in sorted(self._seen) if tick.phase == Phase.RUNNING and self._permitted(row)]
+        referring = [row for row in driven if tick.phase == Phase.RUNNING and self._permitted(row)]
         if referring or self._references:
             shape = shapes.references({row: self._items[row] for row in referring}, at)
             said.append(("/references", SceneUpdate(entities=[shape])))
         self._references = referring
         return said, frames
+
+    def _standing(self) -> list[FrameTransform]:
+        (date_ns, payload), self._image = self._image or (0, b""), None
+        image, frames = FLEET_POSES.decode(payload), []
+        for pose in () if image is None else image.poses:
+            row = self._parked.get(pose.tag)
+            if row is not None and pose.coasted_ns == 0:
+                self._seen.add(row)
+                frames.append(_frame(self._robots[row].id, stamp(date_ns), pose.x_m, pose.y_m, pose.psi_rad))
+        return frames
 
     def _true_frames(self) -> list[FrameTransform]:
         frames = []
@@ -106,7 +129,7 @@ class FleetScene:
         state = self.state
         if self.latches[row]:
             return Look.LATCHED
-        if self._items[row].lost:
+        if row < len(self._items) and self._items[row].lost:
             return Look.LOST
         if state is None or row >= len(state.robots):
             return Look.STANDING

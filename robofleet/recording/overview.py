@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
+from robofleet.config.robots import Robot
 from robofleet.figures import INK, QUIET
 from robofleet.recording.canvas import ALARM, WIDTH, View, phase_colour, sheet
 from robofleet.recording.run import Array
@@ -53,12 +54,19 @@ def floor(view: View) -> tuple[Figure, Axes]:
 def _bodies(axes: Axes, view: View) -> None:
     poses = view.series.run.poses()
     for row, (robot, colour) in enumerate(zip(view.config.platoon, view.colours, strict=True)):
-        x, y, psi = poses[-1, row]
-        radius = robot.vehicle.body_radius_m
-        axes.add_patch(Circle((x, y), radius, fc=colour, ec=colour, alpha=0.35, zorder=3))
-        nose = x + radius * np.cos(psi), y + radius * np.sin(psi)
-        axes.plot([x, nose[0]], [y, nose[1]], color=colour, lw=2, zorder=4)
-        axes.annotate(robot.id, (x, y), color=INK, ha="center", va="center", fontsize=8, fontweight="bold", zorder=5)
+        _body(axes, robot, poses[-1, row], colour)
+    for robot, pose in zip(view.config.bystanders, view.series.run.standing(), strict=True):
+        if np.isfinite(pose).all():
+            _body(axes, robot, pose, QUIET)
+
+
+def _body(axes: Axes, robot: Robot, pose: Array, colour: str) -> None:
+    x, y, psi = pose
+    radius = robot.vehicle.body_radius_m
+    axes.add_patch(Circle((x, y), radius, fc=colour, ec=colour, alpha=0.35, zorder=3))
+    nose = x + radius * np.cos(psi), y + radius * np.sin(psi)
+    axes.plot([x, nose[0]], [y, nose[1]], color=colour, lw=2, zorder=4)
+    axes.annotate(robot.id, (x, y), color=INK, ha="center", va="center", fontsize=8, fontweight="bold", zorder=5)
 
 
 def trail(points: Array) -> Array:

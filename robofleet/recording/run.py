@@ -153,6 +153,18 @@ class Run:
         estimates = np.stack([self.items[name] for name in ("x_m", "y_m", "psi_rad")], axis=-1)
         return estimates if self.truth is None else np.where(self.known[:, None], self.truth, estimates)
 
+    def standing(self) -> Array:
+        """Poses of the bystanders' centres at the end (B, 3): true ones, else as seen last, else NaN."""
+        config = self.config
+        places = np.full((len(config.bystanders), 3), np.nan)
+        tags = {robot.tag: row for row, robot in enumerate(config.bystanders)}
+        for frame in self.frames if tags else ():
+            for pose in frame.poses:
+                if pose.tag in tags and pose.coasted_ns == 0:
+                    places[tags[pose.tag]] = pose.x_m, pose.y_m, pose.psi_rad
+        true = None if self.bodies is None else self.bodies[-1, len(config.platoon) :]
+        return places if true is None else np.where(np.isfinite(true), true, places)
+
     def points(self) -> Array | None:
         """Points p (K, N, 2): true ones, else as estimated."""
         if not len(self.t):

@@ -47,7 +47,7 @@ class Scene:
     def __init__(self, config: Config, *, epoch_ns: int = 0) -> None:
         """Take what makes instants of the caller's clock dates [ns since 1970]."""
         self._config, self._epoch_ns = config, epoch_ns
-        self._ids = tuple(robot.id for robot in config.platoon)
+        self._ids = config.ids
         self._fleet = FleetScene(config)
         self._overlay = Overlay(config) if config.tracker.source == "camera" else None
         self.channels = tuple(Channel(*channel) for channel in self._described())
@@ -89,8 +89,9 @@ class Scene:
             key(arena, STATE): self._state,
             key(arena, NEWS, CAMERA): self._news,
         }
-        if self._overlay is not None:
+        if self._overlay is not None or self._config.bystanders:
             takes[key(arena, POSES, CAMERA)] = self._poses
+        if self._overlay is not None:
             takes[key(arena, PICTURE, CAMERA)] = partial(self._picture, self._overlay)
         for row, robot in enumerate(self._ids):
             takes[key(arena, STATUS, robot)] = partial(self._status, row)
@@ -126,7 +127,7 @@ class Scene:
 
     def _poses(self, payload: bytes, date_ns: int) -> Said:
         self._images.append((date_ns, payload))
-        return ()
+        return self._fleet.image(payload, date_ns)
 
     def _picture(self, overlay: Overlay, payload: bytes, date_ns: int) -> Said:
         picture = PICTURE_LAYOUT.decode(payload)

@@ -118,14 +118,17 @@ class Schedule:
     def body_trouble(self, robot: str) -> Callable[[], BodyTrouble] | None:
         """Return what tells what is wrong with a simulated robot; None if there will never be anything."""
         stuck, slip = self.of("motor_stuck", robot=robot), self.of("slip", robot=robot)
-        runs = self.of("motor_runs", robot=robot)
+        runs, pushes = self.of("motor_runs", robot=robot), self.of("pushed", robot=robot)
 
         def trouble() -> BodyTrouble:
             now_ns = self.now_ns()
             by_itself = {i.fault.wheel: i.fault.speed_rad_s for i in runs if i.strike(now_ns)}
-            return BodyTrouble(struck(stuck, now_ns), _SLIP if struck(slip, now_ns) else 0.0, **by_itself)
+            hands = [push.fault.velocity_m_s for push in pushes if push.strike(now_ns)]
+            pushed = sum(x for x, _ in hands), sum(y for _, y in hands)
+            slips = _SLIP if struck(slip, now_ns) else 0.0
+            return BodyTrouble(struck(stuck, now_ns), slips, **by_itself, pushed=pushed)
 
-        return trouble if stuck or slip or runs else None
+        return trouble if stuck or slip or runs or pushes else None
 
     def driver(self, robot: str, make: Callable[[], Driver]) -> Driver:
         """Return a robot's driver with its faults. A simulated robot outlives lockstep's process that drove it."""

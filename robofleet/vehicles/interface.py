@@ -90,6 +90,7 @@ class BodyTrouble(NamedTuple):
     slip: float = 0.0  # share of the wheels' travel that is lost
     left: float | None = None  # speed at which this wheel turns by itself [rad/s]; None: it does as it is told
     right: float | None = None
+    pushed: tuple[float, float] = (0.0, 0.0)  # by a hand: velocity along x and y [m/s; world]
 
 
 @dataclass(frozen=True)

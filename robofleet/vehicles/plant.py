@@ -122,6 +122,10 @@ class Plant:
         v, omega = self._body = body_from_wheels(left, right, radius, self._base)
         self._pose = arc(*self._pose, v, omega, duration)
 
+    def push(self, x: float, y: float) -> None:
+        """Move the robot over the floor as a hand does [m; world]: its wheels skid."""
+        self._pose = self._pose[0] + x, self._pose[1] + y, self._pose[2]
+
     @property
     def charge(self) -> float:
         """Charge of the battery [0..1]."""

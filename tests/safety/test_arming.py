@@ -6,10 +6,13 @@ from collections.abc import Callable
 import pytest
 
 from robofleet.safety import arming
-from robofleet.safety.arming import ArmingState, Stage
+from robofleet.safety.arming import ArmingState, Stage, free_m
+from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.view import FleetView
 from robofleet.safety.wiggle import room_m
-from tests.safety.arming_lab import MS, PROVED, Alter, Lab, S, one
+from robofleet.vehicles.interface import RobotFault
+from tests.safety.arming_lab import BODY_M, MS, PROVED, Alter, Lab, S, one
 from tests.safety.arming_scenarios import HEALTHY, REFUSED, Scenario
 
 WIRINGS = {
@@ -225,3 +228,105 @@ def test_the_drill_is_asked_of_all_and_taken_back() -> None:
     assert all(robot.latch for robot in lab.view.robots)
     lab.run(1.0, done=lambda state: state.stage is Stage.WIGGLE)
     assert not any(robot.latch for robot in lab.view.robots)
+
+
+def bystanders(lab: Lab, *rows: int, **fields: object) -> None:
+    """Let the last robots be nobody's: no driver of theirs is there."""
+    nothing = {"driven": False, "heard_ns": 1, "build": 0, "session": 0}  # its driver went long ago
+    alters = [one(row, **nothing, **fields) for row in rows]
+
+    def alter(view: FleetView) -> FleetView:
+        for change in alters:
+            view = change(view)
+        return view
+
+    lab.alter = alter
+
+
+def test_bystanders_are_not_driven_and_a_fleet_beside_them_is_proved() -> None:
+    lab = Lab(4)
+    bystanders(lab, 2, 3)
+    assert lab.arm() == PROVED
+    assert {probed for _, probed, stroke in lab.stages if stroke} == {0, 1}
+    assert all(plant.truth()[:2] == (0.3 * (row - 1.5), 0.0) for row, plant in enumerate(lab.plants) if row > 1)
+
+
+@pytest.mark.parametrize("says", [{"battery": 0.0}, {"faults": RobotFault.CHARGING}])
+def test_what_a_bystander_says_of_itself_keeps_nobody_from_starting(says: dict[str, object]) -> None:
+    lab = Lab(3)
+    bystanders(lab, 2, **says)
+    assert lab.arm() == PROVED
+
+
+def test_a_bystanders_drill_of_a_start_before_is_waited_for() -> None:
+    lab = Lab(3)
+    bystanders(lab, 2, latch=Latch.DRILL)
+    assert lab.arm() == Happening(Event.GATE_LATCHED, 2)
+
+
+@pytest.mark.parametrize(
+    ("says", "event"),
+    [({"faults": RobotFault.WIRED_STOP}, Event.WIRED_STOP), ({"latch": Latch.EMERGENCY_STOP}, Event.GATE_LATCHED)],
+)
+def test_a_stop_of_a_bystander_keeps_everybody_from_starting(says: dict[str, int], event: Event) -> None:
+    lab = Lab(3)
+    bystanders(lab, 2, **says)
+    happening = lab.arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) == (event, 2)
+
+
+def test_a_bystander_must_be_seen() -> None:
+    lab = Lab(3)
+    bystanders(lab, 2, seen_ns=0)
+    assert lab.arm() == Happening(Event.TAG_LOST, 2)
+
+
+def test_a_bystander_must_stand() -> None:
+    lab = Lab(3)
+    bystanders(lab, 2)
+    lab.noise = (0.0, 0.0, 0.0)
+    pushed = lab.alter
+
+    def alter(view: FleetView) -> FleetView:
+        at = 0.3 + 0.05 * (view.now_ns - S) / S
+        return one(2, pose=(at, 0.0, 0.0))(pushed(view))
+
+    lab.alter = alter
+    happening = lab.arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) in ((Event.NOT_AT_REST, 2), (Event.WRONG_TAG_MOVED, 0))
+
+
+def test_who_turns_a_bystanders_tag_is_named() -> None:
+    """Its tag is on a robot of the group, and that robot's on the bystander."""
+    lab = Lab(3)
+    lab.tags = [0, 2, 1]
+    bystanders(lab, 2)
+    happening = lab.arm()
+    assert happening is not None
+    assert (happening.event, happening.robot, happening.detail) == (Event.WRONG_TAG_MOVED, 1, 2)
+
+
+@pytest.mark.parametrize("row", [1, 2])
+@pytest.mark.parametrize("spare", [1e-6, -1e-6])
+def test_a_bystander_keeps_clear_of_a_wiggle(row: int, spare: float) -> None:
+    """Within reach of a robot's wiggle, and beside another bystander, where nothing wiggles."""
+    lab = Lab(3)
+    lab.noise = (0.0, 0.0, 0.0)
+    bystanders(lab, *range(row, 3))
+    reach = 2 * BODY_M + free_m(0.016) + spare
+    x, y, psi = lab.plants[0].truth()[:3] if row == 1 else lab.plants[1].truth()[:3]
+    near = one(row, pose=(x + reach * math.cos(2.0), y + reach * math.sin(2.0), psi))
+    before = lab.alter
+    lab.alter = lambda view: near(before(view))
+    assert lab.arm() == (PROVED if spare > 0 else Happening(Event.TOO_CLOSE, row - 1, row))
+
+
+def test_bystanders_may_stand_anywhere_else() -> None:
+    lab = Lab(4)
+    bystanders(lab, 2, 3)
+    before = lab.alter
+    apart = one(2, pose=(2.0, 0.0, 0.0)), one(3, pose=(2.05, 0.0, 0.0))  # beyond the edge, and into each other
+    lab.alter = lambda view: apart[0](apart[1](before(view)))
+    assert lab.arm() == PROVED

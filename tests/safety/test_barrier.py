@@ -15,6 +15,7 @@ from tests.safety import barrier_scenes
 from tests.safety.barrier_scenes import (
     BODY,
     KEEPOUT,
+    Answer,
     D,
     L,
     Rows,
@@ -247,3 +248,88 @@ def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.Monk
             got_v, got_omega = body(got.wheels[0])
             assert (got_v, L * got_omega) == pytest.approx(expected.tolist(), abs=2e-4)
     assert changed > 10
+
+
+def among_bystanders(
+    s: Scene, robots: int, pushed: np.ndarray | None = None, unseen: np.ndarray | None = None
+) -> Answer:
+    """Return the answer of a barrier whose last bodies are bystanders: only what is asked of robots is written over."""
+    wheels, u = s.wheels[:robots].copy(), velocities(s.poses, s.wheels)[:robots]
+    turning = s.turning.copy()
+    turning[robots:] = 0.0
+    seen = np.zeros(s.n) if unseen is None else unseen
+    drive = np.ones(robots, dtype=np.bool_)
+    how, blocked = Barrier(KEEPOUT, (BODY,) * s.n).filter(s.poses, turning, seen, drive, wheels, u, pushed)
+    return Answer(wheels, u, how, blocked)
+
+
+@settings(deadline=None, derandomize=True, max_examples=40)
+@given(st.integers(0, 10**6))
+def test_a_bystander_that_stands_is_as_a_robot_that_stands(seed: int) -> None:
+    s = scene(seed)
+    s.turning[3:] = 0.0
+    expected = answer(s, driving=np.arange(s.n) < 3)
+    for pushed in (None, np.zeros((s.n, 2))):
+        got = among_bystanders(s, 3, pushed)
+        assert len(got.how) == len(got.blocked) == 3
+        assert np.array_equal(got.wheels, expected.wheels[:3])
+        assert np.array_equal(got.u, expected.u[:3])
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(st.integers(0, 10**6))
+def test_from_a_bystander_that_a_hand_pushes_each_keeps_its_half_and_what_it_comes_nearer_by(seed: int) -> None:
+    s, robots = scene(seed), 3
+    s.turning[robots:] = 0.0
+    pushed = np.zeros((s.n, 2))
+    pushed[robots:] = np.random.default_rng(seed).uniform(-0.15, 0.15, (s.n - robots, 2))
+    got = among_bystanders(s, robots, pushed)
+    at = [stop_point(pose, turning) for pose, turning in zip(s.poses, s.turning, strict=True)]
+    for i in range(robots):
+        r, (v, omega) = rows(s, i), body(s.wheels[i])
+        pairs = [j for j in range(s.n) if j != i]
+        b = r.b.copy()
+        for k, j in enumerate(pairs, len(b) - len(pairs)):
+            away = (at[j] - at[i]) / np.linalg.norm(at[j] - at[i])
+            half = KEEPOUT.rate * (np.linalg.norm(at[j] - at[i]) - D) / 2
+            b[k] = max(half - max(0.0, -away @ pushed[j]), -0.1)
+        expected = nearest(Rows(r.a, b), np.array([v, L * omega]))
+        if expected is None:
+            expected = nearest(Rows(r.a, np.maximum(b, 0.0)), np.array([v, L * omega]))
+        assert expected is not None
+        got_v, got_omega = body(got.wheels[i])
+        assert (got_v, L * got_omega) == pytest.approx(expected.tolist(), abs=2e-4)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.02, 0.05, 0.2])
+@pytest.mark.parametrize("left_m", [-0.01, 0.0, 0.005, 0.03])
+def test_a_robot_withdraws_as_fast_as_a_bystander_comes(speed: float, left_m: float) -> None:
+    poses = np.array([(0.0, 0.0, 0.0), (D + 2 * KEEPOUT.ahead + left_m, 0.0, math.pi)])
+    s = Scene(poses, np.zeros((2, 2)), np.full((2, 2), 12.0))
+    for towards in (-1.0, 1.0):  # to the robot, and away from it: that it goes is nothing to count on
+        got = among_bystanders(s, 1, np.array([(0.0, 0.0), (towards * speed, 0.0)]))
+        coming = speed if towards < 0 else 0.0
+        allowed = min(0.192, max(KEEPOUT.rate * left_m / 2 - coming, -0.1))
+        assert body(got.wheels[0]) == pytest.approx((allowed, 0.0), abs=1e-6)
+
+
+def test_a_fast_bystander_is_met_from_further_away() -> None:
+    """However fast it comes, the robot begins before the distance is used up."""
+    for speed in (0.1, 0.5, 2.0):
+        for left_m in np.linspace(0.0, 0.6, 25).tolist():
+            poses = np.array([(0.0, 0.0, 0.0), (D + 2 * KEEPOUT.ahead + left_m, 0.0, math.pi)])
+            s = Scene(poses, np.zeros((2, 2)), np.zeros((2, 2)))
+            got = among_bystanders(s, 1, np.array([(0.0, 0.0), (-speed, 0.0)]))
+            expected = max(min(0.0, KEEPOUT.rate * left_m / 2 - speed), -0.1)
+            assert body(got.wheels[0]) == pytest.approx((expected, 0.0), abs=1e-6)
+
+
+def test_a_bystander_that_nobody_sees_grows_and_one_that_never_was_seen_is_nowhere() -> None:
+    poses = np.array([(0.0, 0.0, 0.0), (D + 2 * KEEPOUT.ahead + 0.03, 0.0, math.pi)])
+    s = Scene(poses, np.zeros((2, 2)), np.full((2, 2), 10.0))
+    granted = [
+        body(among_bystanders(s, 1, unseen=np.array([0.0, age])).wheels[0])[0]
+        for age in (0.0, KEEPOUT.age, KEEPOUT.age + 0.1, KEEPOUT.age + 0.5, 10.0, np.inf)
+    ]
+    expected = [0.15, 0.15, 0.05, -0.1, -0.1, 0.16]
+    assert granted == pytest.approx(expected, abs=1e-6)

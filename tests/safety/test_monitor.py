@@ -413,3 +413,76 @@ def test_a_robot_without_encoders_that_rolls_by_itself_is_told_in_every_phase(ph
 def test_a_jump_without_bounds_is_told() -> None:
     far = robot(0, pose=(1.7e308, -1.7e308, 1.0))
     assert Happening(Event.POSE_JUMPED, 0, float("inf")) in told(far, before=robot(0, pose=(-1.7e308, 1.7e308, 1.0)))
+
+
+PARKED = robot(2, driven=False)  # a bystander, 1 m from the first robot's place and 0.5 m from the second one's
+
+
+def of_bystander(change: Change, phase: Phase = Phase.RUNNING) -> list[Happening]:
+    """Return what is told of a view in which the third robot is nobody's."""
+    return told(lambda view: change(PARKED(view)), phase, before=PARKED)
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_a_bystander_says_what_it_likes_of_itself(phase: Phase) -> None:
+    """Its driver may be there or not, its battery empty, it may stand at its charger or outside the arena."""
+    for change in (
+        robot(2),
+        robot(2, heard_ns=NEVER),
+        robot(2, heard_ns=NOW - 10 * S),
+        robot(2, boot_id=99),
+        robot(2, build=BUILD + 1),
+        robot(2, session=SESSION + 1),
+        robot(2, battery=0.0),
+        robot(2, faults=sum(NAMED)),
+        robot(2, latch=Latch.EMERGENCY_STOP),
+        robot(2, lost=True, filtered=2, blocked=True),
+        robot(2, pose=(0.55, 0.04, 0.0)),
+    ):
+        assert of_bystander(change, phase) == []
+    outside = robot(2, pose=(1.6, 0.0, 0.0))
+    memory, _ = monitor.watch(Memory(), SETTINGS, phase, outside(PARKED(healthy(NOW - 40 * MS))))
+    assert monitor.watch(memory, SETTINGS, phase, outside(PARKED(healthy())))[1] == ()
+
+
+@pytest.mark.parametrize("pressed", [{"faults": WIRED_STOP}, {"latch": Latch.WIRED_STOP}])
+def test_a_bystanders_own_stop_is_one_as_everybodys(pressed: dict[str, int]) -> None:
+    assert of_bystander(robot(2, **pressed)) == [Happening(Event.WIRED_STOP, 2)]
+
+
+@pytest.mark.parametrize("phase", ACTIVE)
+def test_a_bystander_that_is_not_seen_for_2_s_is_told(phase: Phase) -> None:
+    assert of_bystander(robot(2, unseen_ns=2 * S - 1), phase) == []
+    assert of_bystander(robot(2, unseen_ns=2 * S), phase) == [Happening(Event.BYSTANDER_LOST, 2)]
+
+
+def test_a_bystander_that_is_carried_is_told_and_one_that_is_pushed_is_not() -> None:
+    least = 0.05 + 0.5 * 0.04  # its body, and what it may go in 40 ms
+    (jumped,) = of_bystander(robot(2, pose=(0.5 + least + 1e-6, 0.0, 1.0)))
+    assert (jumped.event, jumped.robot, jumped.detail) == (Event.BYSTANDER_MOVED, 2, pytest.approx(least, abs=1e-5))
+    assert of_bystander(robot(2, pose=(0.5 + least - 1e-6, 0.0, 1.0))) == []
+
+
+def test_what_the_tracker_says_of_a_carried_bystander_ends_no_run() -> None:
+    for row, event in ((1, Event.POSE_JUMPED), (2, Event.BYSTANDER_MOVED)):
+        assert of_bystander(fleet(news=(Happening(Event.POSE_JUMPED, row, 0.3),))) == [Happening(event, row, 0.3)]
+    for news in (Happening(Event.TAG_TWICE, 2), Happening(Event.CAMERA_FROZEN), Happening(Event.POSE_JUMPED)):
+        assert of_bystander(fleet(news=(news,))) == [news]
+
+
+def test_a_bystander_is_as_close_as_a_robot() -> None:
+    bodies = 0.06 + 0.05
+    for gap, events in ((0.005 - 1e-6, [Happening(Event.TOO_CLOSE, 1, 2)]), (0.005 + 1e-6, [])):
+        beside = robot(2, pose=(bodies + gap, 0.0, 0.0))
+        memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, beside(PARKED(healthy(NOW - 40 * MS))))
+        assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, beside(PARKED(healthy())))[1]) == events
+
+
+def test_two_bystanders_may_stand_side_by_side_and_robots_beside_them_are_looked_at() -> None:
+    def view(now_ns: int, at: float) -> FleetView:
+        seen = robot(1, driven=False, pose=(0.5, 0.05, 0.0))(PARKED(healthy(now_ns)))
+        return robot(0, pose=(at, 0.0, 0.0))(seen)
+
+    for at, events in ((-0.5, []), (0.4, [Happening(Event.TOO_CLOSE, 0, 1), Happening(Event.TOO_CLOSE, 0, 2)])):
+        memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS, at))
+        assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW, at))[1]) == events

@@ -94,7 +94,7 @@ def apart(config: Config, said_ns: list[Array], truths: list[NDArray[Any]], unti
         np.array([np.interp(grid, t, truth[name]) for t, truth in zip(said_ns, truths, strict=True)])
         for name in ("x_m", "y_m")
     )
-    robots, found = config.robots, []
+    robots, found = config.bodies, []
     radii = [robot.vehicle.body_radius_m for robot in robots]
     half_x, half_y = (side / 2 for side in config.arena.size_m)
     for i, robot in enumerate(robots):

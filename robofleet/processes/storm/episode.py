@@ -17,6 +17,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
+from robofleet.config.troubles import Fault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.log_lines import Unfailing
@@ -60,7 +61,8 @@ class Episode(NamedTuple):
 def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
     storm = plan(config, seed)
-    tree = config.model_copy(update={"run": config.run.model_copy(update={"seed": seed}), "faults": storm.faults})
+    run, robots = config.run.model_copy(update={"seed": seed}), (*config.robots, *storm.parked)
+    tree = config.model_copy(update={"run": run, "faults": storm.faults, "robots": robots})
     gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode
     try:
         player = _Player(tree, storm)
@@ -147,13 +149,13 @@ class _Player:
             turned |= self._ledger.turning()
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
-            words = lockstep.status.describe(self._config.groups[0].robots)
+            words = lockstep.status.describe(self._config.ids)
             numbers = f"{lockstep.status.phase.name}: {words}; answer {self._said!r}; turned: {sorted(turned)}"
             self._fail("it does not run again within 5 s", numbers)
 
     def _no_room(self) -> bool:
         """Whether robots stand where none may start: their bodies nearly touch, or they are nearly in the wall."""
-        robots, arena = self._config.platoon, self._config.arena
+        robots, arena = self._config.bodies, self._config.arena
         keys = [key(arena.name, TRUTH, robot.id) for robot in robots]
         poses = [TRUTH_LAYOUT.decode(self._lockstep.recording.messages[full][-1]) for full in keys]
         bodies = [(p.x_m, p.y_m, r.vehicle.body_radius_m) for p, r in zip(poses, robots, strict=True) if p is not None]
@@ -179,7 +181,7 @@ class _Player:
         """Stop them all, as whoever stops a run does."""
         clock = self._lockstep.clock
         self._stops_ns.append(clock.now_ns())
-        stop = EmergencyStop(self._lockstep.bus, self._config.groups[0].robots, clock.now_ns())
+        stop = EmergencyStop(self._lockstep.bus, self._config.ids, clock.now_ns())
         while stop.step(clock.now_ns()) is None:
             self._lockstep.advance(_POLL_S)
 
@@ -190,7 +192,7 @@ class _Player:
         config, recording, ledger = self._config, self._lockstep.recording, self._ledger
         arena = config.arena.name
         state_key, request_key = key(arena, STATE), key(arena, REQUEST, "supervisor")
-        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.platoon))
+        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.bodies))
         resets = [
             ns for ns, payload in zip(ledger.said_ns[request_key], recording.messages[request_key], strict=True)
             if payload == b"reset"
@@ -200,7 +202,7 @@ class _Player:
         assert faults is not None
         asked = stops(self._stops_ns, resets)
         unheard: list[Outage] = []
-        for row, robot in enumerate(config.platoon):
+        for row, robot in enumerate(config.bodies):
             full = key(arena, TRUTH, robot.id)
             truths.append(recording.rows(full, TRUTH_LAYOUT))
             said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
@@ -211,7 +213,8 @@ class _Player:
             unheard += unreached
             self._found += unlatched(robot.id, ledger.decisions[robot.id], asked, unreached)
             runaways = self._acting("motor_runs", robot=robot.id)
-            self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
+            if row < len(config.platoon):  # a hand moves bystanders
+                self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
             unwatched = outages + self._acting("motor_stuck", robot=robot.id)
             self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, unwatched)
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
@@ -220,7 +223,12 @@ class _Player:
             self._fail("a queue grows without bound", f"{self._longest_queue} steps")
         self._found += going_on(self._states, asked, self._outages("supervisor"), unheard)
         self._found += without_cause(self._states, config.groups[0].robots)
-        self._found += unanswered(self._states, self._plan.faults, run_ns)
+        self._found += unanswered(self._states, len(config.platoon), self._of_the_fleet(), run_ns)
+
+    def _of_the_fleet(self) -> list[Fault]:
+        """Return the faults but those of bystanders, which need stop nobody."""
+        parked = {robot.id for robot in self._plan.parked}
+        return [fault for fault in self._plan.faults if getattr(fault, "robot", None) not in parked]
 
     def _injected(self) -> Counter[str]:
         assert self._lockstep.faults is not None

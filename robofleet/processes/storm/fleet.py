@@ -87,9 +87,9 @@ def without_cause(states: States, robots: tuple[str, ...]) -> list[Violation]:
     return found
 
 
-def unanswered(states: States, faults: Iterable[Fault], run_ns: int) -> list[Violation]:
-    """Find faults that must stop a robot or the run, and during which all were free to move the whole time."""
-    free = np.logical_and.reduce([states.free(row) for row in range(states.heads["items"].shape[1])])
+def unanswered(states: States, robots: int, faults: Iterable[Fault], run_ns: int) -> list[Violation]:
+    """Find faults that must stop one of so many robots or the run, and during which all were free to move."""
+    free = np.logical_and.reduce([states.free(row) for row in range(robots)])
     free &= states.running()
     found = []
     for fault in faults:

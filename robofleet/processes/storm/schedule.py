@@ -7,9 +7,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from pydantic import TypeAdapter
 
+from robofleet.config.robots import Robot
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import Fault
+from robofleet.processes.storm.parking import Parking
 
 WINDOW_S = 10.0  # of faults, from the first moment of running; with the checks before and the new start after it, 20 s
 _SHORTEST_S, _LONGEST_S = 0.05, 5.0
@@ -37,6 +39,7 @@ class Plan(NamedTuple):
     acts: tuple[Act, ...]
     healed_s: float  # nothing is wrong any more, and the operator is sober
     outside_s: float  # from here on bodies may touch; inf: never
+    parked: tuple[Robot, ...] = ()  # bystanders
 
 
 class _Dice:
@@ -133,7 +136,7 @@ _ROUGH: dict[str, Callable[[_Dice], dict[str, Any]]] = {
 # Outside the envelope bodies may touch: whoever is told wrong poses by so much cannot keep them apart, nor can who has
 # a wheel that does not stop.
 _OUTSIDE = ("id_swap", "pose_noise", "pose_delay", "motor_runs")
-KINDS = tuple(dict.fromkeys((*_GENTLE, *_ROUGH)))
+KINDS = tuple(dict.fromkeys((*_GENTLE, *_ROUGH, "pushed")))
 
 
 def plan(config: Config, seed: int) -> Plan:
@@ -158,4 +161,8 @@ def plan(config: Config, seed: int) -> Plan:
         faults.append(_FAULTS.validate_python(frozen))
         acts.append(Act(round(at_s + dice.between(0.0, duration_s), 3), b"estop"))
         healed_s = max(healed_s, round(at_s + duration_s, 3))
-    return Plan(tuple(faults), tuple(sorted(acts)), max([healed_s, *(act.at_s for act in acts)]), outside_s)
+    parked, befallen = Parking(config, generator(seed, "parking"), WINDOW_S).draw()
+    faults += befallen
+    ends = [fault.at_s + fault.duration_s for fault in befallen if fault.at_s is not None and fault.duration_s]
+    healed_s = max([healed_s, *ends, *(act.at_s for act in acts)])
+    return Plan(tuple(faults), tuple(sorted(acts)), healed_s, outside_s, parked)

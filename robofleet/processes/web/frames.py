@@ -41,7 +41,7 @@ def hello(config: Config, folder: Path) -> Frame:
     return {
         "type": "hello",
         "arena": {"name": config.arena.name, "size_m": config.arena.size_m},
-        "robots": [_robot(config, row) for row in range(len(config.platoon))],
+        "robots": [_robot(config, row) for row in range(len(config.bodies))],
         "path": [[_rounded(x, 3), _rounded(y, 3)] for x, y in points.tolist()],
         "spacing_m": group.spacing_m,
         "tick_ms": config.controller.tick_s * 1e3,
@@ -118,12 +118,13 @@ def picture(hearing: Hearing, outlines: TagOutlines) -> Frame:
 
 
 def _robot(config: Config, row: int) -> Frame:
-    robot = config.platoon[row]
+    robot = config.bodies[row]
     body = barrier.body(config, robot)
     return {
         "id": robot.id,
         "tag": robot.tag,
         "reality": robot.reality,
+        "driven": row < len(config.platoon),
         "body_radius_m": body.radius,
         "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
     }
@@ -167,14 +168,14 @@ def _rows(hearing: Hearing, state: RunState | None, now_ns: int) -> list[list[An
     rows: list[list[Any]] = []
     ahead: tuple[float, float] | None = None
     for row, status in enumerate(hearing.statuses.newest):
-        its = None if ticks is None else ticks.robots[row]
+        its = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
         point = (its.point_x_m, its.point_y_m) if its is not None and hearing.placed[row] else None
         spacing_m = math.dist(point, ahead) if point is not None and ahead is not None else None
         running = ticks is not None and ticks.run_tick >= 0
         halted = "" if state is None else halt_cause(state, row)
         age_ms = _age_ms(hearing.heard_ns[row], now_ns)
         rows.append([
-            *(_place(its) if its is not None and point is not None else [None] * 5),
+            *(_place(its) if its is not None and point is not None else _standing(hearing, row)),
             *(_aim(its) if its is not None and running else [None] * 3),
             None if spacing_m is None else _rounded(spacing_m * 1e3, 1),
             *(_drive(its) if its is not None else [None] * 2),
@@ -188,6 +189,14 @@ def _rows(hearing: Hearing, state: RunState | None, now_ns: int) -> list[list[An
 def _place(its: RobotTick) -> list[float | None]:
     pose = its.x_m, its.y_m, its.psi_rad, its.point_x_m, its.point_y_m
     return [_rounded(value, 4) for value in pose]
+
+
+def _standing(hearing: Hearing, row: int) -> list[float | None]:
+    """Return where a bystander was seen last; a robot whose place is not known has none."""
+    pose = hearing.standing.get(row)
+    if pose is None:
+        return [None] * 5
+    return [_rounded(pose.x_m, 4), _rounded(pose.y_m, 4), _rounded(pose.psi_rad, 4), None, None]
 
 
 def _aim(its: RobotTick) -> list[float | None]:

@@ -40,7 +40,7 @@ class Hearing:
     """``wake`` is called, from any thread, when a tick's record or a state of the run came."""
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, wake: Wake) -> None:
-        robots, arena = config.platoon, config.arena.name
+        robots, arena, driven = config.bodies, config.arena.name, len(config.platoon)
         self._clock, self._tick_s = clock, config.controller.tick_s
         self.tags = {robot.tag: robot.id for robot in robots}
         self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
@@ -56,7 +56,9 @@ class Hearing:
         self.state: RunState | None = None
         self.state_ns = 0
         self.heard_ns = [0] * len(robots)  # newest status of each
-        self.placed = [False] * len(robots)  # it was seen at least once: its estimate is one
+        self.placed = [False] * driven  # it was seen at least once: its estimate is one
+        self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
+        self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
         self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
         self.shown: Shown | None = None
         self.t_s: float | None = None  # of the run; stays while it is held
@@ -83,6 +85,8 @@ class Hearing:
         for *_, payload in self._frames.drain():
             if (image := FLEET_POSES.decode(payload)) is not None:
                 self.images.append(image)
+                seen = (pose for pose in image.poses if pose.tag in self._parked and pose.coasted_ns == 0)
+                self.standing.update((self._parked[pose.tag], pose) for pose in seen)
         self._show(now_ns)
         news = (TRACKER_NEWS.decode(payload) for *_, payload in self._news.drain())
         return [item for item in news if item is not None]

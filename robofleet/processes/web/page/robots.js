@@ -17,10 +17,11 @@ export function robotsOf(hello, tick) {
   });
 }
 
-function assess({ latch, lost, halted, gate, filtered }) {
+function assess({ driven, latch, lost, halted, gate, filtered }) {
   if (latch && latch !== "none") return [LATCHED, `latched: ${latch}`];
   if (lost) return [LOST, "lost: no image of it"];
   if (halted) return [HALTED, `halted: ${halted}`];
+  if (!driven) return [FINE, "parked: this run does not drive it"];
   if (gate === null) return [HALTED, "silent: nothing heard of it"];
   if (filtered > 1) return [HALTED, "halted: no motion is safe"];
   if (filtered) return [SLOWED, "kept apart by the barrier"];
