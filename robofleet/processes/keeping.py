@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -12,7 +13,8 @@ from robofleet.safety.gate import GateState, Latch
 from robofleet.simulation.faults import Schedule
 
 _MOST = 1 << 63  # half of what the wire carries: so many leases or latches nobody lives to see
-_SLOT = 4096  # bytes: two slots share no block of a disk
+_HALF = 4096  # bytes: the halves of a file share no block of a disk
+_SPARE = b'"spare": '
 
 
 class Kept(NamedTuple):
@@ -61,8 +63,8 @@ class MemoryKeeping:
 class FileKeeping:
     """One file a robot, in the user's state folder, of full size from the start: a full disk has room for a latch.
 
-    It has two slots. What is newer goes over what is older, with a number and a checksum: a slot that was not written
-    to its end is no slot, and the other one is what was kept before.
+    It is JSON, and its second half says what the first one says, each with a number and a checksum. The spare half is
+    written first: a half that was not written to its end counts for nothing, and then the other one is whole.
     """
 
     def __init__(self, arena: str) -> None:
@@ -81,27 +83,33 @@ class FileKeeping:
         """Return what was kept; a file that cannot be read latches the robot: nobody knows what was before."""
         file = self._file(robot)
         try:
-            slots = _slots(file.read_bytes())
+            found = _found(file.read_bytes())
         except FileNotFoundError:
             return Kept()
         except OSError as error:
             return self._unreadable(robot, error)
-        return max(slots)[1] if slots else self._unreadable(robot, "it is damaged, or of another version")
+        return max(found)[1] if found else self._unreadable(robot, "it is damaged, or of another version")
 
     def save(self, robot: str, kept: Kept) -> None:
-        """Write it over the older slot."""
+        """Write it over what is there, which stays where that fails and the disk lets it."""
         file = self._file(robot)
         try:
             content = file.read_bytes()
         except FileNotFoundError:
             content = b""
-        if len(content) != 2 * _SLOT:
+        found = _found(content)
+        if len(content) != 2 * _HALF or not found:
             self._make(file, kept)
             return
-        number = max(_slots(content), default=(0, kept))[0] + 1
+        main, spare = _halves(max(found)[0] + 1, kept)
         with file.open("r+b", buffering=0) as stream:
-            stream.seek(number % 2 * _SLOT)
-            _write(stream.fileno(), _slot(number, kept))
+            try:
+                _write(stream.fileno(), _HALF, spare)
+                _write(stream.fileno(), 0, main)
+            except OSError:
+                with suppress(OSError):
+                    _write(stream.fileno(), 0, content)
+                raise
 
     def lose(self, robot: str) -> None:
         """Leave an empty file, which takes no room."""
@@ -109,11 +117,11 @@ class FileKeeping:
             os.fsync(stream.fileno())
 
     def _make(self, file: Path, kept: Kept) -> None:
-        """Write both slots beside, then in their place."""
+        """Write both halves beside, then in their place."""
         file.parent.mkdir(parents=True, exist_ok=True)
         beside = file.with_suffix(".new")
         with beside.open("wb", buffering=0) as stream:
-            _write(stream.fileno(), _slot(2, kept) + _slot(1, kept))
+            _write(stream.fileno(), 0, b"".join(_halves(1, kept)))
         beside.replace(file)
         folder = os.open(file.parent, os.O_RDONLY)  # the new name is not on disk before its folder is
         try:
@@ -142,32 +150,34 @@ class FaultyKeeping:
         self._keeping.save(robot, kept)
 
 
-def _slot(number: int, kept: Kept) -> bytes:
-    """Return a slot: a line of JSON and spaces."""
+def _halves(number: int, kept: Kept) -> tuple[bytes, bytes]:
+    """Return the halves of a file; spaces fill them."""
     said = {"number": number, **kept._asdict()}
-    return json.dumps(said | {"check": _check(said)}).encode().ljust(_SLOT - 1) + b"\n"
+    whole = json.dumps(said | {"check": _check(said)}).encode()
+    return whole[:-1].ljust(_HALF - 2) + b",\n", (_SPARE + whole).ljust(_HALF - 2) + b"}\n"
 
 
 def _check(said: dict[str, int]) -> int:
     return zlib.crc32(json.dumps(said).encode())
 
 
-def _write(descriptor: int, data: bytes) -> None:
+def _write(descriptor: int, at: int, data: bytes) -> None:
     """Write all of it to the disk; OSError where it takes less."""
-    if os.write(descriptor, data) != len(data):
+    if os.pwrite(descriptor, data, at) != len(data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     os.fsync(descriptor)
 
 
-def _slots(content: bytes) -> list[tuple[int, Kept]]:
-    """Return what the slots of a file say, with their numbers; one that nobody can have written says nothing."""
+def _found(content: bytes) -> list[tuple[int, Kept]]:
+    """Return what the halves of a file say, with their numbers; one that nobody can have written says nothing."""
+    main, spare = content[:_HALF], content[_HALF:]
     found = []
-    for start in range(0, len(content), _SLOT):
+    for half in (main.rstrip().removesuffix(b",") + b"}", spare.removeprefix(_SPARE).rstrip().removesuffix(b"}")):
         try:
-            said = json.loads(content[start : start + _SLOT])
+            said = json.loads(half)
             check = said.pop("check")
             if check != _check(said):
-                raise ValueError("a slot that was not written to its end")
+                raise ValueError("a half that was not written to its end")
             found.append((_number(said["number"]), _checked(said)))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             continue
@@ -182,7 +192,7 @@ def _number(value: object) -> int:
 
 
 def _checked(found: dict[str, int]) -> Kept:
-    """Return what a slot says; ValueError, KeyError or TypeError if nobody can have written that."""
+    """Return what a half says; ValueError, KeyError or TypeError if nobody can have written that."""
     kept = Kept(_number(found["epoch"]), Latch(found["latch"]), _number(found["latch_id"]))
     if kept.latch and not kept.latch_id:
         raise ValueError("a latch without its number")

@@ -194,10 +194,11 @@ def test_what_is_kept_is_found_again(folder: Path) -> None:
     assert [file.name for file in folder.iterdir()] == ["r1.json"]
 
 
-def slot(number: int = 1, epoch: Any = 1, latch: Any = 0, latch_id: Any = 0) -> str:
-    """Return what a slot says, whoever wrote it: its checksum is right."""
+def whole(number: int = 1, epoch: Any = 1, latch: Any = 0, latch_id: Any = 0) -> str:
+    """Return a file that says this, whoever wrote it: its checksums are right."""
     said = {"number": number, "epoch": epoch, "latch": latch, "latch_id": latch_id}
-    return json.dumps(said | {"check": zlib.crc32(json.dumps(said).encode())})
+    half = json.dumps(said | {"check": zlib.crc32(json.dumps(said).encode())})
+    return (half[:-1] + ",").ljust(4096) + ('"spare": ' + half + "}").ljust(4096)
 
 
 @pytest.mark.parametrize(
@@ -211,16 +212,17 @@ def slot(number: int = 1, epoch: Any = 1, latch: Any = 0, latch_id: Any = 0) -> 
         "{}",
         "[" * 4000,
         '{"epoch": 1, "latch": 0, "latch_id": 0}',  # as version 3 wrote it
-        slot().replace('"epoch": 1', '"epoch": 2'),
-        slot(latch=19, latch_id=1),
-        slot(epoch=-1),
-        slot(latch_id=-1),
-        slot(number=-1),
-        slot(epoch=1 << 63),
-        slot(latch_id=1 << 63),
-        slot(epoch=1.5),
-        slot(latch_id="1"),
-        slot(latch=2),
+        whole().replace('"epoch": 1', '"epoch": 2'),
+        whole().replace('"latch": 0', '"latch": 1'),
+        whole(latch=19, latch_id=1),
+        whole(epoch=-1),
+        whole(latch_id=-1),
+        whole(number=-1),
+        whole(epoch=1 << 63),
+        whole(latch_id=1 << 63),
+        whole(epoch=1.5),
+        whole(latch_id="1"),
+        whole(latch=2),
         b"\xff\xfe\0",
         bytes(8192),
     ],
@@ -249,33 +251,58 @@ def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path,
     stand.enable("r1", clear=stand.newest("r1").latch_id)
     stand.run(S // 5)
     assert stand.newest("r1").gate == GateStatus.OPEN
-    assert FileKeeping("lab").load("r1").latch is Latch.NONE
+    assert json.loads((folder / "r1.json").read_text())["latch"] == 0
 
 
 def test_a_write_that_was_torn_loses_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At every byte, of the first write over each slot and of later ones."""
     keeping, before = FileKeeping("lab"), Kept(3, Latch.NONE, 2)
     keeping.save("r1", before)
-    write = os.write
+    write = os.pwrite
     for number in range(3):
         after = Kept(4 + number, Latch.EMERGENCY_STOP, 3 + number)
         for size in (*range(0, 140, 7), 4095):
 
-            def torn(descriptor: int, data: bytes, size: int = size) -> int:
-                return write(descriptor, data[:size])
+            def torn(descriptor: int, data: bytes, at: int, size: int = size) -> int:
+                return write(descriptor, data[:size], at)
 
-            monkeypatch.setattr(os, "write", torn)
+            monkeypatch.setattr(os, "pwrite", torn)
             with pytest.raises(OSError, match="No space left"):
                 keeping.save("r1", after)
             assert FileKeeping("lab").load("r1") in (before, after)
             assert size or FileKeeping("lab").load("r1") == before
-        monkeypatch.setattr(os, "write", write)
+        monkeypatch.setattr(os, "pwrite", write)
         keeping.save("r1", after)
         assert FileKeeping("lab").load("r1") == after
         before = after
 
 
-def test_the_newest_slot_counts_however_often_it_is_written(folder: Path) -> None:
+def test_a_memory_is_replaced_whole_or_not_at_all(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keeping = FileKeeping("lab")
+    keeping.save("r1", Kept(3, Latch.NONE, 2))
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        keeping.save("r1", Kept(4, Latch.NONE, 2))
+    assert keeping.load("r1") == Kept(3, Latch.NONE, 2)
+
+
+def test_either_half_alone_tells_what_is_kept(folder: Path) -> None:
+    keeping, kept = FileKeeping("lab"), Kept(3, Latch.EMERGENCY_STOP, 2)
+    keeping.save("r1", Kept())
+    keeping.save("r1", kept)
+    file = folder / "r1.json"
+    content = file.read_bytes()
+    assert json.loads(content)["latch"] == json.loads(content)["spare"]["latch"] == Latch.EMERGENCY_STOP
+    for damaged in (b"\0" * 4096 + content[4096:], content[:4096] + b"\0" * 4096):
+        file.write_bytes(damaged)
+        assert FileKeeping("lab").load("r1") == kept
+
+
+def test_the_newest_half_counts_however_often_it_is_written(folder: Path) -> None:
     keeping = FileKeeping("lab")
     for epoch in range(20):
         keeping.save("r1", Kept(epoch, Latch.NONE, 2 * epoch))
