@@ -71,7 +71,7 @@ class Event(IntEnum):
     OVERCURRENT = 45
     CHARGING = 46
     UNREACHABLE = 47
-    STOPPED_AT_GATE = 48  # an emergency stop that the supervisor had not heard of
+    STOPPED_AT_GATE = 49  # an emergency stop that the supervisor had not heard of
     # the checks before a start
     NOT_AT_REST = 50
     ESTOP_UNANSWERED = 51
