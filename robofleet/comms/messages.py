@@ -50,7 +50,7 @@ class RobotStatus(NamedTuple):
 
 
 class Enable(NamedTuple):
-    """Supervisor to driver: permission to move."""
+    """Supervisor to driver: permission to move; to latch, also from whoever asks for the emergency stop."""
 
     epoch: int  # of the driver's lease, echoed
     seq: int

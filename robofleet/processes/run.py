@@ -60,6 +60,6 @@ def _recorded(config: Config, folder: Path) -> Recording:
     try:
         return read(folder)
     except RecordingError as error:
-        if (folder / FILE).exists():
+        if (folder / FILE).exists() or not folder.exists():  # a run that never began has a folder and no file
             print(error, file=sys.stderr)
         return Recording(config)

@@ -71,8 +71,8 @@ class Event(IntEnum):
     OVERCURRENT = 45
     CHARGING = 46
     UNREACHABLE = 47
-    STOPPED_AT_GATE = 48  # an emergency stop that the supervisor had not heard of
-    RUNAWAY = 49  # a wheel turns that is told to stand
+    RUNAWAY = 48  # a wheel turns that is told to stand
+    STOPPED_AT_GATE = 49  # an emergency stop that the supervisor had not heard of
     # a bystander: a robot that this run does not drive
     BYSTANDER_LOST = 65  # not seen for 2 s: nobody knows where an obstacle is
     BYSTANDER_MOVED = 66  # carried somewhere else: distance [m]

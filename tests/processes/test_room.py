@@ -2,9 +2,12 @@
 
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from robofleet.processes.child import free_bytes
+from robofleet.recording.reading import read
+from tests.processes.realrun import ALONE, RealRun
 
 
 def test_a_folder_that_is_renamed_or_removed_keeps_its_room(tmp_path: Path) -> None:
@@ -20,3 +23,14 @@ def test_a_folder_that_is_renamed_or_removed_keeps_its_room(tmp_path: Path) -> N
     finally:
         os.close(held)
     assert free_bytes(held) == 0, "unknown room is none: the fleet holds"
+
+
+def test_a_run_whose_folder_is_renamed_goes_on_and_says_where_it_is_not(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE, "--duration", "2")
+    run.wait_until_running()
+    moved = run.folder.rename(run.folder.with_name("moved"))
+    assert run.ended(30) == 0
+    assert f"{run.folder}" in run.said
+    assert not run.folder.exists()
+    assert (read(moved).outcome, read(moved).trouble) == ("completed", None)
+    assert "Traceback" not in (moved / "log" / "supervisor.log").read_text()

@@ -179,6 +179,12 @@ def _estop(storm: Plan) -> bool:
     return any(act.request == b"estop" for act in storm.acts)
 
 
+def _calm_stop(storm: Plan) -> bool:
+    """Whether a stop comes before any fault, so nothing else ends the run."""
+    first_s = min(fault.at_s for fault in storm.faults)
+    return any(act.request == b"estop" and act.at_s < first_s - 0.4 for act in storm.acts)
+
+
 def _with(kind: str, process: str = "") -> Storms:
     """Return which storms bring a long fault of a kind, to a process whose name begins like that."""
 
@@ -207,7 +213,7 @@ def _seeds(fleet: Config, wanted: Storms) -> Iterator[int]:
         (_no_limit, _any, "a refused enable"),
         (_cleared_by_anything, _estop, "a latch was cleared"),
         (_only_the_supervisor_is_asked, _frozen_stop, "an emergency stop has not latched"),
-        (_deaf_to_stops, _estop, "the run went on after an emergency stop"),
+        (_deaf_to_stops, _calm_stop, "the run went on after an emergency stop"),
         (_cleared_by_anything, _estop, "the latch went before a reset"),
         (_latch_ignored, _estop, "the target is not zero without"),
         (_lease_for_everybody, _with("second_controller"), "the lease changed"),

@@ -1,12 +1,18 @@
 """The operator's terminal in a real run: keys, the dead man's handle, and the terminal given back as it was."""
 
+import json
+import os
+import pty
 import signal
 import subprocess
 import sys
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
-from tests.processes.realrun import ALONE, RealRun, of_robots
+from tests.processes.realrun import ALONE, PLATOON, RealRun, of_robots, own_folders, take_terminal, wait
 
 ATTENDED = (*ALONE, "--set", "run.attended=true")
 
@@ -130,3 +136,73 @@ def test_a_run_in_the_background_of_its_terminal_takes_no_keys() -> None:
 
 def test_the_terminal_is_given_back_after_an_exception() -> None:
     assert in_a_terminal(FAILING) == "given back: True"
+
+
+BLOCKED = """
+import os
+from robofleet.processes.terminal import Terminal
+hear, told = os.pipe()
+with Terminal() as terminal:
+    terminal.emergency = lambda: os.write(told, b"!")
+    print("ready", flush=True)
+    os.read(hear, 1)
+"""
+BLOCKED_RUN = """
+import os, sys
+from pathlib import Path
+from robofleet.cli import _settled
+from robofleet.config.load import load_config
+from robofleet.processes.launcher import Launcher
+from robofleet.processes.terminal import Terminal
+
+def watch(recording, phase):
+    print(phase, flush=True)
+    if phase == "running":
+        print("ready", flush=True)
+        os.read(os.pipe()[0], 1)
+
+config = _settled(load_config(Path(sys.argv[1]), sys.argv[3::2]))
+with Terminal() as terminal:
+    Launcher(config, Path(sys.argv[2]), watch, terminal).run()
+"""
+
+
+@contextmanager
+def seated(code: str, *arguments: str, env: dict[str, str] | None = None) -> Iterator[tuple[Any, Callable[[], bytes]]]:
+    """Run code in a terminal; gives (its process, what presses the space bar once it is ready)."""
+    keyboard, theirs = pty.openpty()
+    command = [sys.executable, "-c", code, *arguments]
+    process = subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True, env=env,
+        preexec_fn=take_terminal,  # noqa: PLW1509 - no thread holds a lock here
+    )  # fmt: skip
+    os.close(theirs)
+
+    def press() -> bytes:
+        said = b""
+        while b"ready" not in said:
+            said += os.read(keyboard, 999)
+        os.write(keyboard, b" ")
+        return said
+
+    try:
+        yield process, press
+    finally:
+        process.kill()
+        process.wait()
+        os.close(keyboard)
+
+
+def test_the_emergency_key_is_heard_whatever_keeps_the_main_thread() -> None:
+    with seated(BLOCKED) as (process, press):
+        press()
+        assert process.wait(10) == 0
+
+
+def test_the_emergency_key_stops_the_robots_whatever_keeps_the_run_itself(alone: None, tmp_path: Path) -> None:
+    environment, folder = own_folders(tmp_path), tmp_path / "run"
+    folder.mkdir()
+    kept = tmp_path / "state" / "robofleet" / "platoon" / "r1.json"
+    with seated(BLOCKED_RUN, str(PLATOON), str(folder), *ALONE[1:], env=environment) as (_, press):
+        press()
+        assert wait(lambda: kept.exists() and json.loads(kept.read_text())["latch"] == 2, 5)

@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from robofleet.clock import MS, S
+from robofleet.clock import MS
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, need_extra
@@ -78,13 +78,13 @@ def test_the_emergency_stop_waits_for_no_other_request_and_no_other_page(stand: 
         for _ in range(12):
             busy.say(do="hold")
         assert busy.next("answer")["text"].startswith("too much was asked at once")
-        asked_ns = CLOCK.now_ns()
         for who in (busy, page):
             who.say(do="estop")
-        assert wait(lambda: stand.asked.count(b"estop") >= 2, 1)
+        assert wait(lambda: stand.asked.count(b"estop") >= 2, 5)
+        waits = "the supervisor does not answer"  # the answer to each of the others
         for who in (busy, page):
-            assert who.next("answer", lambda answer: answer["to"] == "estop")["ok"] is False
-        assert CLOCK.now_ns() - asked_ns < S
+            first = who.next("answer", lambda answer: answer["to"] == "estop" or answer["text"].startswith(waits))
+            assert (first["to"], first["ok"]) == ("estop", False)
 
 
 def test_the_emergency_stop_also_comes_by_post(stand: WebStand) -> None:

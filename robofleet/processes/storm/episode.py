@@ -103,7 +103,7 @@ class _Player:
             self._fail("the fleet never ran", str(lockstep.status))
         run_ns = lockstep.clock.now_ns()
         for at_s, request in self._restless():
-            lockstep.advance(run_ns / S + at_s - lockstep.clock.now_ns() / S)
+            lockstep.advance(max(0.0, run_ns / S + at_s - lockstep.clock.now_ns() / S))  # a stop takes its time
             if request is None:
                 self._look()
                 self._forger.forge(self._rng)
@@ -111,7 +111,7 @@ class _Player:
                 self._stop()
             else:
                 self._ask(request)
-        lockstep.advance(run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S)
+        lockstep.advance(max(0.0, run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S))
         self._again(_AGAIN_S + (run_ns - started_ns) / S)
         lockstep.close()
         self._judge(run_ns)
