@@ -1,4 +1,7 @@
-"""What eq. 25 needs of a plant: f_x S + f_u and h_x S, from its Jacobians or by central differences."""
+"""What eq. 25 needs of a plant: f_x S + f_u and h_x S, from its Jacobians or by differences.
+
+A user's function may return a part of its argument: what it returned is read before the argument changes.
+"""
 
 from typing import Any
 
@@ -44,9 +47,9 @@ def difference_slopes(f: Any) -> Any:
             step = moved_u[c] - u[c]
             _move(moved, xi, step, S[:, c])
             beside = f(moved, moved_u)
-            moved_u[c] = u[c]
             for i in range(len(xi)):
                 out[i, c] = (beside[i] - slope[i]) / step
+            moved_u[c] = u[c]
 
     return along
 
@@ -95,11 +98,11 @@ def difference_jacobian(f: Any) -> Any:
         for k in range(len(xi)):
             step = _DIFFERENCE * (1.0 + abs(xi[k]))
             moved[k] = xi[k] + step
-            above = f(moved, u)
+            copy(jacobian[:, k], f(moved, u))
             moved[k] = xi[k] - step
             below = f(moved, u)
             for i in range(len(xi)):
-                jacobian[i, k] = (above[i] - below[i]) / (2.0 * step)
+                jacobian[i, k] = (jacobian[i, k] - below[i]) / (2.0 * step)
             moved[k] = xi[k]
         return jacobian
 
@@ -130,10 +133,10 @@ def difference_output(h: Any) -> Any:
         for j in range(dg.shape[1]):
             step = _DIFFERENCE * min(1e100, _reach(xi, S[:, j]))
             _move(moved, xi, step, S[:, j])
-            above = h(moved)
+            copy(dg[:, j], h(moved))
             _move(moved, xi, -step, S[:, j])
             below = h(moved)
             for i in range(dg.shape[0]):
-                dg[i, j] = (above[i] - below[i]) / (2.0 * step)
+                dg[i, j] = (dg[i, j] - below[i]) / (2.0 * step)
 
     return output
