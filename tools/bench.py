@@ -25,7 +25,7 @@ from robofleet.config.slices import drive as drive_of
 from robofleet.config.slices import knots
 from robofleet.config.tree import Config
 from robofleet.control.bicycle import bicycle_plant
-from robofleet.control.flow import NewtonRaphsonFlow
+from robofleet.control.flow import NewtonRaphsonFlow, Plant
 from robofleet.control.path import Path as Curve
 from robofleet.control.path import nearest
 from robofleet.experiments import closed_curve as track
@@ -35,7 +35,7 @@ from robofleet.experiments.baselines.problem import Conditions, Controller, Driv
 from robofleet.experiments.paper import parameters_of
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety import gate
-from robofleet.vehicles.bicycle import ZHOU_2017
+from robofleet.vehicles.bicycle import ZHOU_2017, BicycleParameters
 from robofleet.vehicles.interface import WheelSpeeds
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,15 +105,39 @@ def bicycle_updates() -> list[Row]:
         peaks.append(own.peak_lateral_cm)
         if key == "flow":
             driven = own
-    alone = _Alone(parameters, problem, driven)
-    found = comparison.in_turns([alone, *candidates], driven.t, driven.states, parameters.turn)
+    alone = _Alone(parameters, problem, driven, bicycle_plant(problem.model))
+    general = _Alone(parameters, problem, driven, users_bicycle(problem.model))
+    found = comparison.in_turns([alone, general, *candidates], driven.t, driven.states, parameters.turn)
     values = {alone.name: found[0].p50, "robofleet, the compiled step alone": alone.compiled_us(driven.states)}
-    values["robofleet, r(t + T) looked up"] = found[1].p50
-    values["robofleet, the same, just after the others"] = statistics.median(found[1].first.tolist())
-    for one, peak, updates in zip(candidates[1:], peaks[1:], found[2:], strict=True):
+    values["the same bicycle as a user's own f and h"] = found[1].p50
+    values["robofleet, r(t + T) looked up"] = found[2].p50
+    values["robofleet, the same, just after the others"] = statistics.median(found[2].first.tolist())
+    for one, peak, updates in zip(candidates[1:], peaks[1:], found[3:], strict=True):
         values[f"{one.name}, {peak:.2f} cm"] = updates.p50
     what = f"update of the bicycle, NR flow {peaks[0]:.2f} cm, {problem.speed:g} m/s"
     return [_row(what, who, value, "us", value / found[0].p50) for who, value in values.items()]
+
+
+def users_bicycle(model: BicycleParameters) -> Plant:
+    """The same bicycle (eqs 16-23) as somebody writes it down: f and h in numpy, no Jacobian, nothing by hand."""
+    m, inertia, l_f, l_r, stiff_f, stiff_r = model.numbers()
+
+    def f(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
+        _, _, v_l, v_n, psi, rate = x
+        front = stiff_f * (u[1] - np.arctan((v_n + l_f * rate) / v_l)) * np.cos(u[1])
+        rear = -stiff_r * np.arctan((v_n - l_r * rate) / v_l)
+        return np.array(
+            [
+                v_l * np.cos(psi) - v_n * np.sin(psi),
+                v_l * np.sin(psi) + v_n * np.cos(psi),
+                rate * v_n + u[0],
+                -rate * v_l + 2 * (front + rear) / m,
+                rate,
+                2 * (l_f * front - l_r * rear) / inertia,
+            ]
+        )
+
+    return Plant(f, lambda x: x[:2].copy(), 6, 2)
 
 
 class _Alone:
@@ -121,9 +145,11 @@ class _Alone:
 
     name = "robofleet, update(x, r)"
 
-    def __init__(self, parameters: comparison.ComparisonParameters, problem: Problem, driven: Drive) -> None:
+    def __init__(
+        self, parameters: comparison.ComparisonParameters, problem: Problem, driven: Drive, plant: Plant
+    ) -> None:
         law = parameters.laws.flow
-        self._flow = NewtonRaphsonFlow(bicycle_plant(problem.model), law.settings(problem.step), (0.0, 0.0))
+        self._flow = NewtonRaphsonFlow(plant, law.settings(problem.step), (0.0, 0.0))
         self._references = problem.target(driven.t + law.horizon_s)
         self._step = problem.step
 

@@ -12,6 +12,7 @@ from robofleet.kernels import INFINITE, snapshot
 from robofleet.kernels.complaint import complaint
 
 _VECTOR = numba.float64[::1]
+_OMITTED: Callable[[object], Any] = numba.types.Omitted
 _OF_STATE_AND_INPUT = ("f", "f_x", "f_u", "fastest_rate")
 
 Suspect = tuple[str, Callable[..., Any] | None, int]  # name, function (None: not given), how many vectors it takes
@@ -31,8 +32,8 @@ def blame(error: Exception, functions: Iterable[Suspect]) -> FlowError:
             continue
         try:
             alone, _ = snapshot(function, INFINITE)
-            others = list(inspect.signature(alone.py_func).parameters.values())[count:]
-            alone.compile((*(_VECTOR,) * count, *(numba.types.Omitted(one.default) for one in others)))
+            defaults = [one.default for one in inspect.signature(alone.py_func).parameters.values()][count:]
+            alone.compile((*(_VECTOR,) * count, *map(_OMITTED, defaults)))
         except Exception as found:  # noqa: BLE001 - numba raises what it likes, not its own errors alone
             return FlowError(f"{name}: {complaint(found, function)}")
         returned.append(f"{name} returns {alone.nopython_signatures[0].return_type}")

@@ -59,7 +59,7 @@ class Column(IntEnum):
     REFERENCE_PARAMETER = 4  # of rho on the path
     U_X = 5  # the input after the update, as the wheels can do it [m/s]
     U_Y = 6
-    CONTROL_ERROR = 7  # |rho - (x + T u)| before the update [m]
+    CONTROL_ERROR = 7  # |rho - (x + T (u + w))| before the update [m]; w: the estimated disturbance, else 0
     LEFT = 8  # wheel speeds [rad/s]
     RIGHT = 9
     SATURATED = 10  # 1 where the wheels could not do all of it

@@ -1,4 +1,7 @@
-"""What eq. 25 needs of a plant: f_x S + f_u and h_x S, from its Jacobians or by central differences."""
+"""What eq. 25 needs of a plant: f_x S + f_u and h_x S, from its Jacobians or by differences.
+
+A user's function may return a part of its argument: what it returned is read before the argument changes.
+"""
 
 from typing import Any
 
@@ -7,13 +10,19 @@ import numpy as np
 from robofleet.control.arrays import Array, cached, compiled, copy
 
 _DIFFERENCE = 6e-6  # relative step of a central difference: third root of the rounding error
+_ONE_SIDED = 1e-7  # of a difference whose curvature is cancelled by the next one's, on the other side
 
 
 def analytic_slopes(f_x: Any, f_u: Any) -> Any:
-    """Return ``along(xi, u, S, out)``, which writes f_x S + f_u (n, m), from the Jacobians."""
+    """Return ``along``, which writes f_x S + f_u (n, m) to ``out``, from the Jacobians.
+
+    ``slope`` is f(xi, u); ``side``, 1.0 or -1.0, and ``moved`` (n,), ``moved_u`` (m,) to work in: for differences.
+    """
 
     @compiled
-    def along(xi: Array, u: Array, S: Array, out: Array) -> None:
+    def along(
+        xi: Array, u: Array, S: Array, slope: Array, side: float, moved: Array, moved_u: Array, out: Array
+    ) -> None:
         b, j = f_u(xi, u), f_x(xi, u)
         for i in range(S.shape[0]):
             copy(out[i], b[i])
@@ -26,22 +35,21 @@ def analytic_slopes(f_x: Any, f_u: Any) -> Any:
 
 
 def difference_slopes(f: Any) -> Any:
-    """Return the same from f alone: the slopes ahead of and behind xi along (S, 1)."""
+    """Return the same from f alone: the slope at xi, and the one on one side of it along (S, 1)."""
 
     @compiled
-    def along(xi: Array, u: Array, S: Array, out: Array) -> None:
-        moved, moved_u = xi.copy(), u.copy()
+    def along(
+        xi: Array, u: Array, S: Array, slope: Array, side: float, moved: Array, moved_u: Array, out: Array
+    ) -> None:
+        copy(moved_u, u)
         for c in range(len(u)):
-            step = _DIFFERENCE * min(1.0 + abs(u[c]), _reach(xi, S[:, c]))
-            moved_u[c] = u[c] + step
+            moved_u[c] = u[c] + side * _ONE_SIDED * min(1.0 + abs(u[c]), _reach(xi, S[:, c]))
+            step = moved_u[c] - u[c]
             _move(moved, xi, step, S[:, c])
-            above = f(moved, moved_u)
-            moved_u[c] = u[c] - step
-            _move(moved, xi, -step, S[:, c])
-            below = f(moved, moved_u)
-            moved_u[c] = u[c]
+            beside = f(moved, moved_u)
             for i in range(len(xi)):
-                out[i, c] = (above[i] - below[i]) / (2.0 * step)
+                out[i, c] = (beside[i] - slope[i]) / step
+            moved_u[c] = u[c]
 
     return along
 
@@ -62,6 +70,24 @@ def _move(moved: Array, xi: Array, step: float, direction: Array) -> None:
         moved[i] = xi[i] + step * direction[i]
 
 
+def forward_jacobian(f: Any) -> Any:
+    """Return the function (x, u) -> df/dx by forward differences, n + 1 calls: for bounds, right to about 1e-6."""
+
+    @compiled
+    def f_x(xi: Array, u: Array) -> Array:
+        jacobian, moved, slope = np.empty((len(xi), len(xi))), xi.copy(), f(xi, u)
+        for k in range(len(xi)):
+            moved[k] = xi[k] + _ONE_SIDED * (1.0 + abs(xi[k]))
+            step = moved[k] - xi[k]
+            beside = f(moved, u)
+            for i in range(len(xi)):
+                jacobian[i, k] = (beside[i] - slope[i]) / step
+            moved[k] = xi[k]
+        return jacobian
+
+    return f_x
+
+
 def difference_jacobian(f: Any) -> Any:
     """Return the function (x, u) -> df/dx by central differences."""
 
@@ -72,11 +98,11 @@ def difference_jacobian(f: Any) -> Any:
         for k in range(len(xi)):
             step = _DIFFERENCE * (1.0 + abs(xi[k]))
             moved[k] = xi[k] + step
-            above = f(moved, u)
+            copy(jacobian[:, k], f(moved, u))
             moved[k] = xi[k] - step
             below = f(moved, u)
             for i in range(len(xi)):
-                jacobian[i, k] = (above[i] - below[i]) / (2.0 * step)
+                jacobian[i, k] = (jacobian[i, k] - below[i]) / (2.0 * step)
             moved[k] = xi[k]
         return jacobian
 
@@ -107,10 +133,10 @@ def difference_output(h: Any) -> Any:
         for j in range(dg.shape[1]):
             step = _DIFFERENCE * min(1e100, _reach(xi, S[:, j]))
             _move(moved, xi, step, S[:, j])
-            above = h(moved)
+            copy(dg[:, j], h(moved))
             _move(moved, xi, -step, S[:, j])
             below = h(moved)
             for i in range(dg.shape[0]):
-                dg[i, j] = (above[i] - below[i]) / (2.0 * step)
+                dg[i, j] = (dg[i, j] - below[i]) / (2.0 * step)
 
     return output

@@ -76,6 +76,7 @@ class DriveParameters(Parameters):
         return (
             f"control step {self.control_step_s:g} s with zero-order hold, computing delay {self.computing_delay_s:g} "
             f"s, plant by RK4 at {1e3 * self.plant_step_s:g} ms, {self.duration_s:g} s, reference by arc length",
+            "the paper gives no computing delay: this one is ours, also where the law is as printed",
             "lateral error: distance of the centre of gravity from the curve; heading error: heading minus the "
             "tangent at the nearest point",
         )

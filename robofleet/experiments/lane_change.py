@@ -182,6 +182,7 @@ def _delay_table(parameters: LaneChangeParameters, delayed: Delayed) -> Table:
     notes = (
         f"eq. 26 {reading.name}; own: {parameters.recommended}; paper's: {reading.flow}",
         "known: the measured state is rolled forward over the delay with the inputs on their way; ignored: it is not",
+        "the own setting's errors hold for a known delay alone: 70 ms that it is not told of make it diverge",
         "the paper's T cuts the curve by half a second's anticipation; a delay that it does not know cancels a part",
     )
     columns = ("setting", "delay", "peak", *_names(parameters))

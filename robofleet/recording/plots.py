@@ -186,7 +186,8 @@ SECTIONS: dict[str, tuple[Plot, ...]] = {
             "Control error", control_error,
             "How far each point will be from its reference after the horizon, before the controller's correction, on "
             "its own estimate. It falls steeply at the start and then stays low and level; a robot that does not do as "
-            "told rises above the others. In the grey part it is not counted.",
+            "told rises above the others. In the grey part it is not counted. It is the reference's distance from "
+            "x + T u, and from x + T (u + w) where a disturbance w is estimated.",
             _robots,
         ),
         Plot(

@@ -39,10 +39,11 @@ def _mode(s: Summary) -> str:
 
 
 def _caption(s: Summary) -> str:
+    control = "control error: of x + T u; of x + T (u + w) where a disturbance w is estimated"
     if not s["estimated"]:
-        return "errors and deviations: mean (max), on the true poses; times: p50, p99"
+        return f"errors and deviations: mean (max), on the true poses; times: p50, p99\n{control}"
     estimated = f"estimated: no truth is known of {', '.join(s['estimated'])}"
-    return f"errors and deviations: mean (max); times: p50, p99\n{estimated}"
+    return f"errors and deviations: mean (max); times: p50, p99\n{control}\n{estimated}"
 
 
 def _errors(s: Summary) -> list[tuple[str, str, str, str]]:

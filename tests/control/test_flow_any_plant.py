@@ -180,6 +180,14 @@ def test_singular_is_refused_whatever_the_units(k: float, limit: float, fine: bo
         assert flow.u.tolist() == [0.0, 0.0]
 
 
+def test_functions_may_return_a_part_of_what_they_are_given() -> None:
+    flow = NewtonRaphsonFlow(Plant(lambda x, u: u, lambda x: x, 1, 1), FlowSettings(20.0, 0.5, 0.01), [0.3])
+    by_hand = point_update(0.3, 0.1, 0.6, 0.5, integrator_gain(20.0, 0.01, "exact"))
+    assert flow.update(np.array([0.1]), np.array([0.6])) == pytest.approx([by_hand], rel=1e-8)
+    memoryless = MemorylessFlow(lambda u: u, 1, 20.0, 0.01, [0.3])
+    assert memoryless.update(np.array([0.6])) == pytest.approx([0.6 - 0.3 * math.exp(-0.2)], rel=1e-8)
+
+
 def test_memoryless_without_jacobian_solves_g() -> None:
     def g(u: Array) -> Array:
         return np.array([u[0] ** 3 + u[0] + 0.5 * u[1], u[1] - 0.5 * np.sin(u[0])])

@@ -28,7 +28,7 @@ BAD = _models()
     ("function", "source", "cause"),
     [
         ("formats", 'len(f"{x[0]:.3f}")', "format spec in f-strings not supported yet"),
-        ("counts_bytes", "len(x.tobytes())", "Unknown attribute 'tobytes' of type array(float64, 1d, C)"),
+        ("counts_bytes", "len(x.dumps())", "Unknown attribute 'dumps' of type array(float64, 1d, C)"),
         ("fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
         ("multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype"),
         ("asks_too_much", "np.full(", "it knows no full("),

@@ -15,7 +15,7 @@ def formats(x, u=0.0):
 
 
 def counts_bytes(x, u=0.0):
-    return x * len(x.tobytes())
+    return x * len(x.dumps())
 
 
 def fails_inside(x, u=0.0):

@@ -119,3 +119,12 @@ def test_a_drive_that_diverges_says_when_and_gives_no_numbers(track: Reference) 
     settings = FlowSettings(30.0, 0.15, 0.01)
     with pytest.raises(DivergedError, match=r"^t = \d+\.\d\d s: "):
         drive(bicycle_plant(ZHOU_2017), settings, replace(LOOP, duration=60.0, computing_delay=0.15), track, 10.0)
+
+
+def test_the_corners_radius_decides_the_figures_and_that_is_said(result: Result) -> None:
+    table = rows(result, "radius of the corners")
+    fastest = {radius: row["cm, 35 km/h"] for radius, row in table.items()}
+    assert fastest == pytest.approx({"15": 14.0, "20": 10.5, "28": 7.5, "40": 5.2, "60": 3.5}, abs=0.1)
+    notes = " ".join(note for table in result.tables for note in table.notes)
+    assert "28 m was chosen because it gives about the paper's figures" in notes
+    assert "the paper gives no computing delay" in notes

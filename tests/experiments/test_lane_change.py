@@ -5,11 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robofleet.control.bicycle import bicycle_plant
 from robofleet.experiments import lane_change
 from robofleet.experiments.curves import lane_change as curve
 from robofleet.experiments.lane_change import LaneChangeParameters
 from robofleet.experiments.paper import parameters_of
 from robofleet.experiments.results import Result
+from robofleet.experiments.simulate import DivergedError, drive
+from robofleet.vehicles.bicycle import FALCONE_2007
 
 SPEEDS = ("10 m/s", "15 m/s", "19 m/s")
 
@@ -92,6 +95,28 @@ def test_own_setting_is_below_a_centimetre_with_and_without_delay(result: Result
     assert len(result.data["diverged"]) == 3
     for name in ("own, as printed", "own, minus sign"):
         assert max(column(result, "lateral", name)) <= 1.0
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_delay_of_70_ms_is_harmless_where_it_is_known_and_fatal_where_not(
+    known: bool,
+) -> None:
+    parameters: LaneChangeParameters = parameters_of("lane-change")
+    speed, delay = max(parameters.speeds_m_s), 0.07
+    settings = parameters.recommended.settings(parameters.control_step_s, delay if known else 0.0)
+    start = np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
+    loop, road = parameters.loop(delay), parameters.reference(parameters.readings[0])
+    if known:
+        assert np.abs(drive(bicycle_plant(FALCONE_2007), settings, loop, road, speed, start).lateral).max() < 0.01
+    else:
+        with pytest.raises(DivergedError):
+            drive(bicycle_plant(FALCONE_2007), settings, loop, road, speed, start)
+
+
+def test_what_the_paper_does_not_give_is_said(result: Result) -> None:
+    notes = " ".join(note for table in result.tables for note in table.notes)
+    assert "the paper gives no computing delay" in notes
+    assert "70 ms that it is not told of make it diverge" in notes
 
 
 def test_no_number_that_is_not_finite(result: Result) -> None:
