@@ -142,9 +142,14 @@ def _number(node: Node) -> str:
     low, high = node.get("minimum"), node.get("maximum")
     above, below = node.get("exclusiveMinimum"), node.get("exclusiveMaximum")
     if low is not None and high is not None:
-        return f"{low} to {high}"
+        return f"{_short(low)} to {_short(high)}"
     limits = ("> ", above), ("≥ ", low), ("< ", below), ("≤ ", high)
-    return ", ".join(f"{sign}{limit}" for sign, limit in limits if limit is not None) or "any number"
+    return ", ".join(f"{sign}{_short(limit)}" for sign, limit in limits if limit is not None) or "any number"
+
+
+def _short(limit: float) -> str:
+    """Return a limit as it is written in a few characters."""
+    return f"{limit:g}" if limit == float(f"{limit:g}") else str(limit)
 
 
 def _list(node: Node) -> str:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from robofleet.calibration.store import CalibrationError, load
 from robofleet.config.calibrated import FloorTag
-from robofleet.config.model import Finite, Model, NonNegative
+from robofleet.config.model import Coordinate, Model, NonNegative, within
 
 LEAST = 4  # marks that determine where a camera hangs
 _LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line
@@ -24,11 +24,11 @@ class SurveyedPoint(Model):
     """A mark on the floor, and where it is in the image."""
 
     name: Annotated[str, Field(min_length=1)]
-    x_m: Finite  # [world]
-    y_m: Finite
+    x_m: Coordinate  # [world]
+    y_m: Coordinate
     height_m: NonNegative = 0.0
-    u_px: Finite
-    v_px: Finite
+    u_px: Annotated[float, within(-1e5, 1e5)]
+    v_px: Annotated[float, within(-1e5, 1e5)]
 
 
 class Survey(Model):

@@ -6,41 +6,52 @@ from pydantic import Field
 
 from robofleet.config.model import (
     LAST_TAG,
-    Finite,
+    MANY,
+    Coordinate,
+    Degrees,
+    Delay,
+    Height,
+    Lag,
+    Length,
     Model,
     Name,
-    NonNegative,
-    Positive,
-    Vector2,
-    Vector3,
+    Pixels,
+    Text,
+    within,
 )
+
+Row = Annotated[tuple[Annotated[float, within(-1e15, 1e15)], ...], Field(max_length=MANY, strict=False)]
+Turned = Annotated[float, within(-10, 10)]
+Focal = Annotated[float, within(1, 1e6)]
+Coefficient = Annotated[float, within(-1e6, 1e6)]
+Pixel = Annotated[tuple[Annotated[float, within(-1e5, 1e5)], Annotated[float, within(-1e5, 1e5)]], Field(strict=False)]
 
 
 class Provenance(Model):
     """Where a calibration comes from, and how good it is: written by ``tools/calibrate.py``."""
 
-    date: str
+    date: Text
     """UTC, ISO 8601."""
-    tool: str
+    tool: Text
     """With its version."""
-    inputs: dict[str, str]
+    inputs: Annotated[dict[Text, Text], Field(max_length=MANY)]
     """Name of what was measured: hash of its bytes."""
-    figures: dict[str, float | None]
+    figures: Annotated[dict[Text, Annotated[float, within(-1e15, 1e15)] | None], Field(max_length=MANY)]
     """Name with its unit: value."""
-    parameters: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    parameters: Annotated[tuple[Text, ...], Field(max_length=MANY, strict=False)] = ()
     """In the order of the covariance's rows, with units."""
-    covariance: Annotated[tuple[Annotated[tuple[Finite, ...], Field(strict=False)], ...], Field(strict=False)] = ()
+    covariance: Annotated[tuple[Row, ...], Field(max_length=MANY, strict=False)] = ()
     """Of the parameters."""
 
 
 class TagOffset(Model):
     """The tag's pose on its robot: from the centre of the axle, in the body's frame."""
 
-    forward_m: Finite = 0.0
+    forward_m: Annotated[float, within(-10, 10)] = 0.0
     """Of the tag's centre."""
-    left_m: Finite = 0.0
+    left_m: Annotated[float, within(-10, 10)] = 0.0
     """Of the tag's centre."""
-    heading_deg: Finite = 0.0
+    heading_deg: Degrees = 0.0
     """Of the print's right over the robot's forward, counter-clockwise."""
 
 
@@ -51,13 +62,13 @@ class RobotCalibration(Model):
     """On which one this was measured."""
     tag_offset: TagOffset = TagOffset()
     """Where the tag sits on it."""
-    wheel_radius_m: Positive | None = None
+    wheel_radius_m: Length | None = None
     """null: as its vehicle's."""
-    wheel_base_m: Positive | None = None
+    wheel_base_m: Length | None = None
     """null: as its vehicle's."""
-    delay_s: NonNegative | None = None
+    delay_s: Delay | None = None
     """From a tick to the moment when its command acts; null: ``controller.command_delay_s``."""
-    motor_lag_s: NonNegative | None = None
+    motor_lag_s: Lag | None = None
     """null: as its vehicle's."""
     offsets: Provenance | None = None
     """How tag and wheels were measured."""
@@ -70,24 +81,24 @@ class FloorTag(Model):
 
     tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
     """Its id, of the family 36h11."""
-    side_m: Positive
+    side_m: Length
     """Of its black square."""
-    x_m: Finite
+    x_m: Coordinate
     """Of its middle, in the world frame."""
-    y_m: Finite
+    y_m: Coordinate
     """Of its middle, in the world frame."""
-    heading_deg: Finite = 0.0
+    heading_deg: Degrees = 0.0
     """Of the print's right, counter-clockwise."""
-    height_m: NonNegative = 0.0
+    height_m: Height = 0.0
     """Above the floor."""
 
 
 class PoseSettings(Model):
     """A rigid transform: camera to world."""
 
-    position_m: Vector3
+    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(strict=False)]
     """Of the camera."""
-    rotation_rad: Vector3
+    rotation_rad: Annotated[tuple[Turned, Turned, Turned], Field(strict=False)]
     """Axis times angle (Rodrigues)."""
 
 
@@ -98,21 +109,21 @@ class CameraModel(Model):
     s1 s2 s3 s4 tx ty), of a fisheye 4 (k1 k2 k3 k4).
     """
 
-    camera: str = ""
+    camera: Text = ""
     """On which one this was measured, as its source names it; empty: any."""
     lens: Literal["pinhole", "fisheye"] = "pinhole"
     """OpenCV's model of it."""
-    width: Annotated[int, Field(gt=0)]
+    width: Pixels
     """Of the images, in pixels."""
-    height: Annotated[int, Field(gt=0)]
+    height: Pixels
     """Of the images, in pixels."""
-    focal_px: Annotated[tuple[Positive, Positive], Field(strict=False)]
+    focal_px: Annotated[tuple[Focal, Focal], Field(strict=False)]
     """Along x and along y."""
-    centre_px: Vector2
+    centre_px: Pixel
     """Integers are pixel centres."""
-    distortion: Annotated[tuple[Finite, ...], Field(strict=False)]
+    distortion: Annotated[tuple[Coefficient, ...], Field(max_length=14, strict=False)]
     """OpenCV's coefficients in OpenCV's order."""
-    line_time_s: NonNegative = 0.0
+    line_time_s: Annotated[float, within(0, 0.1)] = 0.0
     """Of a rolling shutter, from one row's exposure to the next one's; 0: global shutter."""
     T_world_camera: PoseSettings | None = None
     """Where it hangs; null: not measured yet."""

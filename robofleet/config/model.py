@@ -1,20 +1,46 @@
-"""What every part of the configuration is made of: a frozen model, and numbers that cannot be impossible."""
+"""What every part of the configuration is made of: a frozen model, and numbers that cannot be impossible.
 
-from typing import Annotated
+Every number has a least and a greatest value: what is outside exists in no laboratory, and would overflow or divide by
+nothing somewhere far from the line that says it. Every text and every list has a longest.
+"""
+
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.config.patterns import NAME_PATTERN
 
 LAST_TAG = 586  # AprilTag 36h11 has 587 ids
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Gray = Annotated[int, Field(ge=0, le=255)]
+TAGS = LAST_TAG + 1  # so many robots can be told apart
+MANY = 10_000  # of anything in a list
+
+
+def within(low: float, high: float) -> Any:
+    """Return the limits of a number, both included."""
+    return Field(ge=low, le=high)
+
+
+Positive = Annotated[float, Field(ge=1e-9, le=1e9, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Gray = Annotated[int, Field(ge=0, le=255)]
+Pixels = Annotated[int, Field(ge=1, le=16384)]  # along a side of an image
+Count = Annotated[int, Field(ge=0, le=10**9)]
+
+Length = Annotated[float, within(1e-3, 1000)]  # of a part of a robot, or of a tag [m]; one in mm is said elsewhere
+Height = Annotated[float, within(0, 100)]  # above the floor [m]
+Coordinate = Annotated[float, within(-1000, 1000)]  # in the world [m]
+Degrees = Annotated[float, within(-360, 360)]
+Lag = Annotated[float, within(0, 10)]  # time constant of a motor [s]
+Delay = Annotated[float, within(0, 1)]  # of a command, an image [s]
+Lateness = Annotated[float, within(1e-6, 1e4)]  # that is done to something on purpose [s]
+Instant = Annotated[float, within(0, 1e9)]  # since a start [s]
+Lasting = Annotated[float, within(1e-6, 1e9)]  # [s]
+Noise = Annotated[float, within(1e-9, 10)]  # standard deviation [m or rad]
+
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-Vector2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
-Vector3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
+Text = Annotated[str, Field(max_length=4096)]
+Named = Annotated[str, Field(min_length=1, max_length=4096)]  # a file, an entry point or a class
 
 
 class Model(BaseModel):
@@ -23,4 +49,6 @@ class Model(BaseModel):
     What stands below a key describes it: in ``configs/README.md``, and in the schema that editors read.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True, allow_inf_nan=False
+    )

@@ -10,10 +10,14 @@ from pydantic import Field
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
-from robofleet.config.model import Finite, Fraction, Model, Name, NonNegative, Positive, Vector2
+from robofleet.config.model import MANY, TAGS, Coordinate, Count, Delay, Fraction, Height, Length, Model, Name, within
 from robofleet.config.patterns import ENDPOINT_PATTERN, PRIVATE
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import Fault
+
+Side = Annotated[float, within(0.1, 1000)]
+Derivative = Annotated[float, within(-1e4, 1e4)]
+Most = Annotated[float, within(1e-6, 1e9)]
 
 
 class Arena(Model):
@@ -21,14 +25,14 @@ class Arena(Model):
 
     name: Name
     """On the bus, and for ``robofleet stop``; an arena has one run at a time."""
-    size_m: Annotated[tuple[Positive, Positive], Field(strict=False)]
+    size_m: Annotated[tuple[Side, Side], Field(strict=False)]
     """Along x and along y."""
 
 
 class BusSettings(Model):
     """Where the router listens. Whoever reaches it can drive."""
 
-    endpoint: Annotated[str, Field(pattern=ENDPOINT_PATTERN)] = PRIVATE
+    endpoint: Annotated[str, Field(max_length=300, pattern=ENDPOINT_PATTERN)] = PRIVATE
     """``private``: a socket named after the arena, in ``$XDG_RUNTIME_DIR/robofleet`` or ``/tmp/robofleet-UID``. The
     folder of a socket must be this user's alone. Port 0 takes any free one."""
     insecure: Literal["loopback"] | None = None
@@ -38,16 +42,16 @@ class BusSettings(Model):
 class Knot(Model):
     """A joint of the path: position and derivative with respect to the parameter, one unit a side."""
 
-    at_m: Vector2
+    at_m: Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]
     """Its position [world frame]."""
-    derivative_m: Vector2
+    derivative_m: Annotated[tuple[Derivative, Derivative], Field(strict=False)]
     """With respect to the parameter, which is 1 longer at the next knot."""
 
 
 class PathFile(Model):
     """A closed path of Hermite cubics (a file of ``configs/paths``)."""
 
-    knots: Annotated[tuple[Knot, ...], Field(min_length=2, strict=False)]
+    knots: Annotated[tuple[Knot, ...], Field(min_length=2, max_length=MANY, strict=False)]
     """In the order of driving; the last side leads back to the first knot."""
 
 
@@ -56,13 +60,13 @@ class Group(Model):
 
     behaviour: Literal["platoon", "excitation"]
     """``excitation`` is what ``tools/calibrate.py`` lets the robots drive."""
-    robots: Annotated[tuple[Name, ...], Field(min_length=1, strict=False)]
+    robots: Annotated[tuple[Name, ...], Field(min_length=1, max_length=TAGS, strict=False)]
     """By their ids, the leader first."""
     path: PathFile
     """What the leader follows."""
-    spacing_m: Positive
+    spacing_m: Annotated[float, within(1e-3, 1000)]
     """From each robot's point to the one ahead of it, along the path (d)."""
-    path_rate: Positive
+    path_rate: Annotated[float, within(1e-6, 100)]
     """Sides of the path per second (gamma)."""
     track: Literal["point", "centre"] = "point"
     """What follows the path: the point p, ahead of the axle, or the robot's centre."""
@@ -72,9 +76,9 @@ class TruthSettings(Model):
     """Poses without pixels: everybody's, with ``tracker.source: truth``; else those of the robots that are in no image
     (``reality: simulated``), which have the delay of the image they are merged with."""
 
-    position_noise_m: NonNegative = 0.0
+    position_noise_m: Annotated[float, within(0, 10)] = 0.0
     """Standard deviation, along each axis."""
-    heading_noise_rad: NonNegative = 0.0
+    heading_noise_rad: Annotated[float, within(0, 10)] = 0.0
     """Standard deviation."""
     delay_s: Annotated[float, Field(ge=0, le=0.25)] = 0.01
     """From the moment that a pose is of to its arrival; the simulation remembers 0.3 s."""
@@ -89,11 +93,11 @@ class TrackerSettings(Model):
 
     source: Literal["camera", "truth"]
     """``camera``: the detector reads its images; ``truth``: all robots are simulated and say where they are."""
-    tag_side_m: Positive
+    tag_side_m: Length
     """Of the black square of a robot's tag."""
-    tag_height_m: NonNegative
+    tag_height_m: Height
     """Of the robots' tags above the floor."""
-    floor_tags: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()
+    floor_tags: Annotated[tuple[FloorTag, ...], Field(max_length=TAGS, strict=False)] = ()
     """Surveyed ones, by which a camera that moves is noticed and corrected."""
     truth: TruthSettings = TruthSettings()
     """How good the poses without pixels are."""
@@ -102,7 +106,7 @@ class TrackerSettings(Model):
 class DriverSettings(Model):
     """How the robots' drivers are spread over processes."""
 
-    robots_per_process: Annotated[int, Field(ge=1)] = 1
+    robots_per_process: Annotated[int, within(1, TAGS)] = 1
     """At most, in the order of ``robots``."""
     started_by: Literal["run", "systemd"] = "run"
     """``systemd``: units of ``tools/deploy`` start them, and ``robofleet run`` starts everything else."""
@@ -111,45 +115,45 @@ class DriverSettings(Model):
 class LockstepSettings(Model):
     """What a lockstep run charges for work that takes no simulated time."""
 
-    bus_delay_s: Positive = 0.001
+    bus_delay_s: Annotated[float, within(1e-6, 1)] = 0.001
     """From a message's sending to its arrival."""
-    tracker_delay_s: NonNegative = 0.004
+    tracker_delay_s: Delay = 0.004
     """From an image to its poses."""
 
 
 class Bounds(Model):
     """What a run is judged by in its report, as ``summary.json`` has the figures; null: not judged."""
 
-    control_error_mean_mm: Positive | None = None
+    control_error_mean_mm: Most | None = None
     """At most, of the mean over all robots."""
-    timed_error_mean_mm: Positive | None = None
+    timed_error_mean_mm: Most | None = None
     """At most, of the leader's mean."""
-    path_error_mean_mm: Positive | None = None
+    path_error_mean_mm: Most | None = None
     """At most, of the mean over all robots."""
-    spacing_max_deviation_mm: Positive | None = None
+    spacing_max_deviation_mm: Most | None = None
     """At most, after ``run.spacing_settle_s``."""
-    min_gap_mm: Finite | None = None
+    min_gap_mm: Annotated[float, within(-1e6, 1e6)] | None = None
     """At least, between two robots' bodies."""
-    pose_error_rms_mm: Positive | None = None
+    pose_error_rms_mm: Most | None = None
     """At most, of the filter at the tick against truth."""
-    overruns: Annotated[int, Field(ge=0)] | None = None
+    overruns: Count | None = None
     """At most: ticks that were missed."""
-    exposure_to_wheel_p99_ms: Positive | None = None
+    exposure_to_wheel_p99_ms: Most | None = None
     """At most, from mid-exposure to the wheel."""
-    stops: Annotated[int, Field(ge=0)] | None = None
+    stops: Count | None = None
     """At most: how often a robot stood by itself."""
 
 
 class RunSettings(Model):
     """One run."""
 
-    duration_s: Positive
+    duration_s: Annotated[float, within(1e-3, 1e7)]
     """From the first tick of the run; a lap of the shipped path takes 88 s."""
-    settle_s: NonNegative = 1.4
+    settle_s: Annotated[float, within(0, 1e7)] = 1.4
     """The control error counts from then on."""
-    spacing_settle_s: NonNegative = 5.0
+    spacing_settle_s: Annotated[float, within(0, 1e7)] = 5.0
     """The spacing and what is measured on the truth count from then on."""
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, within(0, 2**63 - 1)] = 1
     """Of everything random; in lockstep the same seed gives the same run."""
     attended: bool = False
     """Somebody sits at the terminal: when it closes, or ``robofleet run`` is frozen, the robots are stopped."""
@@ -166,7 +170,7 @@ class Config(Model):
     """The floor."""
     bus: BusSettings = BusSettings()
     """Where the processes meet."""
-    robots: Annotated[tuple[Robot, ...], Field(min_length=1, strict=False)]
+    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=TAGS, strict=False)]
     """Every robot of the fleet."""
     groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=1, strict=False)]
     """One, today."""
@@ -182,7 +186,7 @@ class Config(Model):
     """How the drivers are spread over processes."""
     lockstep: LockstepSettings = LockstepSettings()
     """What ``robofleet run --lockstep`` charges."""
-    faults: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
+    faults: Annotated[tuple[Fault, ...], Field(max_length=MANY, strict=False)] = ()
     """What goes wrong on purpose, and when; ``--faults FILE`` replaces them."""
 
     @property

@@ -8,18 +8,19 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import Finite, Model, Name, NonNegative, Positive, Vector2
+from robofleet.config.model import MANY, Instant, Lasting, Lateness, Model, Name, Text, within
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
-Share = Annotated[float, Field(gt=0, le=1)]
+Share = Annotated[float, within(1e-9, 1)]
+_Push = Annotated[float, within(-10, 10)]
 
 
 class Timed(Model):
     """When something goes wrong; times count from the start of the run."""
 
-    at_s: NonNegative | None = None
+    at_s: Instant | None = None
     """null: from the first moment, before the checks."""
-    duration_s: Positive | None = None
+    duration_s: Lasting | None = None
     """null: for good."""
 
 
@@ -41,7 +42,7 @@ class RunawayFault(Timed):
     """Whose."""
     wheel: Literal["left", "right"]
     """Which one."""
-    speed_rad_s: Finite
+    speed_rad_s: Annotated[float, within(-1000, 1000)]
     """How fast; forward is positive."""
 
 
@@ -52,7 +53,7 @@ class Push(Timed):
     """What goes wrong."""
     robot: Name
     """Whose."""
-    velocity_m_s: Vector2
+    velocity_m_s: Annotated[tuple[_Push, _Push], Field(strict=False)]
     """Along x and y [world frame]."""
 
 
@@ -95,7 +96,7 @@ class LineFault(Timed):
     """Whose; null: every twin's."""
     share: Share = 0.01
     """Of the lines."""
-    delay_s: Positive = 0.05
+    delay_s: Lateness = 0.05
     """How late."""
 
 
@@ -115,9 +116,9 @@ class PoseNoise(Timed):
     """What goes wrong."""
     robot: Name
     """Whose."""
-    sigma_m: Positive
+    sigma_m: Annotated[float, within(1e-9, 100)]
     """Standard deviation, along each axis."""
-    sigma_rad: NonNegative = 0.0
+    sigma_rad: Annotated[float, within(0, 10)] = 0.0
     """Standard deviation of the heading."""
 
 
@@ -142,14 +143,14 @@ class PoseDelay(Timed):
 
     kind: Literal["pose_delay"]
     """What goes wrong."""
-    delay_s: Positive
+    delay_s: Lateness
     """How late."""
 
 
 class OfMessages(Timed):
     """Something that is done to messages."""
 
-    topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, strict=False)]
+    topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, max_length=MANY, strict=False)]
     """Which messages."""
     robot: Name | None = None
     """Those to and from this one; null: everybody's."""
@@ -171,7 +172,7 @@ class Lost(OfMessages):
     """What goes wrong."""
     share: Share = 1.0
     """Of the messages; with bursts, of the time."""
-    burst_s: NonNegative = 0.0
+    burst_s: Instant = 0.0
     """The longest burst; 0: one message at a time."""
 
 
@@ -180,9 +181,9 @@ class Late(OfMessages):
 
     kind: Literal["late"]
     """What goes wrong."""
-    median_s: Positive = 0.002
+    median_s: Lateness = 0.002
     """Half of them are later."""
-    p99_s: Positive = 0.06
+    p99_s: Lateness = 0.06
     """One in a hundred is later."""
 
 
@@ -191,7 +192,7 @@ class NetworkCut(Timed):
 
     kind: Literal["network_cut"]
     """What goes wrong."""
-    processes: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
+    processes: Annotated[tuple[Text, ...], Field(min_length=1, max_length=MANY, strict=False)]
     """Those on one side of the cut."""
     held_back: bool = False
     """Whether what was said meanwhile arrives at the end."""
@@ -202,7 +203,7 @@ class ProcessFault(Timed):
 
     kind: Literal["killed", "stopped"]
     """``killed``: and started again at the end; ``stopped``: and continued then."""
-    process: str
+    process: Text
     """Which one."""
 
 
@@ -211,9 +212,9 @@ class ClockStep(Timed):
 
     kind: Literal["clock_step"]
     """What goes wrong."""
-    process: str
+    process: Text
     """Whose clock."""
-    step_s: Finite
+    step_s: Annotated[float, within(-1e6, 1e6)]
     """Forward, or back if negative."""
 
 

@@ -90,9 +90,11 @@ def test_the_list_of_every_key_is_up_to_date() -> None:
 
 def test_the_list_of_every_key_has_its_unit_range_default_and_meaning() -> None:
     text = (CONFIGS / "README.md").read_text()
-    assert re.search(r"^\| `exposure_s` \| s \| > 0 \| `0.004` \| .+ \|$", text, re.MULTILINE)
+    assert re.search(r"^\| `exposure_s` \| s \| 1e-07 to 1 \| `0.004` \| .+ \|$", text, re.MULTILINE)
     assert re.search(
-        r"^\| `max_wheel_acceleration_rad_s2` \| rad/s² \| > 0 \| \*\*required\*\* \| .+ \|$", text, re.MULTILINE
+        r"^\| `max_wheel_acceleration_rad_s2` \| rad/s² \| 0.01 to 1e\+06 \| \*\*required\*\* \| .+ \|$",
+        text,
+        re.MULTILINE,
     )
     assert re.search(r"^\| `integrator` \|  \| `exact`, `euler` \| `\"exact\"` \| .+ \|$", text, re.MULTILINE)
     keys = {key for model in models() if model.__module__.startswith("robofleet.config") for key in model.model_fields}

@@ -79,9 +79,9 @@ def test_every_shipped_file_is_an_experiment_and_is_valid() -> None:
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [
-        ("closed-curve", "horizon_s: 0.5", "horizon_s: «0", "flow.horizon_s: must be greater than 0, not 0"),
+        ("closed-curve", "horizon_s: 0.5", "horizon_s: «0", "flow.horizon_s: must be at least 1e-09, not 0"),
         ("closed-curve", "alpha: 30, integrator: euler", "alpha: «-30, integrator: euler",
-         "flow.alpha: must be greater than 0, not -30"),
+         "flow.alpha: must be at least 1e-09, not -30"),
         ("closed-curve", "curvature_ramp_m: 3", "curvature_ramp_m: «50",
          "track.curvature_ramp_m: must be at most 44.0: a corner turns 90 degrees"),
         ("closed-curve", "settle_s: 2", "«setle_s: 2", "setle_s: unknown key: did you mean 'settle_s'?"),
