@@ -13,6 +13,7 @@ import pwd
 import re
 import stat
 import struct
+import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -118,19 +119,27 @@ def _register() -> Path:
     """Return the register, made if need be; PlaceError where somebody has put something else in its place."""
     folder = temporary_folder() / "robofleet"
     try:
-        folder.mkdir(mode=_REGISTER_MODE)
-        folder.chmod(_REGISTER_MODE)  # whatever the umask was
-    except FileExistsError:
-        pass  # it is seen below what it is
+        if not os.path.lexists(folder):
+            _make(folder)
+        seen = folder.lstat()
     except OSError as error:
         raise PlaceError(f"{folder}: {error.strerror}: set TMPDIR to a folder that every user may write to") from error
-    seen = folder.lstat()
     if not stat.S_ISDIR(seen.st_mode) or stat.S_IMODE(seen.st_mode) & _REGISTER_MODE != _REGISTER_MODE:
         raise PlaceError(
             f"{folder} is not the folder in which every user's runs are found (mode 1777): an administrator "
             f"moves it away with `mv {folder} {folder}.old`, or set TMPDIR for everybody who uses robofleet"
         )
     return folder
+
+
+def _make(folder: Path) -> None:
+    """Make the register, with its mode from the beginning, whatever the umask is; somebody else may be faster."""
+    fresh = Path(tempfile.mkdtemp(prefix=f"{folder.name}-", dir=folder.parent))
+    fresh.chmod(_REGISTER_MODE)
+    try:
+        fresh.rename(folder)  # which replaces nothing but an empty folder
+    except OSError:
+        fresh.rmdir()
 
 
 @contextmanager

@@ -48,30 +48,31 @@ def router(config: Config, lifeline: Lifeline) -> None:
 
 def controller(config: Config, lifeline: Lifeline, *, take_over: bool) -> None:
     """The controller at its tick."""
-    from robofleet.processes.controller import Controller, compile_kernels  # noqa: PLC0415
 
-    compile_kernels(config)
-    _run(
-        "controller", config, lifeline,
-        lambda c, bus, clock, *_: Controller(c, bus, clock, entropy(c.run.seed, "controller"), take_over=take_over),
-        _CONTROLLER_PRIORITY, precise=True,
-    )  # fmt: skip
+    def make(config: Config, bus: Bus, clock: Clock, *_: object) -> Node:
+        from robofleet.processes.controller import Controller, compile_kernels  # noqa: PLC0415
+
+        compile_kernels(config)
+        return Controller(config, bus, clock, entropy(config.run.seed, "controller"), take_over=take_over)
+
+    _run("controller", config, lifeline, make, _CONTROLLER_PRIORITY, precise=True)
 
 
 def tracker(config: Config, lifeline: Lifeline) -> None:
     """The tracker and its camera."""
-    import cv2  # noqa: PLC0415
 
-    from robofleet.processes.tracker import Tracker  # noqa: PLC0415
-    from robofleet.tracking.sources import CameraError  # noqa: PLC0415
+    def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> Node:
+        import cv2  # noqa: PLC0415
 
-    def make(config: Config, bus: Bus, clock: Clock, waker: Waker, faults: Schedule | None) -> Tracker:
+        from robofleet.processes.tracker import Tracker  # noqa: PLC0415
+        from robofleet.tracking.sources import CameraError  # noqa: PLC0415
+
+        cv2.setNumThreads(1)
         try:
             return Tracker(config, bus, clock, waker, entropy(config.run.seed, "tracker"), faults=faults)
         except CameraError as error:
             raise SystemExit(f"camera: {error}") from error
 
-    cv2.setNumThreads(1)
     _run("tracker", config, lifeline, make, _TRACKER_PRIORITY)
 
 
@@ -181,6 +182,7 @@ def _run(
     waker: Waker | None = None,
     roles: tuple[str, ...] = (),
 ) -> None:
+    """Take the process's place on the bus, then make it: who is refused has cost the others nothing."""
     never_raise(stdout=True)
     clock, waker = WallClock(), waker or Waker()
     ahead_of_others()

