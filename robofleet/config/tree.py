@@ -171,7 +171,7 @@ class Config(Model):
     bus: BusSettings = BusSettings()
     """Where the processes meet."""
     robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=TAGS, strict=False)]
-    """Every robot of the fleet."""
+    """Every robot of the fleet; one that is in no group is a bystander, which the others keep clear of."""
     groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=1, strict=False)]
     """One, today."""
     controller: ControllerSettings

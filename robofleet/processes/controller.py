@@ -72,13 +72,10 @@ class Controller:
 
     def _begin(self) -> None:
         """Know nothing of the fleet: at the start, and as long as somebody else drives these robots."""
-        n, bodies = len(self._drives), len(self._rows)
+        n = len(self._drives)
         self._behaviour = fleet.behaviour(self._config)
         self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
         self._bystanders = fleet.bystanders(self._config)
-        # Of every body when the commands act, the group's first: pose, wheels, age of the newest image, velocity.
-        self._there, self._turning = np.zeros((bodies, 3)), np.zeros((bodies, 2))
-        self._unseen, self._pushed = np.zeros(bodies), np.zeros((bodies, 2))
         self._wheels = [[0.0, 0.0]] * n  # as commanded at the newest tick
         self._phase = Phase.IDLE
         self._run_tick = -1
@@ -141,15 +138,15 @@ class Controller:
         self, tick_ns: int, there: np.ndarray, turning: np.ndarray, driving: np.ndarray, decisions: np.ndarray
     ) -> None:
         """Change what is not safe, and let the behaviour know what is done instead."""
-        n = len(there)
-        self._there[:n], self._turning[:n], self._unseen[:n] = there, turning, _age_s(self._filter.measured_ns, tick_ns)
-        if n < len(self._there):
-            self._there[n:] = self._bystanders.predict(tick_ns)
-            self._unseen[n:] = _age_s(self._bystanders.measured_ns, tick_ns)
-            self._pushed[n:] = self._bystanders.velocities
+        unseen, pushed = _age_s(self._filter.measured_ns, tick_ns), None
+        if len(self._bystanders.measured_ns):
+            pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
+            there = np.concatenate([there, self._bystanders.predict(tick_ns)])
+            turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
+            unseen = np.concatenate([unseen, _age_s(self._bystanders.measured_ns, tick_ns)])
         u, wheels = decisions[:, INPUTS], decisions[:, WHEELS]
         self._record[:, 16], self._record[:, 17] = self._barrier.filter(
-            self._there, self._turning, self._unseen, driving, wheels, u, self._pushed
+            there, turning, unseen, driving, wheels, u, pushed
         )
         self._behaviour.changed(u)
 

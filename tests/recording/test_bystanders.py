@@ -35,7 +35,7 @@ def parked() -> Config:
     robots.insert(
         1, {"id": "p1", "tag": 9, "vehicle": "gternal", "start": start}
     )  # the group's come first all the same
-    return recorded.config(f"robots={json.dumps(robots)}", "run.duration_s=1", "tracker.truth={}")
+    return recorded.config(f"robots={json.dumps(robots)}", "run.duration_s=1", "run.settle_s=0", "tracker.truth={}")
 
 
 @pytest.fixture(scope="module")
