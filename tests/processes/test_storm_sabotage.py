@@ -5,14 +5,17 @@ from itertools import count, islice
 from typing import Any
 
 import pytest
+from pydantic import TypeAdapter
 
 from robofleet.clock import MS, S
 from robofleet.config.tree import Config
+from robofleet.config.troubles import Fault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.keeping import MemoryKeeping
+from robofleet.processes.storm import episode
 from robofleet.processes.storm.episode import play
-from robofleet.processes.storm.schedule import Plan, plan
-from robofleet.safety import gate, monitor, supervisor
+from robofleet.processes.storm.schedule import Act, Plan, plan
+from robofleet.safety import gate, monitor, runaway, supervisor
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import WheelSpeeds
@@ -100,6 +103,18 @@ def _lease_for_everybody(patch: Patch) -> None:
 
 def _nothing_kept(patch: Patch) -> None:
     patch.setattr(MemoryKeeping, "save", lambda *_: None)
+
+
+def _nothing_lost(patch: Patch) -> None:
+    patch.setattr(MemoryKeeping, "lose", lambda *_: None)
+
+
+def _held_up_and_goes_on(patch: Patch) -> None:
+    patch.setattr(gate, "_held_up", lambda state, _: state)
+
+
+def _runaways_unnamed(patch: Patch) -> None:
+    patch.setattr(runaway, "RESTS_WITHIN_NS", 100 * S)
 
 
 def _robot_goes_on(patch: Patch) -> None:
@@ -218,6 +233,7 @@ def _seeds(fleet: Config, wanted: Storms) -> Iterator[int]:
         (_latch_ignored, _estop, "the target is not zero without"),
         (_lease_for_everybody, _with("second_controller"), "the lease changed"),
         (_nothing_kept, _with("killed", "driver"), "the lease changed"),
+        (_held_up_and_goes_on, _with("stopped", "driver"), "a gate that was held up goes on"),
         (_robot_goes_on, _any, "the robot is not at rest"),
         (_unseen(Event.WIRED_STOP, Event.GATE_LATCHED), _with("wired_stop"), "nothing stopped"),
         (_unseen(Event.BATTERY_LOW), _with("low_battery"), "nothing stopped"),
@@ -240,3 +256,30 @@ def test_a_check_that_is_missing_is_found(
         if any(invariant in violation.invariant for violation in play(fleet, seed).violations):
             return
     pytest.fail(f"{_FEW} storms have not found it")
+
+
+RUNS = {"kind": "motor_runs", "robot": "r2", "wheel": "left", "speed_rad_s": 6.1, "at_s": 1.0, "duration_s": 3.0}
+FULL = {"kind": "disk_full", "at_s": 0.5, "duration_s": 4.0}
+KILLED = {"kind": "killed", "process": "driver-r1", "at_s": 2.0, "duration_s": 0.3}
+
+
+def played(fleet: Config, patch: Patch, faults: tuple[dict[str, Any], ...], *acts: Act) -> list[str]:
+    """Return what does not hold in a storm that was planned by hand."""
+    validate = TypeAdapter(Fault).validate_python
+    storm = Plan(tuple(validate(fault) for fault in faults), acts, 4.5, 0.0)
+    patch.setattr(episode, "plan", lambda *_: storm)
+    return [violation.invariant for violation in play(fleet, 3).violations]
+
+
+def test_a_wheel_that_turns_by_itself_must_be_named(fleet: Config, monkeypatch: Patch) -> None:
+    hold = Act(0.9, b"estop")
+    assert played(fleet, monkeypatch, (RUNS,), hold) == []
+    _runaways_unnamed(monkeypatch)
+    assert "a wheel turns by itself and is not named" in played(fleet, monkeypatch, (RUNS,), hold)
+
+
+def test_an_emergency_stop_on_a_full_disk_must_outlive_a_kill(fleet: Config, monkeypatch: Patch) -> None:
+    stop = Act(1.5, b"estop")
+    assert played(fleet, monkeypatch, (FULL, KILLED), stop) == []
+    _nothing_lost(monkeypatch)
+    assert "a latch was cleared without an authorised reset at rest" in played(fleet, monkeypatch, (FULL, KILLED), stop)
