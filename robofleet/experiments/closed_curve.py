@@ -58,8 +58,14 @@ class ClosedCurveParameters(DriveParameters):
     def complaints(self) -> Iterator[Complaint]:
         """Also: corners with no arc between their ramps."""
         yield from super().complaints()
-        longest = min(self.track.corner_radius_m, *self.other_corner_radii_m, np.inf) * np.pi / 2.0
-        if self.track.curvature_ramp_m > longest:
+        longest, ramp = self.track.corner_radius_m * np.pi / 2.0, self.track.curvature_ramp_m
+        for k, radius in enumerate(self.other_corner_radii_m):
+            if ramp > radius * np.pi / 2.0:
+                yield (
+                    f"other_corner_radii_m.{k}",
+                    f"too small for curvature ramps of {ramp:g} m: a corner turns 90 degrees",
+                )
+        if ramp > longest:
             yield "track.curvature_ramp_m", f"must be at most {longest:.1f}: a corner turns 90 degrees"
 
 

@@ -39,7 +39,7 @@ def _mode(s: Summary) -> str:
 
 
 def _caption(s: Summary) -> str:
-    control = "control error: of x + T u; of x + T (u + w) where a disturbance w is estimated"
+    control = "the control error is of x + T u, of x + T (u + w) with a disturbance w"
     if not s["estimated"]:
         return f"errors and deviations: mean (max), on the true poses; times: p50, p99\n{control}"
     estimated = f"estimated: no truth is known of {', '.join(s['estimated'])}"
