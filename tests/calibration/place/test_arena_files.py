@@ -339,9 +339,9 @@ def test_impossible_surveys_are_refused(lab: Lab, floor: Image, spoil: Any, reas
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "survey.yaml: must be a mapping"),
+        ("", "survey.yaml:1:1: is empty"),
         ("- {tag: 100}", "survey.yaml: must be a mapping"),
-        ("floor_tags: [", "is no YAML"),
+        ("floor_tags: [", "is not YAML"),
         ("points: [{name: 7, x_m: 0, y_m: 0, u_px: 1, v_px: 1}]", "points.0.name: must be text, not 7: quote it"),
     ],
 )
