@@ -42,7 +42,7 @@ class ArenaFile(NamedTuple):
     pid: int  # the launcher's
     folder: str  # of the run
     started: str  # UTC, ISO 8601
-    robots: tuple[str, ...]  # in the group's order
+    robots: tuple[str, ...]  # the group's in its order, then the bystanders
     uid: int  # whose run it is
 
     @property

@@ -5,10 +5,15 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 
+from robofleet.comms.messages import TRUTH
+from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.processes.check import refusals
 from robofleet.processes.storm import workers
+from robofleet.processes.storm.bodies import apart
 from robofleet.processes.storm.episode import play
 from robofleet.processes.storm.schedule import KINDS, WINDOW_S, plan
 from robofleet.processes.storm.tally import Tally
@@ -33,6 +38,45 @@ def test_every_fault_heals_by_the_time_that_the_plan_names_and_every_kind_comes(
     assert any(_overlap(storm.faults) for storm in plans)
     assert any(math.isinf(storm.outside_s) for storm in plans)
     assert any(not math.isinf(storm.outside_s) for storm in plans)
+
+
+def test_storms_park_robots_where_check_accepts_them_before_and_after_a_hand_pushed_them(fleet: Config) -> None:
+    plans = [storm for seed in range(1, 41) if (storm := plan(fleet, seed)).parked]
+    pushes = 0
+    for storm in plans:
+        for hand in (None, *(fault for fault in storm.faults if fault.kind == "pushed")):
+            pushes += hand is not None
+            robots = [_moved(robot, hand) for robot in storm.parked]
+            assert refusals(fleet.model_copy(update={"robots": (*fleet.robots, *robots)}), lockstep=True) == []
+    assert 0.2 < len(plans) / 40 < 0.6
+    assert pushes > 3
+
+
+def _moved(robot: Robot, hand: Any) -> Robot:
+    if hand is None or hand.robot != robot.id:
+        return robot
+    x_m, y_m = (v * hand.duration_s for v in hand.velocity_m_s)
+    start = robot.start.model_copy(update={"x_m": robot.start.x_m + x_m, "y_m": robot.start.y_m + y_m})
+    return robot.model_copy(update={"start": start})
+
+
+def test_a_robot_that_touches_a_bystander_is_found(fleet: Config) -> None:
+    """A storm judges by where the bodies were; the summary, the barrier and the supervisor have no say."""
+    robot = fleet.robots[0]
+    start = robot.start.model_copy(update={"x_m": 1.0, "y_m": 0.0})
+    config = fleet.model_copy(
+        update={"robots": (robot.model_copy(update={"id": "p1", "tag": 9, "start": start}), *fleet.robots)}
+    )
+    times = np.array([1e9, 2e9])
+    for gap, found in ((1e-4, []), (-1e-4, ["the body touches p1's"])):
+        truths = []
+        for row in range(5):
+            at = np.zeros(2, dtype=TRUTH.dtype)
+            at["x_m"] = 1.0 if row == 4 else 0.3 * row - 0.6
+            truths.append(at)
+        truths[2]["x_m"] = 1.0 - 2 * robot.vehicle.body_radius_m - gap
+        truths[3]["y_m"] = 0.5
+        assert [violation.invariant for violation in apart(config, [times] * 5, truths, 3e9)] == found
 
 
 def _overlap(faults: Iterable[Any]) -> bool:
