@@ -17,7 +17,7 @@ _FAST = 3.0  # times the limit; the true command may be slow
 
 def _after(seq: int) -> int:
     """Return the next sequence number; an operator's emergency stop has the last one."""
-    return (seq + 1) % (1 << 32)
+    return (seq + 1) % (1 << 64)
 
 
 _COMMANDS: tuple[Callable[[WheelCommand, float], WheelCommand], ...] = (
