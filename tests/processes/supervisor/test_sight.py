@@ -1,5 +1,7 @@
 """What the tracker tells the supervisor: who is seen, who is not, and what became of the camera."""
 
+from math import nan
+from struct import pack
 from typing import Any
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, NEWS, POSES
-from robofleet.comms.messages import FleetPoses, TagPose, TrackerNews
+from robofleet.comms.messages import TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import TrackerEvent
 from tests.processes.stand import ROBOTS, Stand
@@ -163,6 +165,7 @@ def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:
     stand.bench.run(stand.node, 10 * MS)
     image = FleetPoses(4, 10**6, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, (outside, stranger, *seen))
     stand.bench.say(POSES, image, CAMERA)
-    stand.bench.say(NEWS, TrackerNews(1, 1, 0, TrackerEvent.CAMERA_MOVED, 0, float("nan")), CAMERA)  # malformed
+    malformed = TRACKER_NEWS.encode(TrackerNews(1, 1, 0, TrackerEvent.CAMERA_MOVED, 0, 0.0))[:-8] + pack("<d", nan)
+    stand.bench.bus.publisher(NEWS, CAMERA)(malformed)
     stand.bench.run(stand.node, 50 * MS)
     assert stand.state.phase == Phase.RUNNING
