@@ -78,7 +78,7 @@ class Path:
 
     def _power_sum(self, sigma: Array | float, factors: Array, order: int) -> Array:
         sigma = np.asarray(sigma, dtype=np.float64)
-        side = np.floor(sigma).astype(np.int64)
+        side = np.floor(np.where(np.isfinite(sigma), sigma, 0.0)).astype(np.int64)  # NaN gives NaN
         local = (sigma - side)[..., None]
         c = self.coefficients[side % self.sides] * factors[:, None]
         result = np.zeros((*sigma.shape, 2))

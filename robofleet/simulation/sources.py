@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _NOWHERE = (math.nan, math.nan, math.nan)
 _HISTORY = 32  # true samples a robot, 10 ms apart
 _POLL_NS = S // 1000
+_BEYOND = 1e9  # any arena [m], any heading [rad]: a pose that is not a number is sent as one that is further away
 
 
 class World:
@@ -39,7 +40,7 @@ class World:
         for stream, history in zip(self._streams, self._histories, strict=True):
             for _, _, payload in stream.drain():
                 truth = TRUTH_LAYOUT.decode(payload)
-                if truth is not None:
+                if truth is not None and max(map(abs, (truth.x_m, truth.y_m, truth.psi_rad))) < _BEYOND:
                     history.add(*truth[2:])
 
     def poses_at(self, instants_ns: Sequence[int]) -> list[tuple[float, float, float] | None]:

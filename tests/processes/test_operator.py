@@ -9,6 +9,8 @@ import pytest
 
 from robofleet.clock import S
 from robofleet.config.tree import Config
+from robofleet.processes.keeping import FileKeeping, Kept
+from robofleet.safety.gate import Latch
 from tests.processes.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, wait
 
 Start = Callable[..., RealRun]
@@ -56,11 +58,10 @@ def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_
 
 
 def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_again(
-    real_run: Start, tmp_path: Path
+    real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = tmp_path / "state" / "robofleet" / "platoon" / "r1.json"
-    kept.parent.mkdir(parents=True)
-    kept.write_text(json.dumps({"epoch": 4, "latch": 2, "latch_id": 7}))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    FileKeeping("platoon").save("r1", Kept(4, Latch.EMERGENCY_STOP, 7))
     refused = real_run(*ALONE)
     assert refused.ended(60) == 1
     assert "fault: start was refused: r1: the gate is latched: " in refused.said

@@ -95,7 +95,7 @@ def test_whole_numbers_that_cannot_be_end_no_report(
     def change(ticks: np.ndarray) -> None:
         limits = np.iinfo(ticks.dtype[field])
         where = rng.random(len(ticks)) < 0.2
-        ticks[field][where] = rng.choice([limits.min, limits.max, 0, 7], where.sum())
+        ticks[field][where] = rng.choice(np.array([limits.min, limits.max, 0, 7], ticks.dtype[field]), where.sum())
 
     recording = with_ticks(story(ticks=60).recording(), change)
     everything(recording, figures(recording), tmp_path)
