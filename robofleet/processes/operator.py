@@ -16,7 +16,7 @@ from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunSt
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import ArenaFile, found
-from robofleet.processes.estop import emergency_stop
+from robofleet.processes.estop import emergency_stop, urgent
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
@@ -93,7 +93,7 @@ def stop(there: ArenaFile) -> tuple[bool, str]:
     """
     clock = WallClock()
     try:
-        with _reached(there, clock) as bus:
+        with urgent(), _reached(there, clock) as bus:
             stopped = emergency_stop(bus, clock, there.robots)
             return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
     except UnreachableError:

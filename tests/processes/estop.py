@@ -28,7 +28,7 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.processes.children import Children
-from robofleet.processes.estop import emergency_stop
+from robofleet.processes.estop import emergency_stop, urgent
 from robofleet.safety.supervisor import Phase
 from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON
@@ -47,7 +47,8 @@ class Tries:
     def __init__(self, config: Config, fleet: Children, trouble: str | None) -> None:
         self._config, self._fleet, self._trouble = config, fleet, trouble
         self._arena, self._robots = config.arena.name, config.groups[0].robots
-        self.bus = ZenohBus(self._arena, config.bus.endpoint, "estop", _CLOCK)
+        with urgent():  # its threads, as those of `robofleet stop`
+            self.bus = ZenohBus(self._arena, config.bus.endpoint, "estop", _CLOCK)
         self._state = self.bus.newest(STATE)
 
     def once(self) -> list[float]:
@@ -59,7 +60,8 @@ class Tries:
         statuses = self.bus.stream(key(self._arena, STATUS, "*"), capacity=4096)
         with self._troubled():
             asked_ns = _CLOCK.now_ns()
-            stopped = emergency_stop(self.bus, _CLOCK, self._robots)
+            with urgent():
+                stopped = emergency_stop(self.bus, _CLOCK, self._robots)
         assert not stopped.silent, stopped.describe()
         after_ms: dict[str, float] = {}
         for _, full, payload in statuses.drain():
