@@ -12,7 +12,7 @@ import zenoh
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, TOPICS, Topic, key, largest, served_by
+from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, REQUEST, TOPICS, Topic, key, largest, served_by
 from robofleet.comms.living import Living, RoleTakenError, alive_key, others
 
 _ANSWER_WITHIN_NS = S
@@ -20,6 +20,7 @@ _REQUESTS = 16  # that wait to be served
 _ANSWERS = 16  # of different processes to one question
 _GONE_WITHIN_NS = S  # the token of a process that was killed, also where its host has to notice that
 _AGAIN_NS = 50 * MS
+_QUESTIONS_HZ = 500.0  # of a client on a key; a flood of them reaches nobody, and costs the router the least
 _FILES = 16384  # that the router may have open, where the system allows it
 _TRANSPORT = {
     "scouting/multicast/enabled": False,
@@ -45,7 +46,8 @@ def open_router(endpoint: str) -> zenoh.Session:
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(_FILES, most) if most >= 0 else _FILES, most))
     umask = os.umask(0o077)  # the socket's mode
     try:
-        return _open({"mode": "router", "listen/endpoints": [endpoint], "low_pass_filter": _filters(), **_DOOR})
+        limits = {"low_pass_filter": _filters(), "downsampling": [_questions()]}
+        return _open({"mode": "router", "listen/endpoints": [endpoint], **limits, **_DOOR})
     finally:
         os.umask(umask)
 
@@ -62,6 +64,11 @@ def _filters() -> list[dict[str, Any]]:
         for topic in TOPICS
         if topic is not ALIVE
     ]
+
+
+def _questions() -> dict[str, Any]:
+    rules = [{"key_expr": key("*", REQUEST, "*"), "freq": _QUESTIONS_HZ}]
+    return {"id": "requests", "messages": ["query"], "flows": ["ingress"], "rules": rules}
 
 
 class ZenohBus:
