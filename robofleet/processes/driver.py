@@ -81,13 +81,15 @@ class DriverProcess:
                 robot.look(now())
             robot.pass_on(now())
         for robot in self._robots:
-            robot.announce(now())
+            if robot.latch_is_new:
+                robot.announce(now())
         for robot in self._robots:
             robot.settle(now(), due=due)
             if due:
                 robot.publish(now(), status=self._loops % 2 == 1 or robot.hurries)
-        for robot in self._robots:
-            robot.say()
+        if due:
+            for robot in self._robots:
+                robot.say()
         deadlines = [robot.deadline_ns for robot in self._robots if robot.deadline_ns is not None]
         return min([self._loop_ns, *deadlines])
 

@@ -120,11 +120,15 @@ class GatedRobot:
         if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
             self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
 
+    @property
+    def latch_is_new(self) -> bool:
+        """Whether the newest status does not tell of the gate's latch yet."""
+        return (self._gate.latch, self._gate.latch_id) != self._told_latch
+
     def announce(self, now_ns: int) -> None:
         """Publish a latch that is new: before the disk, and before anything is said in the log."""
-        if (self._gate.latch, self._gate.latch_id) != self._told_latch:
-            self._seq += 1
-            self._tell(now_ns)
+        self._seq += 1
+        self._tell(now_ns)
 
     def settle(self, now_ns: int, *, due: bool) -> None:
         """Answer a lease request and keep what must be kept: the disk is slow, so every robot's wheels went before."""

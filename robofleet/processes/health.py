@@ -19,6 +19,7 @@ class Health:
     def __init__(self, robot: str, now_ns: int) -> None:
         self._robot = robot
         self.reading = _UNREAD
+        self.latch = Latch.NONE  # the robot's own reason to stop, while it lasts
         self.failed = False  # it could not be written to or read from, in this loop or since
         self._away = False
         self._felt = 0  # faults since the gate was latched
@@ -45,11 +46,13 @@ class Health:
         ran, self._turning = self._turning.runs, runaway.look(self._turning, output != STOP, fastest, now_ns)
         if self._turning.runs and not ran:
             self.complain(f"a wheel turns by itself, {fastest:.1f} rad/s with an output of zero: switch off its power")
+        self.latch = self._reason()
         return failed
 
     def fail(self, error: Exception) -> None:
         """Note that the robot could not be told or asked."""
         self.failed = self._away = True
+        self.latch = self._reason()
         self.complain(f"its driver failed: {in_words(error)}")
 
     def complain(self, complaint: str) -> None:
@@ -64,16 +67,14 @@ class Health:
             said, self._unsaid = self._unsaid, []
             print("\n".join(said), file=sys.stderr)
 
-    @property
-    def latch(self) -> Latch:
-        """The robot's own reason to stop, while it lasts."""
+    def _reason(self) -> Latch:
         if self.failed:
             return Latch.DRIVER_FAILED
         if self._turning.runs:
             return Latch.RUNAWAY
-        if self.reading.faults & RobotFault.WIRED_STOP:
-            return Latch.WIRED_STOP
-        return Latch.ROBOT_FAULT if self.reading.faults else Latch.NONE
+        if not self.reading.faults:
+            return Latch.NONE
+        return Latch.WIRED_STOP if self.reading.faults & _PRESSED else Latch.ROBOT_FAULT
 
     def faults(self, latch: Latch) -> int:
         """Return what is said of it: what lasts, and what it felt since its gate was latched, however shortly.

@@ -218,6 +218,8 @@ def _bystander(
 
 def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
     """Return a robot's fault bits as events with their details; not its e-stop, which is no fault."""
+    if not faults:
+        return ()
     told = tuple((event, 0.0) for fault, event in _FAULTS.items() if faults & fault)
     own = faults & ~_NAMED
     return (*told, (Event.ROBOT_FAULT, own)) if own else told

@@ -28,14 +28,14 @@ class Body:
 
     def advance(self, now_ns: int) -> None:
         """Let time pass until then [ns]; an instant that was reached already changes nothing."""
-        stuck, slip, *runs, pushed = _HEALTHY if self._trouble is None else self._trouble()
+        stuck, slip, left, right, pushed = _HEALTHY if self._trouble is None else self._trouble()
         while self._reached_ns < now_ns:
             while self._coming and self._coming[0][0] <= self._reached_ns:
                 _, self._command = self._coming.popleft()
             step_ns = min(now_ns - self._reached_ns, self._longest_step_ns)
             if self._coming:
                 step_ns = min(step_ns, self._coming[0][0] - self._reached_ns)
-            self.plant.step(self._command, step_ns * _NS, blocked=stuck, slip=slip, runs=runs)
+            self.plant.step(self._command, step_ns * _NS, blocked=stuck, slip=slip, runs=(left, right))
             if pushed != _HEALTHY.pushed:
                 self.plant.push(pushed[0] * step_ns * _NS, pushed[1] * step_ns * _NS)
             self._reached_ns += step_ns
