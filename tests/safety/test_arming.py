@@ -330,3 +330,18 @@ def test_bystanders_may_stand_anywhere_else() -> None:
     apart = one(2, pose=(2.0, 0.0, 0.0)), one(3, pose=(2.05, 0.0, 0.0))  # beyond the edge, and into each other
     lab.alter = lambda view: apart[0](apart[1](before(view)))
     assert lab.arm() == PROVED
+
+
+@pytest.mark.parametrize("spare", [1e-6, -1e-6])
+def test_a_bystanders_own_wheels_need_no_room(spare: float) -> None:
+    """It does not wiggle, so however large its wheels are, the others' wiggle alone needs room."""
+    lab = Lab(3)
+    lab.noise = (0.0, 0.0, 0.0)
+    radii = (*lab.settings.wheel_radius[:2], 10.0 * lab.settings.wheel_radius[2])
+    lab.settings = lab.settings._replace(wheel_radius=radii)
+    bystanders(lab, 2)
+    x, y, psi = lab.plants[1].truth()[:3]
+    near = one(2, pose=(x + 2 * BODY_M + free_m(0.016) + spare, y, psi))
+    before = lab.alter
+    lab.alter = lambda view: near(before(view))
+    assert lab.arm() == (PROVED if spare > 0 else Happening(Event.TOO_CLOSE, 1, 2))

@@ -486,3 +486,28 @@ def test_two_bystanders_may_stand_side_by_side_and_robots_beside_them_are_looked
     for at, events in ((-0.5, []), (0.4, [Happening(Event.TOO_CLOSE, 0, 1), Happening(Event.TOO_CLOSE, 0, 2)])):
         memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS, at))
         assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW, at))[1]) == events
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_a_bystanders_wheel_that_turns_by_itself_is_told(phase: Phase) -> None:
+    latched, turning = robot(2, latch=Latch.RUNAWAY), robot(2, latch=Latch.RUNAWAY, right_speed=6.1)
+    assert of_bystander(turning, phase) == [Happening(Event.RUNAWAY, 2)]
+    assert of_bystander(latched, phase) == ([] if phase is Phase.IDLE else [Happening(Event.RUNAWAY, 2)])
+
+
+def test_a_bystanders_stop_that_was_pressed_waits_for_its_reset_in_idle() -> None:
+    assert of_bystander(robot(2, latch=Latch.WIRED_STOP), Phase.IDLE) == []
+
+
+def test_every_bystander_is_looked_at() -> None:
+    def view(now_ns: int) -> FleetView:
+        return robot(2, unseen_ns=2 * S)(robot(1, driven=False)(PARKED(healthy(now_ns))))
+
+    memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS))
+    assert monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW))[1] == (Happening(Event.BYSTANDER_LOST, 2),)
+
+
+def test_a_tag_that_is_nobodys_is_told_as_it_came() -> None:
+    for nobody in (3, NOBODY):
+        news = Happening(Event.POSE_JUMPED, nobody, 0.3)
+        assert of_bystander(fleet(news=(news,))) == [news]

@@ -182,3 +182,29 @@ def noise() -> Callable[[float, int], list[Pose]]:
         return [(x, y, psi) for x, y, psi in rows.tolist()]
 
     return drawn
+
+
+def test_the_same_image_seen_twice_changes_nothing() -> None:
+    rolling = Rolling()
+    for k, pose in enumerate(ahead(0.02)):
+        robot = RobotView(seen_ns=NOW + k * WINDOW_NS, pose=pose)
+        rolling = runaway.watch(rolling, robot, RADIUS)
+        assert runaway.watch(rolling, robot, RADIUS) == rolling
+        assert rolling.windows == k
+
+
+def test_a_sharp_turn_is_one_of_the_wheels_at_its_middle_heading() -> None:
+    """An arc of 1.5 rad in a window, with a chord of 0.1 m: along the heading half way, and nothing aside."""
+    pose, poses = (0.0, 0.0, 0.0), []
+    for _ in range(6):
+        poses.append(pose)
+        x, y, psi = pose
+        pose = x + 0.1 * math.cos(psi + 0.75), y + 0.1 * math.sin(psi + 0.75), math.remainder(psi + 1.5, math.tau)
+    assert seen(poses)[4]
+
+
+def test_rolling_as_far_as_the_threshold_counts() -> None:
+    rolling = runaway.watch(
+        Rolling(NOW, (0.0, 0.0, 0.0)), RobotView(seen_ns=NOW + WINDOW_NS, pose=(ROLLED_M, 0.0, 0.0)), RADIUS
+    )
+    assert rolling.windows == 1
