@@ -184,6 +184,8 @@ class Launcher:
         if state.phase == Phase.ESTOP:
             self._listen()  # it may be our own operator's
             raise EmergencyError(cause)
+        if self._stopped_at_gates():  # past the supervisor, which names something else first
+            raise EmergencyError(f"at the gates; {cause}")
         if state.cause == Event.ARMED_TOO_LONG:
             cause = f"{cause}: {missing(self.recording)}"
         return ("stopped" if state.phase == Phase.IDLE else "fault"), cause

@@ -433,7 +433,7 @@ def test_a_latch_is_said_before_it_is_kept_and_before_the_log(
             monkeypatch.setattr(disk, "save", lambda *_: None)
             monkeypatch.setattr(Health, "say", stalls)
         stand.enable("r1", latch=Latch.EMERGENCY_STOP)
-        stand.node.step(stand.bench.now_ns)
+        stand.bench.run(stand.node, 25 * MS)
         assert told[0] == Latch.EMERGENCY_STOP
         assert len(stand.bench.heard(STATUS, "r1")) >= before + 1
 

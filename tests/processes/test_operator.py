@@ -112,8 +112,8 @@ def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, fr
     assert run.latched() == {"r1": 2}
     assert run.summary["outcome"] == "stopped"
     causes = "emergency stop requested", "r1: an emergency stop closed its gate past the supervisor: "
-    busy = "at the gates; the supervisor went silent: "  # where this test itself is slower than the launcher's patience
-    assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in (*causes, busy)))
+    first = "at the gates; "  # the supervisor, or the launcher, names its silence before it hears of the stop
+    assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in (*causes, first)))
 
 
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:
