@@ -28,9 +28,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivers.arduino_counts import Encoders, Rounding
-from drivers.dead_man import DeadMan
-from drivers.serial_port import SerialPort
+from robofleet.drivers.arduino_counts import Encoders, Rounding
+from robofleet.drivers.dead_man import DeadMan
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
 
@@ -127,7 +127,10 @@ class ArduinoBridge:
         now_ns = self._listen()
         self._dead_man.sign()
         if self._asked_ns - self._encoders.at_ns > _SILENT_NS:
-            raise DriverError(f"{self._name}: no encoder counts that can be: is the robot on, and its cable sound?")
+            raise DriverError(
+                f"{self._name}: no possible encoder counts came for {_SILENT_NS * 1e-9:.1f} s: "
+                "is the robot on, and its cable good?"
+            )
         # a question behind a motion that was cut would end that one: the next motion, which is near, shall do it
         moving = any(answer == _DONE for answer, _ in self._unanswered)
         if not 0 <= now_ns - self._asked_ns < (_LOST_NS if moving else _AGAIN_NS):
@@ -156,7 +159,7 @@ class ArduinoBridge:
                 if self._now_ns() < until_ns:
                     continue
                 if self._talks:
-                    raise DriverError(f"{self._name}: what answers there does not speak ros_arduino_bridge")
+                    raise DriverError(f"{self._name}: the device that answers does not speak ros_arduino_bridge")
                 raise DriverError(f"{self._name}: nothing answers there: switch the robot on, and look at its cable")
 
     def _obeys(self, answer: str, line: bytes, patience_s: float) -> bool:

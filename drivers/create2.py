@@ -25,9 +25,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivers.create2_stream import PACKETS, Frame, Stream
-from drivers.dead_man import DeadMan
-from drivers.serial_port import SerialPort
+from robofleet.drivers.create2_stream import PACKETS, Frame, Stream
+from robofleet.drivers.dead_man import DeadMan
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, RobotFault, WheelSpeeds
 
@@ -166,7 +166,7 @@ class Create2:
             self._greet(now_ns)
             if now_ns - began_ns > _ANSWER_NS:
                 raise DriverError(
-                    f"{self._name}: what answers there is no Create 2 (or it sleeps: press its Clean button)"
+                    f"{self._name}: the device that answers is not a Create 2 (or it sleeps: press its Clean button)"
                 )
 
     def _greet(self, now_ns: int) -> None:

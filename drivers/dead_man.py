@@ -18,7 +18,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from drivers.dead_man_process import ALIVE, GOODBYE, READY, STOPPED
+from robofleet.drivers.dead_man_process import ALIVE, GOODBYE, READY, STOPPED
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 
 SILENT_S = 0.2

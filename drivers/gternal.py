@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from drivers.serial_port import SerialPort
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive, body_from_wheels
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
 
@@ -120,7 +120,9 @@ class GTernal:
         """Find out what is there before it is told anything; then let it stand."""
         if not any(self._obeys(None, _PATIENCE_S) for _ in range(_TRIES)):
             if self._received:
-                raise DriverError(f"{self._port}: what answers there is no GTernal: mend settings.port or driver")
+                raise DriverError(
+                    f"{self._port}: the device that answers is not a GTernal: mend settings.port or driver"
+                )
             raise DriverError(f"{self._port}: nothing answers: switch the robot on, and look at its cable")
         if not any(self._obeys(STOP, _PATIENCE_S) for _ in range(_TRIES)):
             raise DriverError(f"{self._port}: the robot answers, but does not stop: look at its firmware")

@@ -14,8 +14,8 @@ _WHY = {
     errno.EACCES: "this user may not open it: join the group dialout, or install the udev rules of tools/deploy",
     errno.EAGAIN: "another program has it open: end that one",
     errno.EBUSY: "another program has it open: end that one",
-    errno.ENOTTY: "this is no serial port: mend settings.port",
-    errno.EISDIR: "this is no serial port: mend settings.port",
+    errno.ENOTTY: "this is not a serial port: mend settings.port",
+    errno.EISDIR: "this is not a serial port: mend settings.port",
 }
 
 

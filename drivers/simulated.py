@@ -14,6 +14,7 @@ class SimulatedRobot:
     body_faults: ClassVar[bool] = True
 
     def __init__(self, context: DriverContext) -> None:
+        assert context.simulation is not None, "a robot that does not exist is refused without one"
         self._now_ns = context.now_ns
         self._body = Body(context.simulation, context.now_ns())
         self._off_ns: int | None = None  # when the motors go off; None: they are

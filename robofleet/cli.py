@@ -1,21 +1,25 @@
-"""The operator's commands. Exit 0: completed; 1: ended by a fault or by the operator; 2: bad input."""
+"""The operator's commands. Exit 0: completed; 1: ended by a fault or the operator, or results lost; 2: bad input."""
 
 import json
 import shlex
 import sys
 from contextlib import ExitStack, contextmanager
-from io import TextIOWrapper
+from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robofleet.calibration.commands import entry as laboratory
 from robofleet.clock import utc_now
+from robofleet.doctor import command as doctoring
 from robofleet.experiments import trials
-from robofleet.files import write_text
-from robofleet.processes import commands, run_commands
+from robofleet.processes import commands, going, run_commands, usage
+from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.outlet import unhindered
+from robofleet.processes.page_address import LOOPBACK, listening, warn_of_network
+from robofleet.processes.plain_terminal import as_shown, silence_libraries, speak_its_language
 from robofleet.processes.refusal import (
     LAB_MODULES,
     WEB_PACKAGES,
@@ -23,32 +27,42 @@ from robofleet.processes.refusal import (
     bad_input,
     how_to_install,
     need_extra,
+    new_file,
     new_folder,
+    unkept,
 )
-from robofleet.valid_json import dumps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robofleet.config.tree import Config
+    from robofleet.processes.page_process import PageWanted
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Drive a platoon of differential-drive robots under an overhead camera.",
+    help="Drive fleets of differential-drive robots under an overhead camera.",
     epilog="First: robofleet check configs/platoon.yaml, then: robofleet run configs/platoon.yaml. "
-    "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you; 2: bad input.",
+    "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you, or results were lost; "
+    "2: bad input.",
 )
 
 for _afterwards in run_commands.app.registered_commands:
     _afterwards.rich_help_panel = "A run afterwards, from the file that it left"
+app.add_typer(doctoring.app)
 app.add_typer(trials.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
+app.add_typer(laboratory.app)
 
-ConfigFile = Annotated[
-    Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/README.md lists every key.")
-]
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"robofleet {installed_version('robofleet')}")
+        raise typer.Exit
+
+
+ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/keys lists every key.")]
 Overrides = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
@@ -67,17 +81,32 @@ def run(
     overrides: Overrides = [],  # noqa: B006 - typer copies it
     faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults of simulated robots.")] = None,
     reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
-    takeover: Annotated[bool, typer.Option("--takeover", help="Take robots that another controller has.")] = False,
+    takeover: Annotated[
+        bool, typer.Option("--takeover", help="Take over robots that another controller holds.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
-    web: Annotated[bool, typer.Option("--web", help="Open the operator's page; its address is printed.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Open the operator's page in your browser.")] = False,
+    web_host: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Open it at this address of the machine, for a phone too: with a QR code."
+        ),
+    ] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit 1 also where a bound of run.bounds is not met.")
+    ] = False,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:
-    """Drive the platoon: start, arm, run, stop; then a table, and DIR/summary.json.
+    """Drive the groups of a configuration: start, arm, run, stop; then a table, and DIR/summary.json.
 
     $ robofleet run configs/platoon.yaml
 
-    $ robofleet run configs/platoon.yaml --lockstep --set groups.0.track=centre
+    $ robofleet run configs/platoon.yaml --lockstep --set groups.0.settings.track=centre
+
+    $ robofleet run configs/platoon.yaml --lockstep --strict --junit bounds.xml
 
     Ctrl-C ends it, twice is the emergency stop; from another terminal: robofleet stop, hold, resume, status.
     """
@@ -89,62 +118,90 @@ def run(
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
     with ExitStack() as held:
         with bad_input():
-            if web:
-                _refuse_no_page(lockstep=lockstep)
+            page = _page(web, web_host, browser=not no_browser, lockstep=lockstep)
             tree = _checked(config, changes, faults, lockstep=lockstep)
+            if strict and not tree.run.bounds.model_dump(exclude_none=True):
+                raise RefusedError(f"--strict: {config} has no bounds: write run.bounds, or leave --strict out")
+            if junit is not None:
+                new_file("--junit", junit)
             if not lockstep:
                 _refuse_unattended(tree)
+                _refuse_forgetful(tree)
                 tree = _settled(tree)
                 held.enter_context(_claimed(tree, folder))
             new_folder(folder)
-        how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": web}
+        how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page}
         with bad_input():
             summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
-    try:
-        write_text(folder / "summary.json", dumps(summary, indent=1) + "\n")
-    except OSError as error:
-        print(f"{folder / 'summary.json'}: {error.strerror}: here is the summary all the same", file=sys.stderr)
-        as_json = True
-    if as_json:
-        print(dumps(summary))
-    else:
-        from rich.console import Console  # noqa: PLC0415
-
-        from robofleet.recording.tables import summary_table  # noqa: PLC0415
-
-        Console().print(summary_table(summary))
-        print(f"{folder / 'summary.json'}")
-    _report(folder, summary, quiet=as_json)
-    if summary["outcome"] != "completed":
-        print(f"{summary['outcome']}: {summary['cause']}", file=sys.stderr)
+    ending = Ending(tree, folder, summary, as_json=as_json)
+    ending.tell()
+    if junit is not None:
+        ending.write_junit(junit)
+    if ending.bad(strict=strict):
         raise typer.Exit(1)
+
+
+@app.command()
+def go(
+    config: ConfigFile,
+    goals: Annotated[list[str], typer.Argument(metavar="ROBOT=X,Y,DEG...", help="Poses in metres and degrees.")],
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulation, on a simulated clock.")] = False,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Open the operator's page in your browser.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
+) -> None:
+    """Let robots go to poses by themselves, round each other; all others stand. It ends when they are there.
+
+    $ robofleet go configs/platoon.yaml r1=0.5,0.2,90 r2=-0.5,0.2,0 --lockstep
+    """
+    with bad_input():
+        changes = [*overrides, *going.overrides(goals)]
+    run(config, lockstep=lockstep, overrides=changes, out=out, web=web, quiet=quiet)
 
 
 @app.command()
 def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
     """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved.
 
-    $ robofleet check configs/platoon.yaml --set groups.0.path_rate=0.06
+    $ robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=0.06
     """
     with bad_input():
         tree = _checked(config, overrides, None, lockstep=False)
-    from rich.box import SIMPLE_HEAD  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-    from rich.text import Text  # noqa: PLC0415
 
     from robofleet.config.yamlfile import printable  # noqa: PLC0415
     from robofleet.processes.check import proofs  # noqa: PLC0415
+    from robofleet.processes.check_starts import warnings  # noqa: PLC0415
+    from robofleet.recording.tables import proofs_table  # noqa: PLC0415
 
-    proved = Text(printable(f"{config} can run. What was proved:"), "italic")  # a name is no markup
-    table = Table(title=proved, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    for column in ("value", "limit", "used"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for row in proofs(tree):
-        table.add_row(*map(Text, row))
-    Console().print(table)
+    console = Console()
+    rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
+    console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
+    for warning in warnings(tree):
+        print(f"May take long: {warning}")
     print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
+
+
+@app.command()
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder, or an empty one.")],
+) -> None:
+    """Write a laboratory's starting files: arena, robots, path, camera, and the schema that editors read.
+
+    $ robofleet init lab
+    """
+    from robofleet.config.starting import write_starting_files  # noqa: PLC0415
+
+    with bad_input():
+        new_folder(folder, "DIR")
+        try:
+            files = write_starting_files(folder)
+        except OSError as error:
+            raise RefusedError(f"DIR: {folder} cannot be written: {error.strerror}: name another folder") from error
+    for file in files:
+        print(f"{file}: {_first_comment(file)}")
+    print("Next:", shlex.join(["robofleet", "run", str(folder / "platoon.yaml"), "--web"]))
 
 
 @app.command()
@@ -173,14 +230,30 @@ def schema(
     print(out)
 
 
-def main() -> None:
-    """Run a command; one whose packages are not installed says which extra has them."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a folder's name may be no text
+@app.callback()
+def every_command(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version, and exit.")
+    ] = False,
+) -> None:
+    """Take what stands before a command."""
+
+
+def main(*before: str) -> None:
+    """Run a command; one whose packages are not installed says which extra has them.
+
+    ``before``: words that stand before those of the command line.
+    """
+    speak_its_language()
+    silence_libraries()
     never_raise()
     try:
-        app()
+        raise SystemExit(app([*before, *sys.argv[1:]], standalone_mode=False))
+    except usage.UsageError as error:
+        usage.show(error)
+        raise SystemExit(2) from error
+    except typer.Abort as error:
+        raise SystemExit(1) from error
     except ModuleNotFoundError as error:
         if (package := (error.name or "").partition(".")[0]) not in LAB_MODULES:
             raise
@@ -188,21 +261,10 @@ def main() -> None:
         raise SystemExit(2) from error
 
 
-def _report(folder: Path, summary: dict[str, Any], *, quiet: bool) -> None:
-    """Write the run's report; where that fails, the run and its summary are there all the same."""
-    from robofleet.recording import after  # noqa: PLC0415
-    from robofleet.recording.bounds import failures  # noqa: PLC0415
-    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
-
-    try:
-        page, _ = after.report(folder)
-    except (OSError, RecordingError) as error:
-        print(f"there is no report: {error}", file=sys.stderr)
-    else:
-        if not quiet:
-            print(page)
-    for line in failures(summary):
-        print(f"bound not met: {line}", file=sys.stderr)
+def _first_comment(file: Path) -> str:
+    """Return the first sentence of a configuration about itself; the line before it is the editors'."""
+    words = " ".join(line.removeprefix("#").strip() for line in file.read_text().splitlines()[1:4])
+    return words.partition(". ")[0].rstrip(".") + "."
 
 
 def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockstep: bool) -> "Config":
@@ -211,15 +273,36 @@ def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockste
     return load_checked(config, overrides, faults, lockstep=lockstep)
 
 
-def _refuse_no_page(*, lockstep: bool) -> None:
+def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> "PageWanted | None":
+    """Return how the operator wants the page; None: not at all."""
+    from robofleet.processes.page_process import PageWanted  # noqa: PLC0415
+
+    if not web and host is None:
+        return None
+    option = "--web" if host is None else "--web-host"
     if lockstep:
-        raise RefusedError("--web: a lockstep run is over before anybody has looked: leave --web or --lockstep out")
-    need_extra("web", *WEB_PACKAGES)
+        raise RefusedError(f"{option}: a lockstep run ends too soon for a page: leave {option} or --lockstep out")
+    need_extra("lab", *WEB_PACKAGES)
+    if host is not None:
+        listening(host, 0, option).close()
+        warn_of_network(host, option)
+    return PageWanted(host or LOOPBACK, browser)
 
 
 def _refuse_unattended(tree: "Config") -> None:
     if tree.run.attended and not sys.stdin.isatty():
-        raise RefusedError("run.attended: stdin is no terminal: start the run in one, or set it to false")
+        raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
+
+
+def _refuse_forgetful(tree: "Config") -> None:
+    """Refuse a run whose drivers could not keep what they must remember."""
+    from robofleet.processes.keeping import FileKeeping  # noqa: PLC0415
+
+    if tree.drivers.started_by == "run":
+        try:
+            FileKeeping(tree.arena.name).try_place(tree.ids)
+        except OSError as error:
+            raise unkept(error) from error
 
 
 @contextmanager
@@ -249,7 +332,7 @@ def _settled(tree: "Config") -> "Config":
         raise RefusedError(str(error)) from error
 
 
-def _summary(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: bool) -> dict[str, Any]:
+def _summary(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> dict[str, Any]:
     from robofleet.processes import run as runs  # noqa: PLC0415
 
     try:

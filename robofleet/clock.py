@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+_TIME_ERROR, _LARGEST_TIMEX = 5, 512  # of adjtimex: what it returns without synchronisation; more than its bytes
 _SPIN_NS = 500_000  # the kernel may wake a sleeper this late; the rest is spun
 
 MS = 1_000_000  # [ns]
@@ -101,3 +102,19 @@ def epoch_ns() -> int:
 def utc_now() -> datetime:
     """Return the date and time, for names of folders."""
     return datetime.now(UTC)
+
+
+def clock_name() -> str:
+    """Return the name of ``WallClock``'s clock."""
+    return "CLOCK_BOOTTIME" if hasattr(time, "CLOCK_BOOTTIME") else "CLOCK_MONOTONIC"
+
+
+def date_is_synchronised() -> bool | None:
+    """Return whether something keeps the date right (NTP, say), as the kernel knows it; None: it does not tell."""
+    import ctypes  # noqa: PLC0415 - `robofleet stop` is in a hurry
+
+    try:
+        state = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_LARGEST_TIMEX))  # all zeros: it changes nothing
+    except (AttributeError, OSError):
+        return None
+    return None if state < 0 else bool(state != _TIME_ERROR)

@@ -52,8 +52,13 @@ def read_named(file: Path, most: int) -> bytes:
 
 def write_text(file: Path, text: str) -> None:
     """Write a whole file or none."""
+    write_bytes(file, text.encode(errors="backslashreplace"))
+
+
+def write_bytes(file: Path, data: bytes) -> None:
+    """Write a whole file or none."""
     with replaced(file) as stream:
-        left = memoryview(text.encode(errors="backslashreplace"))
+        left = memoryview(data)
         while left:
             left = left[stream.write(left) :]
 

@@ -6,7 +6,7 @@ It is read on a screen, on a phone and on paper; nothing is fetched from elsewhe
 import html
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,39 +19,62 @@ from robofleet.files import write_text
 GOOD, BAD = COLOURS[2], COLOURS[1]
 
 _PRECISION = re.compile(r"(\.\d\d)\d+")  # a hundredth of a point is finer than any screen
-_NAMES = re.compile(r' id="[a-zA-Z]+\d*(?:\.[a-z]+)*_\d+"')  # nobody refers to them, and every plot has the same
+_NAMES = re.compile(r' id="(?!C\d)[\w.]+_\d+"')  # nobody refers to them, and every plot has the same
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 _CSS = f"""
-:root {{ color-scheme: light }} * {{ box-sizing: border-box }}
-body {{ font: 15px/1.5 system-ui, sans-serif; color: {INK}; background: #fff; max-width: 60rem; margin: 2rem auto 4rem;
-  padding: 0 1rem }}
+:root {{ color-scheme: light dark; --paper: #fff; --ink: {INK}; --quiet: #666; --faint: {FAINT}; --wash: #f6f6f6;
+  --edge: {QUIET}; --link: {COLOURS[0]}; --good: #2f6b39; --good-edge: {GOOD}; --good-wash: #f0f6f1;
+  --bad: #a53f28; --bad-edge: {BAD}; --bad-wash: #fbf1ee; --plot: none }}
+* {{ box-sizing: border-box }}
+body {{ font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 60rem;
+  margin: 2rem auto 4rem; padding: 0 max(1rem, env(safe-area-inset-right)) 0 max(1rem, env(safe-area-inset-left)) }}
 h1 {{ font-size: 1.9rem; line-height: 1.2; margin: 0 }} h3 {{ font-size: 1rem; margin: 0 }}
-h2 {{ font-size: 1.25rem; margin: 2.6rem 0 .4rem; padding-top: .8rem; border-top: 1px solid {FAINT} }}
-.when, .note {{ color: #666; margin: .2rem 0 }}
-nav {{ margin: 0 0 1.5rem; font-size: .9rem }} nav a {{ color: {COLOURS[0]}; text-decoration: none; margin-right: 1rem;
-  white-space: nowrap }}
-figure {{ margin: 1.4rem 0 }} figcaption {{ color: #666; font-size: .9rem; max-width: 46rem }}
+h1, p, figcaption, summary {{ overflow-wrap: anywhere }}
+h2 {{ font-size: 1.25rem; margin: 2.6rem 0 .4rem; padding-top: .8rem; border-top: 1px solid var(--faint) }}
+.when, .note {{ color: var(--quiet); margin: .2rem 0 }}
+a {{ color: var(--link) }} .files a {{ margin-right: .6rem }}
+nav {{ display: flex; flex-wrap: wrap; gap: .25rem 1.1rem; margin: 0 0 1.5rem; font-size: .9rem }}
+nav a {{ text-decoration: none }}
+figure {{ margin: 1.4rem 0 }} figcaption {{ color: var(--quiet); font-size: .9rem; max-width: 46rem }}
 .plot {{ overflow-x: auto }} .plot svg {{ display: block; width: 100%; height: auto }}
-.plot.long svg {{ min-width: 36rem }}
+.plot svg, .legend i {{ filter: var(--plot) }} .plot.long svg {{ min-width: 36rem }}
 .plot svg text {{ font-family: system-ui, sans-serif !important }}
-.legend span {{ margin-right: 1rem; font-size: .85rem; white-space: nowrap }}
+.legend {{ display: flex; flex-wrap: wrap; gap: 0 1rem; font-size: .85rem }}
 .legend i {{ display: inline-block; width: .7rem; height: .7rem; border-radius: 50%; margin-right: .3rem }}
 .wide {{ overflow-x: auto }} table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0 }}
-th, td {{ text-align: left; padding: .25rem 1.2rem .25rem 0; border-bottom: 1px solid {FAINT}; vertical-align: top }}
+th, td {{ text-align: left; padding: .25rem 1.2rem .25rem 0; border-bottom: 1px solid var(--faint);
+  vertical-align: top }}
 th {{ font-weight: 600 }} td {{ white-space: nowrap }} td:last-child {{ white-space: normal; min-width: 7rem }}
-.verdict {{ padding: .8rem 1.1rem; border-left: 6px solid {QUIET}; margin: 1.2rem 0; background: #f6f6f6;
+.verdict {{ padding: .8rem 1.1rem; border-left: 6px solid var(--edge); margin: 1.2rem 0; background: var(--wash);
   white-space: pre-line }}
 .verdict strong {{ font-size: 1.25rem }}
-.verdict.good {{ border-color: {GOOD}; background: #f0f6f1 }}
-.verdict.bad {{ border-color: {BAD}; background: #fbf1ee }}
+.verdict.good {{ border-color: var(--good-edge); background: var(--good-wash) }}
+.verdict.bad {{ border-color: var(--bad-edge); background: var(--bad-wash) }}
 .tiles {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(10.5rem, 1fr)); gap: .7rem; margin: 1.2rem 0 }}
-.tile {{ border: 1px solid {FAINT}; border-top: 4px solid {FAINT}; border-radius: 4px; padding: .5rem .8rem }}
-.tile.good {{ border-top-color: {GOOD} }} .tile.bad {{ border-top-color: {BAD}; background: #fbf1ee }}
+.tile {{ border: 1px solid var(--faint); border-top: 4px solid var(--faint); border-radius: 4px; padding: .5rem .8rem }}
+.tile.good {{ border-top-color: var(--good-edge) }}
+.tile.bad {{ border-top-color: var(--bad-edge); background: var(--bad-wash) }}
 .tile b {{ display: block; font-size: 1.5rem; line-height: 1.3; font-weight: 600; font-variant-numeric: tabular-nums }}
-.tile b small {{ font-size: .9rem; font-weight: 400 }} .tile span {{ display: block; font-size: .82rem; color: #666 }}
-span.good, td.good {{ color: {GOOD} }} span.bad, td.bad {{ color: {BAD}; font-weight: 600 }}
-pre {{ overflow-x: auto; background: #f6f6f6; padding: .8rem 1rem; font-size: .82rem; line-height: 1.45 }}
-summary {{ cursor: pointer; color: {COLOURS[0]} }}
+.tile b small {{ font-size: .9rem; font-weight: 400 }}
+.tile span {{ display: block; font-size: .82rem; color: var(--quiet) }}
+.tile span.good, td.good {{ color: var(--good) }} .tile span.bad, td.bad {{ color: var(--bad); font-weight: 600 }}
+pre {{ overflow-x: auto; background: var(--wash); padding: .8rem 1rem; font-size: .82rem; line-height: 1.45 }}
+summary {{ cursor: pointer; color: var(--link) }}
+:focus-visible {{ outline: 3px solid var(--link); outline-offset: 2px }}
+@media (max-width: 40rem) {{
+  body {{ margin-top: 1rem }} h1 {{ font-size: 1.5rem }}
+  .tiles {{ grid-template-columns: repeat(2, minmax(0, 1fr)) }} .tile b {{ font-size: 1.25rem }}
+  th, td {{ padding-right: .8rem }} td {{ white-space: normal; min-width: 4rem }}
+}}
+@media (max-width: 40rem), (pointer: coarse) {{ /* fingers */
+  nav a, .files a {{ display: inline-flex; align-items: center; min-width: 44px; min-height: 44px }}
+  summary {{ padding: .7rem 0 }}
+}}
+@media screen and (prefers-color-scheme: dark) {{ /* a plot is inverted, and its hues are turned back */
+  :root {{ --paper: #1f1f1f; --ink: #dedede; --quiet: #b4b4b4; --faint: #444; --wash: #2a2a2a; --edge: #8a8a8a;
+    --link: #84bdec; --good: #86cf92; --good-edge: #5ba366; --good-wash: #22301f; --bad: #f2a08e; --bad-edge: #e8806a;
+    --bad-wash: #3a2420; --plot: invert(.88) hue-rotate(180deg) }}
+}}
 @media print {{
   body {{ font-size: 11px; max-width: none; margin: 0 }} nav {{ display: none }} h2 {{ break-after: avoid }}
   figure, tr, .tiles, .verdict {{ break-inside: avoid }}
@@ -112,9 +135,9 @@ class Page:
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Add a table; floats show four digits."""
-        lines = ["".join(f"<th>{_text(cell)}</th>" for cell in head)] + ["".join(map(_cell, row)) for row in rows]
+        lines = ["".join(map(_head, head))] + ["".join(map(_cell, row)) for row in rows]
         self._parts.append(
-            '<div class="wide"><table>' + "".join(f"<tr>{line}</tr>" for line in lines) + "</table></div>"
+            '<div class="wide" tabindex="0"><table>' + "".join(f"<tr>{line}</tr>" for line in lines) + "</table></div>"
         )
 
     def figure(
@@ -125,25 +148,30 @@ class Page:
         title: str = "",
         legend: Iterable[tuple[str, str]] = (),
         long: bool = False,
+        files: Callable[[], Iterable[tuple[str, str]]] = tuple,
     ) -> None:
         """Add a plot, with its legend's (label, colour); make it inside ``with mpl.rc_context(STYLE):``.
 
-        A long one does not shrink to a narrow screen: it is moved to the side there.
+        A long one does not shrink to a narrow screen: it is moved to the side there. ``files``, called when the plot
+        is drawn, returns (kind, address) of files that have it too.
         """
         buffer = io.StringIO()
         with mpl.rc_context({**STYLE, "svg.fonttype": "none"}):
-            figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+            figure.savefig(buffer, format="svg", metadata=_NO_METADATA, transparent=True)
         _, start, rest = buffer.getvalue().partition("<svg")
-        svg = _NAMES.sub("", _PRECISION.sub(r"\1", start + rest))
+        svg = _NAMES.sub("", _PRECISION.sub(r"\1", rest))
+        svg = f'{start} role="img" aria-label="{_text(title or caption)}"{svg}'
         chips = "".join(f'<span><i style="background:{colour}"></i>{_text(label)}</span>' for label, colour in legend)
         head = f"<h3>{_text(title)}</h3>" if title else ""
         head += f'<div class="legend">{chips}</div>' if chips else ""
-        plot = f'<div class="plot{" long" if long else ""}">{svg}</div>'
-        self._parts.append(f"<figure>{head}{plot}<figcaption>{_text(caption)}</figcaption></figure>")
+        plot = f'<div class="plot long" tabindex="0">{svg}</div>' if long else f'<div class="plot">{svg}</div>'
+        links = " ".join(f'<a href="{_text(address)}" download>{_text(kind)}</a>' for kind, address in files())
+        said = _text(caption) + (f'<br><span class="files">This figure as a file: {links}</span>' if links else "")
+        self._parts.append(f"<figure>{head}{plot}<figcaption>{said}</figcaption></figure>")
 
     def listing(self, text: str, folded: str = "") -> None:
         """Add text as it is, folded away under a line where one is given."""
-        listing = f"<pre>{_text(text)}</pre>"
+        listing = f'<pre tabindex="0">{_text(text)}</pre>'
         self._parts.append(f"<details><summary>{_text(folded)}</summary>{listing}</details>" if folded else listing)
 
     def write(self, file: Path) -> None:
@@ -152,10 +180,15 @@ class Page:
         head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>'
         links = "".join(f'<a href="#s{k}">{_text(name)}</a>' for k, name in enumerate(self._sections, 1))
         top = f'<h1>{title}</h1><p class="when">{_text(self._subtitle)}</p>'
-        body = f"<nav>{links}</nav>{top}" + "\n".join(self._parts)
-        page = f'<!doctype html><html lang="en"><head>{head}<style>{_CSS}</style></head><body>{body}</body></html>\n'
+        body = f'<nav aria-label="Sections">{links}</nav><main>{top}' + "\n".join(self._parts) + "</main>"
+        head += f"<style>{_CSS}</style>"
+        page = f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'
         file.parent.mkdir(parents=True, exist_ok=True)
         write_text(file, page)
+
+
+def _head(cell: str) -> str:
+    return f'<th scope="col">{_text(cell)}</th>' if cell else "<td></td>"
 
 
 def _cell(cell: object) -> str:

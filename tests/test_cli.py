@@ -1,6 +1,7 @@
 """The operator's commands: what they print, where, and with which exit code; bad input starts nothing."""
 
 import json
+import os
 import re
 import socket
 import subprocess
@@ -9,12 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
+from tests.recording.recorded import room_for
 
 PLATOON = Path(__file__).parent.parent / "configs" / "platoon.yaml"
 TRUTH = ("--lockstep", "--set", "tracker.source=truth")
@@ -22,7 +25,7 @@ SUMMARY_KEYS = {
     "version", "config", "seed", "mode", "outcome", "cause", "duration_s", "ticks", "real_time_factor", "trace_hash",
     "robots", "control_error_mm", "timed_error_mm", "path_error_mm", "centre_error_mm", "spacing_m", "min_gap_mm",
     "pose_error", "tracker", "tick", "latency_ms", "saturated_fraction", "filtered_fraction", "stops", "rejected",
-    "bounds",
+    "bounds", "began",
 }  # fmt: skip
 PARTS = {
     "control_error_mm": {"mean", "max", "per_robot_mean"},
@@ -89,10 +92,10 @@ def written(folder: Path, old: str, new: str) -> tuple[Path, str]:
 
 
 WRONG = [
-    ("path_rate: 0.0455", "«path_rat: 0.0455", "groups.0.path_rat", "did you mean 'path_rate'?"),
+    ("path_rate: 0.0455", "«path_rat: 0.0455", "groups.0.settings.path_rat", "did you mean 'path_rate'?"),
     ("integrator: exact", "«integratr: exact", "controller.integratr", "did you mean 'integrator'?"),
     ("tag: 3", "tag: «1", "robots.2.tag", "robots.0's already"),
-    ("path: platoon", "path: «platon", "groups.0.path", "there is no file"),
+    ("path: platoon", "path: «platon", "groups.0.settings.path", "there is no file"),
     ("robots: [r1, r2, r3, r4]", "robots: [r1, r2, «r7, r4]", "groups.0.robots.2", "there is no robot 'r7'"),
     ("start: {x_m: -1.212,", "start: «{x_m: -1.712,", "robots.0.start", "move r1 into the arena"),
     ("alpha: 45", "alpha: «'45'", "controller.alpha", "remove the quotes"),
@@ -117,7 +120,7 @@ def test_a_path_that_leaves_the_arena_is_refused(folder: Path, refused: Callable
 
 
 def test_a_missing_file_is_refused(refused: Callable[..., str]) -> None:
-    assert refused("nowhere.yaml") == "nowhere.yaml:1:1: there is no such file"
+    assert refused("nowhere.yaml").startswith("nowhere.yaml:1:1: there is no such file: ")
 
 
 def test_a_folder_is_no_configuration(folder: Path, refused: Callable[..., str]) -> None:
@@ -138,8 +141,10 @@ def test_a_port_in_use_is_refused(refused: Callable[..., str], taken_port: int) 
 def test_a_folder_with_something_in_it_is_refused_and_left_as_it_is(folder: Path, refused: Callable[..., str]) -> None:
     (folder / "old").mkdir()
     (folder / "old" / "summary.json").write_text("precious")
-    assert refused(PLATOON, "--out", "old").startswith("--out: old is there already and not empty")
-    assert refused(PLATOON, "--lockstep", "--out", "old/summary.json").startswith("--out: old/summary.json is there")
+    assert refused(PLATOON, "--out", "old").startswith("--out: old exists already and is not empty")
+    assert refused(PLATOON, "--lockstep", "--out", "old/summary.json").startswith(
+        "--out: old/summary.json exists already"
+    )
     assert (folder / "old" / "summary.json").read_text() == "precious"
 
 
@@ -221,6 +226,8 @@ def test_a_run_ends_with_a_table_in_a_folder_of_its_own(folder: Path) -> None:
     assert re.fullmatch(r"\d{8}T\d{6}Z-platoon", made.name)
     assert str(made.relative_to(folder) / "summary.json") in result.stdout
     assert "control error" in result.stdout
+    summary, page = ((made / name).read_text() for name in ("summary.json", "report.html"))
+    assert f"{json.loads(summary)['began'].replace('T', ' ').removesuffix('Z')} UTC; 4 robots" in page
 
 
 def test_an_empty_folder_is_used(folder: Path) -> None:
@@ -240,6 +247,61 @@ def test_a_fault_is_exit_code_1_with_its_cause_and_a_summary(folder: Path) -> No
     assert json.loads((folder / "new" / "summary.json").read_text()) == summary
 
 
+def test_strict_ends_with_1_where_a_bound_is_not_met_and_junit_says_which(folder: Path) -> None:
+    asked = (
+        "--duration",
+        "2",
+        "--set",
+        "run.bounds={control_error_mean_mm: 1.0e-6, overruns: 0}",
+        "--junit",
+        "ci/b.xml",
+    )
+    for strict, code in (((), 0), (("--strict",), 1)):
+        result = robofleet("run", PLATOON, *TRUTH, *asked, *strict, "--quiet", "--out", f"new{code}")
+        assert result.exit_code == code, result.stderr
+        (line,) = result.stderr.splitlines()
+        assert line.startswith("bound not met: control error, mean: ")
+        (suite,) = ElementTree.parse(folder / "ci" / "b.xml").getroot()
+        assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "0")
+    again = robofleet("report", "new1", "--junit", "again.xml")
+    assert again.exit_code == 1
+    assert (folder / "again.xml").read_text() == (folder / "ci" / "b.xml").read_text()
+
+
+def test_results_that_are_lost_on_a_full_disk_are_exit_code_1(folder: Path) -> None:
+    with room_for(300_000):
+        result = robofleet("run", PLATOON, *TRUTH, "--duration", "6", "--quiet", "--out", "new")
+    assert result.exit_code == 1
+    assert re.search(r"results are lost: new/run.mcap: it lacks [\d,]+ messages of the run: make room", result.stderr)
+    assert json.loads((folder / "new" / "summary.json").read_text())["outcome"] == "completed"
+
+
+def test_a_run_whose_robots_could_not_remember_a_stop_is_not_begun(
+    refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    no_folder = tmp_path_factory.mktemp("spoilt") / "state"
+    no_folder.write_text("a file")
+    monkeypatch.setenv("XDG_STATE_HOME", str(no_folder))
+    line = refused(PLATOON, "--out", "new")
+    assert line.startswith(f"{no_folder}/robofleet/platoon/r1.json: Not a directory: ")
+    assert "name another folder in XDG_STATE_HOME" in line
+
+
+def test_a_ci_that_asks_for_nothing_is_told_so(refused: Callable[..., str], folder: Path) -> None:
+    assert "write run.bounds" in refused(PLATOON, *TRUTH, "--strict", "--set", "run.bounds={}", "--out", "new")
+    (folder / "there").mkdir()
+    assert refused(PLATOON, *TRUTH, "--junit", "there", "--out", "new").startswith("--junit: there is a folder")
+
+
+def test_a_terminal_of_the_c_locale_gets_ascii_alone(folder: Path) -> None:
+    command = [sys.executable, "-m", "robofleet", "check", str(PLATOON)]
+    for place, plain in (({"LANG": "C"}, True), ({"LC_ALL": "C"}, True), ({"LANG": "C.UTF-8"}, False), ({}, False)):
+        environment = {name: value for name, value in os.environ.items() if name[:3] not in ("LC_", "LAN")}
+        said = subprocess.run(command, env=environment | place, capture_output=True, check=True).stdout
+        assert said.isascii() == plain, place
+        assert (b"<= 12.5 rad/s" in said) == plain
+
+
 def test_check_prints_what_it_proved(folder: Path) -> None:
     result = robofleet("check", PLATOON)
     assert (result.exit_code, result.stderr) == (0, "")
@@ -250,13 +312,13 @@ def test_check_prints_what_it_proved(folder: Path) -> None:
 
 def test_check_refuses_with_exit_code_2(folder: Path) -> None:
     file, place = written(folder, "path_rate: 0.0455", "path_rate: «0.06")
-    result = robofleet("check", file, "--set", "groups.0.path_rate=0.075")
+    result = robofleet("check", file, "--set", "groups.0.settings.path_rate=0.075")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "--set groups.0.path_rate=0.075: groups.0.path_rate: the fastest wheel" in result.stderr
+    assert "--set groups.0.settings.path_rate=0.075: groups.0.settings.path_rate: the fastest wheel" in result.stderr
     assert robofleet("check", file).exit_code == 0, place
 
 
-@pytest.mark.parametrize("arguments", [["check", "configs/platoon.yaml"], ["replay", "runs"], ["report", "runs"]])
+@pytest.mark.parametrize("arguments", [["run", str(PLATOON), "--lockstep"], ["replay", "runs"], ["report", "runs"]])
 def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(arguments: list[str]) -> None:
     hidden = "import sys; sys.modules.update(numba=None, mcap=None)"
     code = f"{hidden}; sys.argv[1:] = {arguments}; from robofleet.cli import main; main()"

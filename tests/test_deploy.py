@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.processes import child, node
+from robofleet.processes import node, table
 
 ROOT = Path(__file__).parent.parent
 DEPLOY = ROOT / "tools" / "deploy"
@@ -49,8 +49,8 @@ def test_the_service_lets_a_driver_do_what_it_does() -> None:
     assert re.fullmatch(r"\S+/robofleet driver \S+ --robots %i", service["ExecStart"])
     assert service["Type"] == "notify"
     assert service["RestartPreventExitStatus"] == "2"
-    assert int(service["LimitNICE"]) <= node._NICE
-    assert int(service["LimitRTPRIO"]) >= child._DRIVER_PRIORITY
+    assert int(service["LimitNICE"]) <= node.NICE
+    assert int(service["LimitRTPRIO"]) >= table.DRIVER.priority
     assert service["StateDirectory"] == "robofleet"
     assert "XDG_STATE_HOME=/var/lib" in service["Environment"].split()
     assert (service["RuntimeDirectory"], service["RuntimeDirectoryMode"]) == ("robofleet", "0700")

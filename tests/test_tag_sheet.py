@@ -1,7 +1,7 @@
 """The sheets as a printer gets them: the files' own coordinates, drawn with OpenCV, and read back by its detectors."""
 
-import importlib.util
 import io
+import json
 import re
 import sys
 from pathlib import Path
@@ -11,8 +11,11 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
+from robofleet import cli
 from robofleet.calibration import sheets
 
 ROOT = Path(__file__).parents[1]
@@ -25,14 +28,10 @@ Loops = list[NDArray[np.float64]]  # closed polygons (n, 2) [mm; right and down 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     """Run the tool; return its exit code."""
-    spec = importlib.util.spec_from_file_location("tag_sheet", ROOT / "tools/tag_sheet.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(sys, "argv", ["tag_sheet.py", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        module.main()
-    return int(ended.value.code or 0)
+    done = CliRunner().invoke(cli.app, ["sheet", *arguments])
+    print(done.stdout, end="")
+    print(done.stderr, end="", file=sys.stderr)
+    return done.exit_code
 
 
 def numbers(text: str) -> list[float]:
@@ -169,6 +168,48 @@ def test_boards(
     assert (corners[:, 0] + 0.5) / PX_PER_MM == pytest.approx(where, abs=0.05)
 
 
+LAB = ROOT / "configs" / "lab.yaml"
+
+
+def test_floor_tags_are_true_to_scale_and_the_survey_shows_where_they_lie(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "floor.svg"
+    changes = ("--set", "robots.1.tag=501", "--set", "arena.size_m=[3.2, 2.4]")
+    assert run(monkeypatch, "floor", str(LAB), "--out", str(out), "--count", "6", "--side-mm", "80", *changes) == 0
+    said = capsys.readouterr().out
+    ids = [500, 502, 503, 504, 505, 506]  # 501 is a robot's
+    survey = yaml.safe_load(re.findall(r"^floor_tags:\n(?:  - .*\n)+", said, re.MULTILINE)[0])
+    assert survey == {"floor_tags": [{"tag": tag, "side_m": 0.08, "x_m": None, "y_m": None} for tag in ids]}
+    files = sorted(tmp_path.iterdir(), key=lambda file: int(file.stem.partition("-")[2]))
+    (size, plan), *prints = map(shapes, files)
+    assert size == pytest.approx((210.0, 297.0), abs=1e-4)
+    sides = {name: extent(loops)[2:] for _, named in prints for name, loops in named.items() if name.startswith("tag-")}
+    assert set(sides) == {f"tag-{tag}" for tag in ids}
+    assert all(side == pytest.approx([80.0, 80.0], abs=1e-3) for side in sides.values())
+    middles = {tag: extent(plan[f"place-{tag}"]) for tag in ids}
+    at = {tag: x_y_w_h[:2] + x_y_w_h[2:] / 2 for tag, x_y_w_h in middles.items()}
+    metre = (at[502][0] - at[500][0]) / (3.2 - sheets.piece_side(80.0) / 1e3)
+    assert at[502] - at[500] == pytest.approx([(at[502] - at[500])[0], 0.0], abs=1e-3)
+    assert (at[500][1] - at[503][1]) / metre == pytest.approx(2.4 - sheets.piece_side(80.0) / 1e3, abs=0.02)
+    (left, top), (right, bottom) = np.min(list(at.values()), 0), np.max(list(at.values()), 0)
+    assert 10.0 < left < right < 200.0
+    assert 10.0 < top < bottom < 150.0
+
+
+def test_floor_tags_of_a_configuration_are_printed_again_however_many(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tags = [{"tag": 300 + k, "side_m": 0.06 + 0.01 * (k % 2), "x_m": 0.1 * k - 1.0, "y_m": 0.9} for k in range(20)]
+    changes = f"tracker.floor_tags={json.dumps(tags)}"
+    assert run(monkeypatch, "floor", str(LAB), "--out", str(tmp_path / "f.svg"), "--set", changes) == 0
+    assert "survey.yaml" not in capsys.readouterr().out
+    named = {name: loops for file in tmp_path.iterdir() for name, loops in shapes(file)[1].items()}
+    for tag in tags:
+        assert extent(named[f"tag-{tag['tag']}"])[2] == pytest.approx(1e3 * tag["side_m"], abs=1e-3)
+        assert f"place-{tag['tag']}" in named
+
+
 def test_pdf_is_the_same_drawing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with mpl.rc_context({"pdf.compression": 0, "savefig.bbox": "tight"}):  # a user's own settings: no change of scale
         assert run(monkeypatch, "tags", "--ids", "0-4", "--paper", "letter", "--out", str(tmp_path / "tags.pdf")) == 0
@@ -202,18 +243,23 @@ def test_same_command_same_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     [
         ("tags --ids 1,587 --out t.pdf", "--ids 1,587: '587' is not in 0-586"),
         ("tags --ids 5-3 --out t.pdf", "goes backwards"),
-        ("tags --ids -3 --out t.pdf", "'-3' is no id and no range"),
-        ("tags --ids 1,,2 --out t.pdf", "'' is no id and no range"),
-        ("tags --ids 1-4,3 --out t.pdf", "3 stands there twice"),
+        ("tags --ids -3 --out t.pdf", "'-3' is neither an id nor a range"),
+        ("tags --ids 1,,2 --out t.pdf", "'' is neither an id nor a range"),
+        ("tags --ids 1-4,3 --out t.pdf", "3 is there twice"),
         ("tags --ids 1 --side-mm 300 --out t.pdf", "--side-mm 300: with its white rim 382 mm wide, too large for a4"),
         ("tags --ids 1 --side-mm nan --out t.pdf", "--side-mm nan: must be 5 mm or more"),
         ("tags --ids 1 --side-mm -70 --out t.pdf", "--side-mm -70: must be 5 mm or more"),
         ("tags --ids 1 --paper a9 --out t.pdf", "--paper a9: must be a4, a3"),
         ("tags --ids 1 --out t.png", "--out t.png: must end in .pdf or .svg"),
         ("tags --ids 1 --out {}/file/t.pdf", "--out {}/file/t.pdf: "),
+        ("floor nothing.yaml --out t.pdf", "nothing.yaml:1:1: there is no such file"),
+        (f"floor {ROOT}/configs/lab.yaml --out t.png", "--out t.png: must end in .pdf or .svg"),
+        (f"floor {ROOT}/configs/lab.yaml --count 3 --out t.pdf", "--count 3: must be 4 to 8"),
+        (f"floor {ROOT}/configs/lab.yaml --first-id 583 --out t.pdf", "--first-id 583: 8 free ids up to 586"),
+        (f"floor {ROOT}/configs/lab.yaml --side-mm 900 --out t.pdf", "--side-mm 900: too large for an arena of 3.5"),
         ("board --marker-mm 40 --out t.pdf", "--marker-mm 40: must be smaller than its square of 40 mm"),
         ("board --squares 11x8 --out t.pdf", "--paper a3: too small for 11 x 8 squares of 40 mm; 9 x 6 fit"),
-        ("board --squares 11 --out t.pdf", "--squares 11: must be COLUMNSxROWS"),
+        ("board --squares 11 --out t.pdf", "--squares: '11' is not COLUMNSxROWS"),
         ("board --squares 2x9 --paper a0 --out t.pdf", "a board needs 3 x 3 or more"),
         ("board --square-mm 90 --out t.pdf", "a board needs 3 x 3 or more"),
         ("board --squares 40x30 --square-mm 20 --marker-mm 15 --paper a0 --out t.pdf", "more than 250 markers"),

@@ -1,4 +1,4 @@
-"""Every speed that the README states, beside what a user would pick instead, in the same run.
+"""Every speed that the guides state, beside what a user would pick instead, in the same run.
 
     .venv/bin/python tools/bench.py [--json]
 
@@ -12,31 +12,33 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import bench_barrier
-import bench_tracker
-import cv2
-import numba
-import numpy as np
-from numpy.typing import NDArray
+from packages import needing
 
-from robofleet.clock import S, stopwatch_ns
-from robofleet.config.load import load_config
-from robofleet.config.slices import drive as drive_of
-from robofleet.config.slices import knots
-from robofleet.config.tree import Config
-from robofleet.control.bicycle import bicycle_plant
-from robofleet.control.flow import NewtonRaphsonFlow, Plant
-from robofleet.control.path import Path as Curve
-from robofleet.control.path import nearest
-from robofleet.experiments import closed_curve as track
-from robofleet.experiments import comparison, simulate
-from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
-from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
-from robofleet.experiments.paper import parameters_of
-from robofleet.processes.lockstep import Lockstep
-from robofleet.safety import gate
-from robofleet.vehicles.bicycle import ZHOU_2017, BicycleParameters
-from robofleet.vehicles.interface import WheelSpeeds
+with needing("bench", "lab"):
+    import bench_barrier
+    import bench_tracker
+    import cv2
+    import numba
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from robofleet.behaviours.platoon import Platoon
+    from robofleet.clock import S, stopwatch_ns
+    from robofleet.config.load import load_config
+    from robofleet.config.slices import drive as drive_of
+    from robofleet.config.tree import Config
+    from robofleet.control.bicycle import bicycle_plant
+    from robofleet.control.flow import NewtonRaphsonFlow, Plant
+    from robofleet.control.path import nearest
+    from robofleet.experiments import closed_curve as track
+    from robofleet.experiments import comparison, simulate
+    from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
+    from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
+    from robofleet.experiments.paper import parameters_of
+    from robofleet.processes.lockstep import Lockstep
+    from robofleet.safety import gate
+    from robofleet.vehicles.bicycle import ZHOU_2017, BicycleParameters
+    from robofleet.vehicles.interface import WheelSpeeds
 
 ROOT = Path(__file__).resolve().parents[1]
 Row = dict[str, Any]
@@ -68,7 +70,7 @@ def main() -> None:
 
 def nearest_points(config: Config) -> list[Row]:
     """The nearest points of the path to four robots, exactly: this project's kernel, and numpy's roots."""
-    path = Curve.hermite(*knots(config.groups[0]))
+    path = Platoon.Settings.model_validate(config.groups[0].settings).path.path()
     points = np.random.default_rng(1).uniform((-1.5, -0.9), (1.5, 0.9), (4, 2))
 
     def kernel(near: float) -> list[float]:

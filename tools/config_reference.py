@@ -1,4 +1,4 @@
-"""Writes the list of every key into configs/README.md, from the models; ``--check`` only says whether it is up to date.
+"""Writes the list of every key into configs/keys, a file a part; ``--check`` only says whether it is up to date.
 
 python tools/config_reference.py
 """
@@ -10,15 +10,34 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from packages import needing
 
-from robofleet.config.patterns import ENDPOINT_PATTERN, NAME_PATTERN
-from robofleet.config.schema import NAME_OR_FILE, schema
-from robofleet.config.troubles import Timed
+with needing():
+    import typer
 
-README = Path(__file__).resolve().parents[1] / "configs" / "README.md"
+    from robofleet.config import groups
+    from robofleet.config.schema import NAME_OR_FILE, TABLE_FILE, behaviours, schema
+    from robofleet.config.troubles import Timed
+    from robofleet.patterns import ENDPOINT_PATTERN, NAME_PATTERN
+
+KEYS = Path(__file__).resolve().parents[1] / "configs" / "keys"
 COMMAND = "python tools/config_reference.py"
-MARK = f"<!-- From here on written by `{COMMAND}`: change robofleet/config, not this. -->\n"
+MARK = f"<!-- Written by `{COMMAND}`: change robofleet/config or robofleet/behaviours, not this. -->\n"
+_BEHAVIOURS = """# Settings of the behaviours
+
+These keys stand in `groups[].settings`, and `groups[].behaviour` says whose they are. A behaviour of your own has the
+keys of its class `Settings`.
+"""
+_GUIDE = """# Every key of a configuration
+
+- The end of a key's name is its unit: `spacing_m` is in metres.
+- World frame: the origin is the arena's centre on the floor, x points along the long side, y to the left, z up.
+  Headings are counter-clockwise.
+- `robots[]` stands for any item of the list `robots`.
+- "its own" in the column "default": the keys in this part have defaults of their own.
+- Times of faults, and of the simulated camera's troubles, count from the start of the run.
+- `--set KEY=VALUE` changes any key for one run. Items of a list have numbers from 0: `--set robots.0.tag=7`.
+"""
 
 Node = dict[str, Any]
 _FAULTS = "faults[]"
@@ -26,11 +45,12 @@ _BELOW = "see below"
 
 _UNITS = {
     "m": "m", "mm": "mm", "px": "px", "s": "s", "ms": "ms", "hz": "Hz", "rad": "rad", "deg": "°", "gray": "grey levels",
-    "m_s": "m/s", "rad_s": "rad/s", "rad_s2": "rad/s²", "per_s": "1/s", "s_per_rad": "s/rad",
+    "m_s": "m/s", "m_s2": "m/s²", "rad_s": "rad/s", "rad_s2": "rad/s²", "per_s": "1/s", "s_per_rad": "s/rad",
 }  # fmt: skip
 _UNIT = re.compile(rf"(?:^|_)({'|'.join(sorted(_UNITS, key=len, reverse=True))})$")
 _PATTERNS = {
     NAME_OR_FILE: "name of a file",
+    TABLE_FILE: "name of a CSV file",
     NAME_PATTERN: "name",
     ENDPOINT_PATTERN: "`private`, `unixsock-stream//PATH`, `tcp/HOST:PORT`",
 }
@@ -39,31 +59,66 @@ _PATTERNS = {
 def main(
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 if it is out of date.")] = False,
 ) -> None:
-    """Write the list of every key into configs/README.md."""
-    before = README.read_text()
-    after = before.partition(MARK)[0] + MARK + reference()
-    if check and before != after:
-        print(f"{README} is out of date: run {COMMAND}", file=sys.stderr)
+    """Write the list of every key into configs/keys."""
+    pages = reference()
+    before = {file.name: file.read_text() for file in KEYS.glob("*.md")}
+    if check and before != pages:
+        print(f"{KEYS} is out of date: run {COMMAND}", file=sys.stderr)
         raise typer.Exit(1)
-    README.write_text(after)
+    if check:
+        return
+    KEYS.mkdir(exist_ok=True)
+    for name in before.keys() - pages.keys():
+        (KEYS / name).unlink()
+    for name, text in pages.items():
+        (KEYS / name).write_text(text)
 
 
-def reference() -> str:
-    """Return a section for every part of the configuration, with a table of its keys."""
+def reference() -> dict[str, str]:
+    """Return a page for every part of the configuration, by its file's name, with a table for each model in it."""
     tree = schema()
     models: dict[str, Node] = tree["$defs"]
     where: dict[str, list[str]] = {}  # a part that stands in several places is described once
     for path, name in _parts(tree, models, ""):
         where.setdefault(name, []).append(path)
-    sections = [_section("### The parts", tree, tree["properties"])]
+    sections: dict[str, list[str]] = {}
     for name, paths in where.items():
         if paths == [_FAULTS]:
             continue
-        level = "###" if re.fullmatch(r"\w+(\[\])?", paths[0]) else "####"
+        level = "#" if re.fullmatch(r"\w+(\[\])?", paths[0]) else "##"
         title = ", ".join(f"`{path}`" for path in paths)
-        sections.append(_section(f"{level} {title}", models[name], models[name]["properties"]))
-    sections += _fault_sections([models[name] for name, paths in where.items() if paths == [_FAULTS]])
-    return "\n".join(sections)
+        sections.setdefault(_part(paths[0]), []).append(
+            _section(f"{level} {title}", models[name], models[name]["properties"])
+        )
+    sections["behaviours"] = [_BEHAVIOURS, *_behaviour_sections()]
+    sections["faults"] = [*_fault_sections([models[name] for name, paths in where.items() if paths == [_FAULTS]])]
+    parts = "\n".join(
+        line.replace(_BELOW, f"[its page]({line.split('`')[1]}.md)") if _BELOW in line else line
+        for line in _section("## The parts", tree, tree["properties"]).splitlines()
+    )
+    return {"README.md": "\n".join([_GUIDE, MARK, parts, ""])} | {
+        f"{part}.md": "\n".join([MARK, *texts]) for part, texts in sections.items()
+    }
+
+
+def _part(path: str) -> str:
+    return path.partition(".")[0].removesuffix("[]")
+
+
+def _behaviour_sections() -> Iterator[str]:
+    """Yield the keys of each behaviour, then the parts that they hold."""
+    models: dict[str, Node] = {}
+    where: dict[str, list[str]] = {}
+    for name, own in behaviours(models).items():
+        meaning = (groups.load_kind(name).__doc__ or "").partition("\n\n")[0]
+        if own["properties"]:
+            yield _section(f"## `{name}`", own | {"description": meaning}, own["properties"])
+        else:
+            yield f"## `{name}`\n\n{_prose(meaning)} It has no keys.\n"
+        for path, part in _parts(own, models, ""):
+            where.setdefault(part, []).append(f"`{name}`: `{path}`")
+    for part, paths in where.items():
+        yield _section(f"## {', '.join(paths)}", models[part], models[part]["properties"])
 
 
 def _fault_sections(kinds: list[Node]) -> Iterator[str]:
@@ -72,11 +127,11 @@ def _fault_sections(kinds: list[Node]) -> Iterator[str]:
         key for key, node in kinds[0]["properties"].items() if all(node == k["properties"].get(key) for k in kinds)
     ]
     every = {"description": Timed.__doc__}
-    yield _section(f"### `{_FAULTS}`", every, {key: kinds[0]["properties"][key] for key in shared})
+    yield _section(f"# `{_FAULTS}`", every, {key: kinds[0]["properties"][key] for key in shared})
     for kind in kinds:
         names = _range(kind["properties"]["kind"])
         own = {key: node for key, node in kind["properties"].items() if key not in shared}
-        yield _section(f"#### `{_FAULTS}`: {names}", kind, own)
+        yield _section(f"## `{_FAULTS}`: {names}", kind, own)
 
 
 def _parts(model: Node, models: dict[str, Node], path: str) -> Iterator[tuple[str, str]]:
@@ -84,8 +139,9 @@ def _parts(model: Node, models: dict[str, Node], path: str) -> Iterator[tuple[st
     for key, node in model["properties"].items():
         for suffix, name in _models(node):
             here = f"{path}.{key}{suffix}".removeprefix(".")
-            yield here, name
-            yield from _parts(models[name], models, here)
+            if "properties" in models[name]:  # any value has none
+                yield here, name
+                yield from _parts(models[name], models, here)
 
 
 def _models(node: Node) -> Iterator[tuple[str, str]]:
@@ -94,6 +150,9 @@ def _models(node: Node) -> Iterator[tuple[str, str]]:
         yield "", _name(node["$ref"])
     for one in node.get("anyOf", []) + node.get("oneOf", []):
         yield from _models(one)
+    for one in [node.get("additionalProperties"), *node.get("patternProperties", {}).values()]:
+        if isinstance(one, dict):
+            yield from ((f".*{suffix}", name) for suffix, name in _models(one))
     if "items" in node:
         yield from ((f"[]{suffix}", name) for suffix, name in _models(node["items"]))
 
@@ -168,7 +227,7 @@ _RANGES: dict[str, Callable[[Node], str]] = {
     "number": _number,
     "string": lambda node: _PATTERNS.get(node.get("pattern", ""), "text"),
     "array": _list,
-    "object": lambda _node: "mapping",
+    "object": lambda node: f"mapping, {_BELOW}" if "$ref" in str(node.get("patternProperties")) else "mapping",
 }
 
 if __name__ == "__main__":

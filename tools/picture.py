@@ -1,27 +1,31 @@
-"""Draws the README's picture: a camera image of a lockstep run, with the path, the trails and the references.
+"""Draws the README's picture: a camera image of a lockstep run, with its shapes, the trails and the references.
 
 .venv/bin/python tools/picture.py [OUT.jpg] [SECONDS]
 """
 
+import itertools
 import sys
 from pathlib import Path
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from packages import needing
 
-from robofleet.config.load import load_config
-from robofleet.config.slices import knots
-from robofleet.config.tree import Config
-from robofleet.control.path import Path as Curve
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.run import Run
-from robofleet.simulation.camera import SceneRenderer
-from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import robot_targets
+with needing("lab"):
+    import cv2
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from robofleet.behaviours.interface import Line
+    from robofleet.config.load import load_config
+    from robofleet.config.tree import Config
+    from robofleet.processes.lockstep import Lockstep
+    from robofleet.recording.run import Run
+    from robofleet.simulation.camera import SceneRenderer
+    from robofleet.tracking.camera import CameraGeometry
+    from robofleet.tracking.targets import robot_targets
 
 ROOT = Path(__file__).resolve().parents[1]
-COLOURS = ((60, 200, 255), (120, 220, 90), (255, 160, 60), (230, 110, 230))  # BGR, leader first
+COLOURS = ((60, 200, 255), (120, 220, 90), (255, 160, 60), (230, 110, 230))  # BGR
+PALE = (235, 235, 235)
 TRAIL_S = 2.0
 SHIFT = 4  # sub-pixel bits of OpenCV's drawing
 Image = NDArray[np.uint8]
@@ -48,23 +52,27 @@ def draw(config: Config, run: Run, k: int) -> Image:
     """Render the camera's image at tick ``k`` and draw on it."""
     geometry, tracker = CameraGeometry.from_model(config.camera.model), config.tracker
     size = (config.camera.width, config.camera.height)
-    platoon = [robot_targets(config)[config.robots.index(robot)] for robot in config.platoon]
-    renderer = SceneRenderer(geometry, size, platoon, config.camera.noise_gray, np.random.default_rng(1))
+    members = [robot_targets(config)[config.robots.index(robot)] for robot in config.members]
+    renderer = SceneRenderer(geometry, size, members, config.camera.noise_gray, np.random.default_rng(1))
     assert run.truth is not None
     image = np.dstack([renderer.render(run.truth[k])] * 3)
-    path = Curve.hermite(*knots(config.groups[0]))
-    lap = path.position(np.linspace(0, path.sides, 600, endpoint=False))
-    line(image, floor(geometry, lap, tracker.tag_height_m), (235, 235, 235), 1, closed=True)
+    for shape in (shape for group in run.groups for shape in group.shapes):
+        pixels = floor(geometry, shape.points, tracker.tag_height_m)
+        if isinstance(shape, Line):
+            line(image, pixels, PALE, 1, closed=shape.closed)
+        else:
+            for pixel in pixels:
+                dot(image, pixel, PALE, 4)
+    references = np.concatenate([told.references[k] for told in run.told])
     points = run.points()
     assert points is not None
     first = max(0, k - round(TRAIL_S / config.controller.tick_s))
-    for row, (robot, colour) in enumerate(zip(config.platoon, COLOURS, strict=False)):
+    for row, (robot, colour) in enumerate(zip(config.members, itertools.cycle(COLOURS), strict=False)):
         trail = floor(geometry, points[first : k + 1, row], tracker.tag_height_m)
         line(image, trail, colour, 3, closed=False)
         dot(image, trail[-1], colour, 4)
-        item = run.items[k][row]
-        reference = np.array([[item["reference_x_m"], item["reference_y_m"]]])
-        dot(image, floor(geometry, reference, tracker.tag_height_m)[0], colour, 7, 2)
+        if np.isfinite(references[row]).all():
+            dot(image, floor(geometry, references[row : row + 1], tracker.tag_height_m)[0], colour, 7, 2)
         centre = floor(geometry, run.truth[k][row : row + 1, :2], tracker.tag_height_m)[0]
         where = tuple(np.round(centre + np.array((-8, 40))).astype(int).tolist())
         cv2.putText(image, robot.id, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)

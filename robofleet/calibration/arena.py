@@ -64,7 +64,7 @@ def calibrate_arena(
     figures = _figures(agreement, seen.marks, sigma)
     notes = (*seen.notes, *_notes(agreement, seen.marks, survey_mm))
     if 0.0 < (in_sight := float(np.isfinite(sigma).mean())) < 1.0:
-        notes += (f"the camera sees {100 * in_sight:.0f} % of the arena: the expected error is that part's",)
+        notes += (f"the camera sees {100 * in_sight:.0f} % of the arena: the expected error is for that part",)
     _refuse_poor(agreement, seen.marks, figures, notes, survey_mm)
     inputs = {camera.name: camera.read_bytes(), survey_file.name: survey_file.read_bytes()}
     if images:
@@ -95,7 +95,7 @@ def covariance_of(where: str, rows: Sequence[Sequence[float]], size: int) -> Arr
     scale = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
     unit = covariance / np.outer(scale, scale)
     if np.abs(unit - unit.T).max() > 1e-3 or np.linalg.eigvalsh(unit).min() < -1e-3:
-        raise CalibrationError(f"{where}.covariance: no errors can have it: calibrate again")
+        raise CalibrationError(f"{where}.covariance: is not a valid covariance: calibrate again")
     return covariance
 
 

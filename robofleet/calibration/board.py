@@ -141,7 +141,7 @@ class BoardCheck:
             return [f"markers {listed} ... are not of a board of {board.shown} (0 to {last}): check --squares"]
         if self._fitting < self._marked / 2:
             return [
-                f"the markers lie otherwise than on a board of {board.shown}: in {self._marked - self._fitting} of "
+                f"the markers do not lie as on a board of {board.shown}: in {self._marked - self._fitting} of "
                 f"{self._marked} images no corners fit them; check --squares, and that the print is not mirrored"
             ]
         named, measured = board.marker_m / board.square_m, float(np.median(self._ratios or [np.nan]))

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.behaviours import described
+from robofleet.behaviours.excitation import Excitation
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S
@@ -15,11 +17,11 @@ from robofleet.comms.endpoint import check_free, settled
 from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD
 from robofleet.comms.private_folder import PlaceError
+from robofleet.config import groups
 from robofleet.config.calibrated import TagOffset
-from robofleet.config.tree import Config
+from robofleet.config.tree import Config, Group
 from robofleet.processes.arena_file import ArenaBusyError, claimed
 from robofleet.processes.check import load_checked
-from robofleet.processes.fleet import excitation
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.live_state import WAITING
 from robofleet.processes.lockstep import Lockstep
@@ -34,28 +36,37 @@ Array = NDArray[np.float64]
 Turned = tuple[Array, Array]  # at [s], angles (n, 2) [rad]
 Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
 
+_GROUP = "excitation"
 _AROUND_S = 0.5  # kept before the first and after the last motion
 
 
-def configure(file: Path, robots: Sequence[str], *, lockstep: bool) -> tuple[Config, int]:
-    """Return the configuration of a drive in which ``robots`` (none: all of the group) drive, and how many do.
+def configure(
+    file: Path, robots: Sequence[str], overrides: Sequence[str] = (), *, lockstep: bool
+) -> tuple[Config, int]:
+    """Return the configuration of a drive in which ``robots`` (none: those of all groups) drive, and how many do.
 
-    Those that drive come first in the group, and the run ends when they have driven.
+    The drive has one group: those that drive, then the other robots of the configuration's groups, which stand. It ends
+    when the first ones have driven.
 
     Raises:
         ConfigError: the configuration cannot work.
         CalibrationError: an unknown robot.
     """
-    config = load_checked(file, ["groups.0.behaviour=excitation"], lockstep=lockstep)
+    driving: tuple[str, ...] = ()
+
+    def one_after_the_other(config: Config) -> Config:
+        nonlocal driving
+        grouped, known = [robot.id for robot in config.members], [robot.id for robot in config.robots]
+        driving = tuple(dict.fromkeys(robots or grouped))
+        for unknown in (name for name in driving if name not in known):
+            raise CalibrationError(f"--robots: there is no robot {unknown!r} in {file} (it has {', '.join(known)})")
+        order = tuple(dict.fromkeys([*driving, *grouped]))
+        return config.model_copy(update={"groups": (Group(name=_GROUP, behaviour=_GROUP, robots=order),)})
+
+    config = load_checked(file, overrides, lockstep=lockstep, change=one_after_the_other)
     if config.run.attended and not lockstep and not sys.stdin.isatty():
-        raise CalibrationError("run.attended: stdin is no terminal: start the drive in one, or set it to false")
-    group = config.groups[0]
-    driving = tuple(dict.fromkeys(robots)) or group.robots
-    for unknown in (name for name in driving if name not in group.robots):
-        raise CalibrationError(f"--robots: there is no robot {unknown!r} in {file} (it has {', '.join(group.robots)})")
-    order = (*driving, *(name for name in group.robots if name not in driving))
-    config = config.model_copy(update={"groups": (group.model_copy(update={"robots": order}),)})
-    end_s = float(excitation(config).ends[len(driving) - 1])
+        raise CalibrationError("run.attended: stdin is not a terminal: start the drive in one, or set it to false")
+    end_s = float(_ends(config)[len(driving) - 1])
     run = config.run.model_copy(update={"duration_s": end_s + _AROUND_S})
     return config.model_copy(update={"run": run}), len(driving)
 
@@ -95,12 +106,14 @@ def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, st
 def extract(recording: Recording, count: int) -> list[RobotDrive]:
     """Return what the first ``count`` robots of the group did and what was seen of them."""
     config = recording.config
-    arena, robots = config.arena.name, config.platoon
-    dtype = TICK_RECORD.dtype(len(robots))
+    arena, robots = config.arena.name, config.members
+    dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups))
     payloads = recording.messages.get(key(arena, TICK), ())
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
     if not len(ticks):
         raise CalibrationError("the drive has no tick of the controller: is it running?")
+    (told,) = described.told(recording.groups, ticks["figures"])
+    held = np.nan_to_num(told.figures["held"])
     start_ns, tick_ns = int(ticks["stamp_ns"][0]), round(config.controller.tick_s * S)
     first = int(ticks["tick"][0])
     seen: dict[int, list[Seen]] = {robot.tag: [] for robot in robots}
@@ -118,7 +131,7 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         poses = [(at_s, *tag_from_centre(x, y, psi, offset)) for at_s, x, y, psi in seen[robot.tag]]
         wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
         statuses = recording.rows(key(arena, STATUS, robot.id), ROBOT_STATUS)
-        held_s = float(ticks["items"]["saturated"][:, row].sum()) * config.controller.tick_s
+        held_s = float(held[:, row].sum()) * config.controller.tick_s
         commands_s = (ticks["stamp_ns"] - start_ns) / S
         scalars = held_s, robot.vehicle.max_wheel_acceleration_rad_s2
         drives.append(_cut(robot.id, commands_s, wheels, poses, _angles(statuses, ticks), scalars))
@@ -161,7 +174,7 @@ def _cut(
     """Return a robot's own part of the drive: the others stand then, and it stands before and after."""
     moving = commands_s[wheels.any(axis=1)]
     if not len(moving):
-        raise CalibrationError(f"{robot}: it was never told to move: was it seen, and had it room?")
+        raise CalibrationError(f"{robot}: it was never commanded to move: did the tracker see it, and had it room?")
     start_s, end_s = float(moving[0]) - _AROUND_S, float(moving[-1]) + _AROUND_S
     seen = np.array(sorted(poses)).reshape(-1, 4)
     seen = seen[np.unique(seen[:, 0], return_index=True)[1]]
@@ -175,12 +188,19 @@ def _cut(
     return RobotDrive(robot, *asked, *measured, *told, *counted, *scalars)
 
 
+def _ends(config: Config) -> Array:
+    """Return when each robot of a drive has driven [s]."""
+    (behaviour,) = groups.behaviours(config)
+    assert isinstance(behaviour, Excitation)
+    return behaviour.ends
+
+
 class _Watch:
     """Says which robot drives, or what is waited for."""
 
     def __init__(self, config: Config, say: Callable[[str], None]) -> None:
         self._config, self._say, self._said = config, say, ""
-        self._ends = excitation(config).ends
+        self._ends = _ends(config)
         self._count = int(np.searchsorted(self._ends, config.run.duration_s))
 
     def __call__(self, recording: Recording, phase: str) -> None:
@@ -194,7 +214,7 @@ class _Watch:
         if head is not None and head[3] >= 0:
             row = int(np.searchsorted(self._ends, head[3] * self._config.controller.tick_s, side="right"))
             if row < self._count:
-                text = f"{self._config.groups[0].robots[row]} drives"
+                text = f"{self._config.members[row].id} drives"
         if text != self._said:
             self._said = text
             self._say(text)

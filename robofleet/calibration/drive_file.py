@@ -65,10 +65,10 @@ def load(file: Path) -> list[RobotDrive]:
     except OSError as error:
         raise CalibrationError(f"{file}: {error.strerror or 'is cut short'}: name the drive.npz of a drive") from error
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise CalibrationError(f"{file}: is no recording of a drive: name the drive.npz of one") from error
+        raise CalibrationError(f"{file}: is not a recording of a drive: name the drive.npz of one") from error
     version = arrays.get("version")
     if version is None or version.shape or "robots" not in arrays:
-        raise CalibrationError(f"{file}: is no recording of a drive: name the drive.npz of one")
+        raise CalibrationError(f"{file}: is not a recording of a drive: name the drive.npz of one")
     if version != VERSION:
         raise CalibrationError(f"{file}: is a recording of version {version}, this reads {VERSION}: drive again")
     return [_robot_drive(file, str(name), arrays) for name in np.atleast_1d(arrays["robots"])]

@@ -44,12 +44,12 @@ def taken(paths: Sequence[Path], config: Config | None, most: int) -> list[Named
     return from_camera(config, most)
 
 
-def live_config(file: Path) -> Config:
+def live_config(file: Path, overrides: Sequence[str] = ()) -> Config:
     """Read a configuration for its camera alone.
 
     Its place need not be known yet, and no controller is there to trigger it.
     """
-    return load_config(file, ["tracker.source=truth", "camera.trigger=free"])
+    return load_config(file, [*overrides, "tracker.source=truth", "camera.trigger=free"])
 
 
 def from_camera(config: Config, count: int) -> list[Named]:

@@ -67,7 +67,7 @@ class Solution:
 def refuse_unusable(drive: RobotDrive) -> None:
     """Raise a CalibrationError if a robot was not seen well enough, or stood still."""
     if len(drive.told_s) < _FEWEST:
-        raise CalibrationError(f"{drive.robot}: its driver did not say what it told the wheels: drive again")
+        raise CalibrationError(f"{drive.robot}: its driver did not report the wheels' commands: drive again")
     start_s, end_s = drive.commands_s[[0, -1]] if len(drive.commands_s) else (0.0, 0.0)
     seen = drive.poses_s[(drive.poses_s >= start_s) & (drive.poses_s <= end_s)]
     gap_s = float(np.diff(np.concatenate([[start_s], seen, [end_s]])).max())

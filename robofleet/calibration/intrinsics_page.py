@@ -114,7 +114,7 @@ def _floor_caption(measured: Measured) -> str:
     return (
         f"Standard deviation of a tag's place at {ceiling.tag_height_m:g} m, seen from {ceiling.height_m:g} m, "
         "from the lens's covariance. Left: an error of the lens as it is. Right: what remains when the "
-        "camera's pose is fitted to eight floor tags near the image's rim, as tools/calibrate.py arena does."
+        "camera's pose is fitted to eight floor tags near the image's rim, as robofleet calibrate arena does."
     )
 
 

@@ -1,6 +1,6 @@
 """Captures a board with a live camera: shows what was seen, and asks for the view that would help most."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console, Group, RenderableType
@@ -100,17 +100,19 @@ def _lines(gathering: Gathering, measured: Measured | None) -> list[Text]:
     return lines
 
 
-def live_config(file: Path) -> Config:
+def lens_config(file: Path, overrides: Sequence[str] = ()) -> Config:
     """Read a configuration for its camera alone: whatever its model was, it is what is to be measured."""
     try:
         tree, _ = read_yaml(file, Source(str(file)))
     except FileNotFoundError:
         tree = None
     camera = None if tree is None else tree.child("camera")
-    sides = [None if camera is None else camera.child(name) for name in ("width", "height")]
-    if not all(side is not None and isinstance(side.value, int) for side in sides):
-        return load_config(file)  # says what is wrong
-    size = ", ".join(f"{name}: {side.value}" for name, side in zip(("width", "height"), sides, strict=True) if side)
+    changed = {key: value for key, _, value in (override.partition("=") for override in overrides)}
+    nodes = {name: None if camera is None else camera.child(name) for name in ("width", "height")}
+    sides = {name: changed.get(f"camera.{name}") or (node and node.value) for name, node in nodes.items()}
+    if not all(str(side).isdecimal() for side in sides.values()):
+        return load_config(file, overrides)  # says what is wrong
+    size = ", ".join(f"{name}: {side}" for name, side in sides.items())
     place = "T_world_camera: {position_m: [0.0, 0.0, 1.0], rotation_rad: [3.0, 0.0, 0.0]}"
     nominal = f"{{{size}, focal_px: [1000.0, 1000.0], centre_px: [0.0, 0.0], distortion: [], {place}}}"
-    return load_config(file, [f"camera.model={nominal}"])
+    return load_config(file, [*overrides, f"camera.model={nominal}"])

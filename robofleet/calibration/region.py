@@ -1,6 +1,5 @@
 """The part of the floor that matters, and how exactly a placed camera sees it."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +32,6 @@ class Region(NamedTuple):
 def region_of(survey: Survey, arena_m: tuple[float, float] | None, height: float) -> Region:
     """Return the arena, a rectangle around the world's origin; if it is not known, the marks' rectangle."""
     if arena_m is not None:
-        if not all(0.0 < side < math.inf for side in arena_m):
-            raise CalibrationError(f"--arena-m: {arena_m[0]:g} x {arena_m[1]:g} m is no arena")
         x, y = arena_m[0] / 2, arena_m[1] / 2
         return Region((-x, -y), (x, y), height)
     places = [(mark.x_m, mark.y_m) for mark in survey.marks]

@@ -108,7 +108,7 @@ def latency_table(found: Sequence[Latency]) -> tuple[tuple[str, ...], list[tuple
 
 
 def offsets_page(found: Sequence[Offsets], drives: Sequence[RobotDrive], vehicles: Sequence[Vehicle]) -> Report:
-    """Return the page of ``calibrate.py offsets``."""
+    """Return the page of ``robofleet calibrate offsets``."""
     page = Report("Where the tags sit on their robots")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*offsets_table(found))
@@ -124,7 +124,7 @@ def offsets_page(found: Sequence[Offsets], drives: Sequence[RobotDrive], vehicle
 
 
 def latency_page(found: Sequence[Latency], believed: Sequence[tuple[float, DifferentialDrive]]) -> Report:
-    """Return the page of ``calibrate.py latency``; ``believed``: delay [s] and drive before."""
+    """Return the page of ``robofleet calibrate latency``; ``believed``: delay [s] and drive before."""
     page = Report("How late the wheels follow")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*latency_table(found))

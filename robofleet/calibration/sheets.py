@@ -103,17 +103,22 @@ def outline(black: NDArray[Any]) -> Outline:
     return Outline(np.array(vertices, dtype=np.float64), codes)
 
 
+def piece_side(side: float) -> float:
+    """Return the side of a tag's piece of paper whose black square has that side [mm]."""
+    return side * (1.0 + 2.0 / TAG_CELLS) + 2.0 * RIM
+
+
 def tag_pages(ids: Sequence[int], side: float, paper: str, command: str) -> list[Page]:
     """Return sheets of tags whose black square has that side [mm]."""
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    piece = side * (1.0 + 2.0 / TAG_CELLS) + 2.0 * RIM
+    piece = piece_side(side)
     size, columns, rows = _grid(piece, paper)
     if columns * rows == 0:
         raise CalibrationError(f"--side-mm {side:g}: with its white rim {piece:.4g} mm wide, too large for {paper}")
     pages = []
     for start in range(0, len(ids), columns * rows):
         page = Page(size)
-        _foot(page, command, f"AprilTag 36h11, black square {side:g} mm")
+        foot(page, command, f"AprilTag 36h11, black square {side:g} mm")
         left = (page.width + LEFT - MARGIN - columns * piece) / 2.0
         top = page.height - MARGIN
         for k, tag in enumerate(ids[start : start + columns * rows]):
@@ -145,7 +150,7 @@ def board_page(
         raise CalibrationError(f"--squares {columns}x{rows}: needs more than {len(dictionary.bytesList)} markers")
     page = Page(size)
     named = f"--squares {columns}x{rows} --square-mm {square:g} --marker-mm {marker:g}"
-    _foot(page, command, f"calibrate.py intrinsics {named}   (ChArUco, DICT_5X5_250)")
+    foot(page, command, f"robofleet calibrate intrinsics {named}   (ChArUco, DICT_5X5_250)")
     x = (page.width + LEFT - MARGIN - columns * square) / 2.0
     y = (page.height + FOOT - MARGIN - rows * square) / 2.0
     chess = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
@@ -185,7 +190,7 @@ def _piece(page: Page, x: float, y: float, side: float, tag: int, label: str) ->
     page.text(x + side - RIM / 2, middle_y + 2.0, "forward", **turned)
 
 
-def _foot(page: Page, command: str, what: str) -> None:
+def foot(page: Page, command: str, what: str) -> None:
     """Draw a ruler in each direction, for printers stretch one more than the other, and write how to print."""
     across, up = (50 * int(room / 50) for room in (page.width - LEFT - MARGIN, page.height - FOOT - MARGIN))
     ticks = [[mm, 0.0, mm, 3.0 if mm % 50 == 0 else 2.0 if mm % 10 == 0 else 1.0] for mm in range(across + up)]

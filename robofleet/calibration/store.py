@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from robofleet.clock import utc_now
 from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
-from robofleet.config.model import Model
 from robofleet.config.yamlfile import Source, read_yaml
+from robofleet.settings import Model
 
 KEPT = "earlier"  # folder beside a calibration, of those that it replaced
 
@@ -67,7 +67,7 @@ def save(file: Path, calibration: Model) -> Path | None:
     Raises:
         CalibrationError: if it cannot be written; the one before is still in its place then.
     """
-    header = f"# Written by tools/calibrate.py; the one before it is in {KEPT}/.\n"
+    header = f"# Written by robofleet calibrate; the one before it is in {KEPT}/.\n"
     tree = calibration.model_dump(mode="json", exclude_none=True)
     text = header + yaml.safe_dump(tree, sort_keys=False, width=110)
     written = file.with_name(f".{file.name}.new")

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from robofleet.calibration.store import CalibrationError, load
 from robofleet.config.calibrated import FloorTag
-from robofleet.config.model import Coordinate, Model, NonNegative, within
+from robofleet.settings import Coordinate, Model, NonNegative, within
 
 LEAST = 4  # marks that determine where a camera hangs
 _LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line
@@ -74,6 +74,6 @@ def _faults(survey: Survey) -> Iterator[str]:
         names.setdefault(name, where)
         places.setdefault(place, where)
     if len(survey.marks) < LEAST:
-        yield f"has {len(survey.marks)} tags and points: {LEAST} or more say where a camera hangs"
+        yield f"{LEAST} tags and points or more place a camera, and this survey has {len(survey.marks)}: survey more"
     elif on_one_line(np.array([(mark.x_m, mark.y_m, mark.height_m) for mark in survey.marks])):
         yield "all tags and points lie on one line, around which the camera could turn: lay some beside it"

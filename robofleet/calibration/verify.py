@@ -81,7 +81,7 @@ def verify(camera: Path, survey_file: Path, images: Sequence[Named], survey_mm: 
 def _calibrated(camera: Path, model: CameraModel, survey_file: Path, survey_mm: float | None) -> Calibrated:
     """Return the pose of a camera's file, and how good it was."""
     if model.T_world_camera is None:
-        raise CalibrationError(f"{camera}: T_world_camera: is missing: run tools/calibrate.py arena")
+        raise CalibrationError(f"{camera}: T_world_camera: is missing: run robofleet calibrate arena")
     arena, covariance = model.arena, np.zeros((6, 6))
     if arena is not None and arena.covariance:
         covariance = covariance_of(f"{camera}: arena", arena.covariance, 6)
@@ -194,7 +194,7 @@ def _knock(story: _Story, lens: Lens, calibrated: Calibrated, floor: Array) -> s
     parts = ([_turned(turn, before)] if turn.any() else []) + ([_shifted(shift)] if shift.any() else [])
     return (
         f"the camera was knocked: by its calibration, things now seem {math.sqrt((distance**2).mean()):.1f} mm rms "
-        f"from where they are, {distance.max():.1f} mm at most; it {' and '.join(parts)}: run tools/calibrate.py arena"
+        f"from where they are, {distance.max():.1f} mm at most; it {' and '.join(parts)}: run robofleet calibrate arena"
     )
 
 

@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robofleet.comms.private_folder import PlaceError, check_private, private_folder
-from robofleet.config.patterns import LONGEST_SOCKET_PATH, PRIVATE, SOCKET
+from robofleet.patterns import LONGEST_SOCKET_PATH, PRIVATE, SOCKET
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
+
+_SOCKETS = Path("/proc/net/unix")
+_FLAGS, _LISTENS = 3, "00010000"  # a column of it, and what stands there
 
 
 def settled(config: "Config", *, listen: bool) -> "Config":
@@ -42,10 +45,22 @@ def check_free(config: "Config") -> None:
     if not endpoint.startswith(SOCKET) or not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):
-        raise PlaceError(f"bus.endpoint: {path} is there and no socket: remove it")
+        raise PlaceError(f"bus.endpoint: {path} exists and is not a socket: remove it")
     with socket.socket(socket.AF_UNIX) as probe, suppress(ConnectionRefusedError, FileNotFoundError):
         probe.connect(str(path))
         raise _in_use(endpoint, OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE)))
+
+
+def listens(endpoint: str) -> bool | None:
+    """Return whether somebody listens at a socket of this computer; None where the system does not say."""
+    if not endpoint.startswith(SOCKET):
+        return None
+    try:
+        lines = _SOCKETS.read_text(errors="replace").splitlines()
+    except OSError:
+        return None
+    listening = (line.split(maxsplit=7) for line in lines if str(_path(endpoint)) in line)
+    return any(len(columns) == 8 and columns[_FLAGS] == _LISTENS for columns in listening)
 
 
 def _in_use(endpoint: str, error: OSError) -> PlaceError:

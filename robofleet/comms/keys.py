@@ -26,6 +26,7 @@ PICTURE = Topic("poses/{}/picture", 1.0, "DATA_LOW", 1_000_000)
 TICK = Topic("tick", 0.033, "DATA", _FLEET)
 RECORDER = Topic("recorder", 0.250, "DATA_LOW", _FIXED)
 STATE = Topic("state", 0.040, "REAL_TIME", _FLEET, reliable=True)
+BUSY = Topic("busy", 0.0, "REAL_TIME", _FLEET, reliable=True)
 TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW", _FIXED)
 REQUEST = Topic("request/{}", 0.0, "REAL_TIME", _FLEET, reliable=True)
 ALIVE = Topic("alive/{}", 0.0, "DATA", 0, reliable=True)
@@ -33,7 +34,7 @@ ALIVE = Topic("alive/{}", 0.0, "DATA", 0, reliable=True)
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
-TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, TRUTH, REQUEST, ALIVE)
+TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, REQUEST, ALIVE)
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 if TYPE_CHECKING:
     import numpy as np
 
-VERSION = 4
+VERSION = 5
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
 _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
@@ -91,10 +91,16 @@ class Layout(Generic[M]):
 
 
 class ListLayout(Generic[M]):
-    """A layout with a list at its end: version byte, the head's fields, the items' count, then equal items."""
+    """A layout with a list: version byte, the head's fields, the items' count, then equal items.
 
-    def __init__(self, make: type[M], head: str, make_item: type[NamedTuple], item: str) -> None:
-        self._make, self._make_item = make, make_item
+    With ``numbers`` every double after the items is one of the message's last field, NaN allowed: whoever reads them
+    knows what they mean.
+    """
+
+    def __init__(
+        self, make: type[M], head: str, make_item: type[NamedTuple], item: str, *, numbers: bool = False
+    ) -> None:
+        self._make, self._make_item, self._numbers = make, make_item, numbers
         self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
         self._head_letters, self._item_letters = head, item
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
@@ -114,34 +120,42 @@ class ListLayout(Generic[M]):
 
         return np.dtype(self._item_columns)
 
-    def dtype(self, count: int) -> "np.dtype[Any]":
+    def dtype(self, count: int, numbers: int = 0) -> "np.dtype[Any]":
         """Return the layout of a message of ``count`` items, for reading many at once."""
         import numpy as np  # noqa: PLC0415
 
-        return np.dtype([*self._columns, ("items", self.item_dtype, (count,))])
+        rest = [(self._make._fields[-1], "<f8", (numbers,))] if self._numbers else []
+        return np.dtype([*self._columns, ("items", self.item_dtype, (count,)), *rest])
 
     def describe(self) -> Description:
         """Return the message's name, and the numpy types of its parts."""
-        return self._make.__name__, {"fields": self._columns, "items": self._item_columns}
+        rest = {"rest": self._make._fields[-1]} if self._numbers else {}
+        return self._make.__name__, {"fields": self._columns, "items": self._item_columns, **rest}
+
+    def _fits(self, length: int, count: int) -> bool:
+        """Return whether a message of this length can have so many items."""
+        rest = length - self._head.size - count * self._item.size
+        return rest == 0 or (self._numbers and rest > 0 and rest % 8 == 0)
 
     def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
         """Return the head's fields alone, or None where length or version is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
-        return tuple(head) if len(payload) == self._head.size + count * self._item.size else None
+        return tuple(head) if self._fits(len(payload), count) else None
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
-        *head, items = message
+        *head, items = message[:-1] if self._numbers else message
         try:
             packed = b"".join([self._item.pack(*item) for item in items])
         except _TOO_LARGE:
             packed = self._packed(items)
-        return self.encode_parts(tuple(head), len(items), packed)
+        numbers = Struct(f"<{len(message[-1])}d").pack(*message[-1]) if self._numbers else b""
+        return self.encode_parts(tuple(head), len(items), packed, numbers)
 
-    def encode_parts(self, head: tuple[Any, ...], count: int, items: bytes) -> bytes:
-        """Return the payload from items that are packed already; of too many the first ones."""
+    def encode_parts(self, head: tuple[Any, ...], count: int, items: bytes, numbers: bytes = b"") -> bytes:
+        """Return the payload from items and numbers that are packed already; of too many items the first ones."""
         if count > _MOST_ITEMS:
             count, items = _MOST_ITEMS, items[: _MOST_ITEMS * self._item.size]
         try:
@@ -152,7 +166,7 @@ class ListLayout(Generic[M]):
         if not math.isfinite(sum(head) + sum(map(sum, self._item.iter_unpack(items)))):
             items = self._packed(self._item.iter_unpack(items))
             packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
-        return packed + items
+        return packed + items + numbers
 
     def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)
@@ -162,12 +176,14 @@ class ListLayout(Generic[M]):
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
-        if len(payload) != self._head.size + count * self._item.size:
+        if not self._fits(len(payload), count):
             return None
-        rows = list(self._item.iter_unpack(payload[self._head.size :]))
+        end = self._head.size + count * self._item.size
+        rows = list(self._item.iter_unpack(payload[self._head.size : end]))
         if not math.isfinite(sum(head) + sum(map(sum, rows))):
             return None
-        return self._make._make([*head, tuple(map(self._make_item._make, rows))])
+        numbers = (Struct(f"<{(len(payload) - end) // 8}d").unpack(payload[end:]),) if self._numbers else ()
+        return self._make._make([*head, tuple(map(self._make_item._make, rows)), *numbers])
 
 
 class BlobLayout(Generic[M]):

@@ -23,9 +23,7 @@ class RoleTakenError(Exception):
     def __init__(self, arena: str, role: str, there: "Sequence[Token]") -> None:
         """Say which."""
         which = ", ".join(f"process {token.pid}" for token in there)
-        super().__init__(
-            f"the arena {arena} has a {role} already ({which}): end that one first, or leave it to its work"
-        )
+        super().__init__(f"the arena {arena} has a {role} already ({which}): end that one first")
 
 
 class Token(NamedTuple):
@@ -66,9 +64,9 @@ class Living:
     def doubt(self) -> str:
         """Why an answer in this role is not believed."""
         if len(self.ids) < 2:
-            return f"somebody else answered, who is not the {self._role}"
+            return f"another client answered in place of the {self._role}"
         there = ", ".join(sorted(token.pid for token in tuple(self._tokens)))
-        return f"several on this bus call themselves {self._role}, so none is believed (processes {there})"
+        return f"several processes claim to be the {self._role}, so none is believed (processes {there})"
 
     def _told(self, sample: zenoh.Sample) -> None:
         token = _token(str(sample.key_expr))

@@ -85,6 +85,28 @@ class RunState(NamedTuple):
     robots: tuple[RobotState, ...]  # in the group's order
 
 
+class Late(NamedTuple):
+    """A process that was late by its machine's load."""
+
+    process: int  # row in safety.busy: supervisor, controller, tracker, then the robots' drivers in their order
+    most_ns: int  # so far
+    late_ns: int  # when the cause came; 0: it was in time then
+
+
+class BusyMachine(NamedTuple):
+    """Supervisor to all, once a second since somebody was late by the machine's load, and at every stop by it."""
+
+    epoch: int  # of the supervisor's RunState
+    seq: int
+    cause: int  # safety.supervisor.Event that load explains, while the run stands for it; 0: it does not
+    goes_on: int  # 1: the run is held by nothing but load, and goes on by itself
+    resumed: int  # how often it did so far
+    attempts: int  # how often the checks before the start began anew
+    cores: int
+    load: float  # processes that ran or were ready to, mean of a minute
+    late: tuple[Late, ...]  # everybody who was late so far
+
+
 class Truth(NamedTuple):
     """A simulated robot's true state, for the simulated camera and for the summary."""
 
@@ -156,10 +178,12 @@ class TickRecord(NamedTuple):
         int  # of the newest command before this tick's: those after it, up to the next record's, are this tick's
     )
     phase: int
+    arrived: int  # 1: the behaviours of this phase have done all that they were to do
     overruns: int  # so far
     lateness_ns: int  # of this tick
     compute_ns: int  # of the tick before
     robots: tuple["RobotTick", ...]
+    figures: tuple[float, ...]  # of the groups, as behaviours.described reads them; NaN: not told
 
 
 class RobotTick(NamedTuple):
@@ -170,12 +194,8 @@ class RobotTick(NamedTuple):
     psi_rad: float
     point_x_m: float  # point p when the command acts
     point_y_m: float
-    reference_x_m: float  # rho at the horizon
-    reference_y_m: float
-    reference_parameter: float  # of the path
-    u_x_m_s: float  # input after the update, as the wheels can do it
+    u_x_m_s: float  # velocity of the point p that is asked for, as wheels and barrier let it [world]
     u_y_m_s: float
-    control_error_m: float
     left_rad_s: float
     right_rad_s: float
     saturated: float  # 1: the wheels could not do all of it
@@ -183,6 +203,7 @@ class RobotTick(NamedTuple):
     lost: float  # 1: no image for too long; it stands still
     filtered: float  # 1: the barrier changed its command; 2: it found no answer, and the robot stands
     blocked: float  # 1: the barrier has held it for so long that it will not get on by itself
+    failed: float  # safety.supervisor.Event by which its group's behaviour failed, and stands; 0: it did not
 
 
 class Picture(NamedTuple):
@@ -231,6 +252,7 @@ RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
 LEASE_ANSWER = Layout(LeaseAnswer, "BQQ", 0)
 FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hiiddd")
-TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBQqq", RobotTick, "d" * 18)
+TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBBQqq", RobotTick, "d" * 15, numbers=True)
 PICTURE = BlobLayout(Picture, "IQqHH")
+BUSY_MACHINE = ListLayout(BusyMachine, "IQHBIIHd", Late, "Hqq")
 RUN_STATE = ListLayout(RunState, "IQBHHdBHB", RobotState, "BBH")

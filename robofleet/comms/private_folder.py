@@ -36,7 +36,7 @@ def check_private(folder: Path) -> None:
         raise PlaceError(f"{folder}: {error.strerror}: make it with `mkdir -m 700 {folder}`") from error
     if not stat.S_ISDIR(found.st_mode):
         raise PlaceError(
-            f"{folder} is no folder but a link or a file: remove it, or set XDG_RUNTIME_DIR to another one"
+            f"{folder} is not a folder but a link or a file: remove it, or set XDG_RUNTIME_DIR to another one"
         )
     if found.st_uid != os.geteuid():  # in /tmp anybody may have made it
         raise PlaceError(f"{folder} belongs to somebody else: set XDG_RUNTIME_DIR to a folder of yours")

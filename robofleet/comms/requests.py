@@ -12,14 +12,20 @@ _POLL_NS = 2 * MS
 
 
 def asked(
-    bus: Bus, clock: Clock, process: str, payload: bytes, meanwhile: Callable[[], object] = lambda: None
+    bus: Bus,
+    clock: Clock,
+    process: str,
+    payload: bytes,
+    meanwhile: Callable[[], object] = lambda: None,
+    *,
+    within_ns: int = _WITHIN_NS,
 ) -> bytes:
-    """Ask a process, again while no answer comes, and return its answer; TimeoutError after two seconds.
+    """Ask a process, again while no answer comes, and return its answer; TimeoutError after a while.
 
     ``meanwhile`` is called again and again, and may raise. At first the router may not have heard of that process yet:
     then a request ends at once and without an answer.
     """
-    deadline_ns = clock.now_ns() + _WITHIN_NS
+    deadline_ns = clock.now_ns() + within_ns
     doubt = ""
     while clock.now_ns() < deadline_ns:
         answer = bus.ask(REQUEST, process, payload)

@@ -1,4 +1,4 @@
-"""The newest word of every driver."""
+"""The newest status of every driver: its heartbeat."""
 
 from collections.abc import Sequence
 

@@ -20,6 +20,7 @@ _REQUESTS = 16  # that wait to be served
 _ANSWERS = 16  # of different processes to one question
 _GONE_WITHIN_NS = S  # the token of a process that was killed, also where its host has to notice that
 _AGAIN_NS = 50 * MS
+_NOBODY_NS = 2 * S  # without a token of who is asked: its word was lost, or it is not there
 _QUESTIONS_HZ = 500.0  # of a client on a key; a flood of them reaches nobody, and costs the router the least
 _FILES = 16384  # that the router may have open, where the system allows it
 _TRANSPORT = {
@@ -83,7 +84,7 @@ class ZenohBus:
         self._closed = False
         self._queryables: list[Any] = []
         self._listeners: list[Any] = []
-        self._living: dict[str, Living] = {}  # those that this process asks
+        self._living: dict[str, tuple[Living, int]] = {}  # those that this process asks, and since when [ns]
         self._session = _open(
             {
                 "mode": "client",
@@ -177,10 +178,7 @@ class ZenohBus:
 
     def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
         """Send a request, once: to all who say that they serve it, so that none keeps it from the others."""
-        server = served_by(topic, name)
-        if server not in self._living:
-            self._living[server] = Living(self._session, self._arena, server)
-        answer = _ZenohAnswer(self._living[server], topic.largest)
+        answer = _ZenohAnswer(self._who_serves(served_by(topic, name)), topic.largest)
         self._session.get(
             key(self._arena, topic, name),
             zenoh.handlers.Callback(answer.put, indirect=False),  # a RingChannel's answer is gone with its query
@@ -192,6 +190,15 @@ class ZenohBus:
             priority=getattr(zenoh.Priority, topic.priority),
         )
         return answer
+
+    def _who_serves(self, server: str) -> Living:
+        """Return who has a role; who was not found for long is looked for anew: a busy machine loses the first word."""
+        now_ns = self._clock.now_ns()
+        living, since_ns = self._living.get(server, (None, 0))
+        if living is None or (not living.ids and now_ns - since_ns > _NOBODY_NS):
+            living = Living(self._session, self._arena, server)
+            self._living[server] = living, now_ns
+        return living
 
     def close(self) -> None:
         """Leave the bus. Idempotent."""

@@ -1,4 +1,7 @@
-"""From the configuration's tree to what the barrier takes: the controller keeps it, checks and pictures show it."""
+"""From the configuration's tree to what the control barrier function (CBF) takes.
+
+The controller keeps it; checks and pictures show it.
+"""
 
 from robofleet.clock import S
 from robofleet.config import slices

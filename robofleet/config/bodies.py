@@ -3,13 +3,12 @@
 import math
 from collections.abc import Iterator
 
+from robofleet.config import units
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.tree import Config
 
 _MEASURED = 1.5  # a calibration that is this many times its vehicle's value, or less than its inverse, is wrong
 _HELD_BACK = 4.0  # a robot's wheels may be allowed less than its top speed takes, but not so much less
-_MM = 1000.0  # a length that fits when it is divided by this was meant in millimetres,
-_LEAST = 0.01  # if it is not less than this share of what it may be
 _ROUNDING = 1e-9
 
 
@@ -33,10 +32,16 @@ def _shape(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
     elif radius >= body and half >= body:
         yield "body_radius_m", f"{body:g} m is less than a wheel's radius and half the wheel base: mend it"
     elif radius > body:
-        yield "wheel_radius_m", f"a wheel of {radius:g} m is larger than {disc}: mend one{_perhaps(radius, body)}"
+        yield (
+            "wheel_radius_m",
+            f"a wheel of {radius:g} m is larger than {disc}: mend one{units.meant(radius, body, 'wheel_radius_m')}",
+        )
     else:
         base = vehicle.wheel_base_m
-        yield "wheel_base_m", f"wheels {base:g} m apart stand outside {disc}: mend one{_perhaps(base, 2 * body)}"
+        yield (
+            "wheel_base_m",
+            f"wheels {base:g} m apart stand outside {disc}: mend one{units.meant(base, 2 * body, 'wheel_base_m')}",
+        )
 
 
 def _speed(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
@@ -54,9 +59,5 @@ def _measured(robot: Robot) -> Iterator[tuple[str, str]]:
     for key in ("wheel_radius_m", "wheel_base_m"):
         measured, nominal = getattr(robot.calibration, key), getattr(robot.vehicle, key)
         if measured is not None and not 1 / _MEASURED <= measured / nominal <= _MEASURED:
-            hint = _perhaps(measured, _MEASURED * nominal)
+            hint = units.meant(measured, _MEASURED * nominal, key)
             yield key, f"{measured:g} m was measured, its vehicle has {nominal:g}: mend one, or calibrate again{hint}"
-
-
-def _perhaps(value: float, limit: float) -> str:
-    return f" (is {value:g} in mm?)" if _LEAST <= value / _MM / limit <= 1.0 else ""

@@ -1,10 +1,10 @@
-"""What ``tools/calibrate.py`` writes and the configuration names: cameras, floor tags, single robots."""
+"""What ``robofleet calibrate`` writes and the configuration names: cameras, floor tags, single robots."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import (
+from robofleet.settings import (
     LAST_TAG,
     MANY,
     Coordinate,
@@ -28,106 +28,103 @@ Pixel = Annotated[tuple[Annotated[float, within(-1e5, 1e5)], Annotated[float, wi
 
 
 class Provenance(Model):
-    """Where a calibration comes from, and how good it is: written by ``tools/calibrate.py``."""
+    """Origin and quality of a calibration, written by ``robofleet calibrate``."""
 
     date: Text
-    """UTC, ISO 8601."""
+    """Time of the calibration, UTC in ISO 8601."""
     tool: Text
-    """With its version."""
+    """Tool that wrote it, with its version."""
     inputs: Annotated[dict[Text, Text], Field(max_length=MANY)]
-    """Name of what was measured: hash of its bytes."""
+    """Names of the measured files, each with the hash of its bytes."""
     figures: Annotated[dict[Text, Annotated[float, within(-1e15, 1e15)] | None], Field(max_length=MANY)]
-    """Name with its unit: value."""
+    """Names of the figures, with units, each with its value."""
     parameters: Annotated[tuple[Text, ...], Field(max_length=MANY, strict=False)] = ()
-    """In the order of the covariance's rows, with units."""
+    """Names of the parameters, with units, in the order of the covariance's rows."""
     covariance: Annotated[tuple[Row, ...], Field(max_length=MANY, strict=False)] = ()
-    """Of the parameters."""
+    """Covariance matrix of the parameters."""
 
 
 class TagOffset(Model):
-    """The tag's pose on its robot: from the centre of the axle, in the body's frame."""
+    """Pose of the tag on its robot, from the centre of the axle, in the body's frame."""
 
     forward_m: Annotated[float, within(-10, 10)] = 0.0
-    """Of the tag's centre."""
+    """Position of the tag's centre, forward of the axle's centre."""
     left_m: Annotated[float, within(-10, 10)] = 0.0
-    """Of the tag's centre."""
+    """Position of the tag's centre, to the left of the axle's centre."""
     heading_deg: Degrees = 0.0
-    """Of the print's right over the robot's forward, counter-clockwise."""
+    """Angle from the robot's forward direction to the right side of the print, counter-clockwise."""
 
 
 class RobotCalibration(Model):
-    """What was measured of one robot (a file of ``configs/robots``); it goes before its vehicle's values."""
+    """What was measured of one robot (a file of ``configs/robots``). These values replace those of its vehicle."""
 
     robot: Name
-    """On which one this was measured."""
+    """Id of the robot that was measured."""
     tag_offset: TagOffset = TagOffset()
-    """Where the tag sits on it."""
+    """Pose of the tag on the robot."""
     wheel_radius_m: Length | None = None
-    """null: as its vehicle's."""
+    """Radius of a wheel; null: the vehicle's."""
     wheel_base_m: Length | None = None
-    """null: as its vehicle's."""
+    """Distance between the points where the wheels touch the floor; null: the vehicle's."""
     delay_s: Delay | None = None
-    """From a tick to the moment when its command acts; null: ``controller.command_delay_s``."""
+    """Time from a tick until its command acts on the wheels; null: ``controller.command_delay_s``."""
     motor_lag_s: Lag | None = None
-    """null: as its vehicle's."""
+    """Time constant of the wheel-speed loop; null: the vehicle's."""
     offsets: Provenance | None = None
     """How tag and wheels were measured."""
     latency: Provenance | None = None
-    """How delay and lag were measured."""
+    """How delay and motor lag were measured."""
 
 
 class FloorTag(Model):
-    """A tag that was surveyed: it stays where it is, and shows whether the camera does."""
+    """A tag at a surveyed place. The tag does not move, so it shows whether the camera does."""
 
     tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
-    """Its id, of the family 36h11."""
+    """Id of the tag, of the family 36h11."""
     side_m: Length
-    """Of its black square."""
+    """Side of its black square."""
     x_m: Coordinate
-    """Of its middle, in the world frame."""
+    """Position of its centre along x, in the world frame."""
     y_m: Coordinate
-    """Of its middle, in the world frame."""
+    """Position of its centre along y, in the world frame."""
     heading_deg: Degrees = 0.0
-    """Of the print's right, counter-clockwise."""
+    """Angle from the x axis to the right side of the print, counter-clockwise."""
     height_m: Height = 0.0
-    """Above the floor."""
+    """Height above the floor."""
 
 
 class PoseSettings(Model):
-    """A rigid transform: camera to world."""
+    """A rigid transform from the camera's frame to the world's."""
 
     position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(strict=False)]
-    """Of the camera."""
+    """Position of the camera."""
     rotation_rad: Annotated[tuple[Turned, Turned, Turned], Field(strict=False)]
-    """Axis times angle (Rodrigues)."""
+    """Rotation vector: axis times angle (Rodrigues)."""
 
 
 class CameraModel(Model):
-    """A calibrated camera (a file of ``configs/cameras``).
-
-    ``distortion``: OpenCV's coefficients in OpenCV's order; of a pinhole 0, 4, 5, 8, 12 or 14 (k1 k2 p1 p2 k3 k4 k5 k6
-    s1 s2 s3 s4 tx ty), of a fisheye 4 (k1 k2 k3 k4).
-    """
+    """A calibrated camera (a file of ``configs/cameras``)."""
 
     camera: Text = ""
-    """On which one this was measured, as its source names it; empty: any."""
+    """Identity of the measured camera, as its source names it; empty: any camera."""
     lens: Literal["pinhole", "fisheye"] = "pinhole"
-    """OpenCV's model of it."""
+    """OpenCV's model of the lens."""
     width: Pixels
-    """Of the images, in pixels."""
+    """Width of the images in pixels."""
     height: Pixels
-    """Of the images, in pixels."""
+    """Height of the images in pixels."""
     focal_px: Annotated[tuple[Focal, Focal], Field(strict=False)]
-    """Along x and along y."""
+    """Focal lengths along x and along y."""
     centre_px: Pixel
-    """Integers are pixel centres."""
+    """Principal point. Integer coordinates are the centres of pixels."""
     distortion: Annotated[tuple[Coefficient, ...], Field(max_length=14, strict=False)]
-    """OpenCV's coefficients in OpenCV's order."""
+    """OpenCV's distortion coefficients in OpenCV's order. ``pinhole``: 0, 4, 5, 8, 12 or 14 of k1 k2 p1 p2 k3 k4 k5 k6
+    s1 s2 s3 s4 tx ty. ``fisheye``: k1 k2 k3 k4."""
     line_time_s: Annotated[float, within(0, 0.1)] = 0.0
-    """Of a rolling shutter, from one row's exposure to the next one's; 0: global shutter."""
+    """Time from one row's exposure to the next row's, of a rolling shutter; 0: global shutter."""
     T_world_camera: PoseSettings | None = None
-    """Where it hangs; null: not measured yet."""
+    """Pose of the camera; null: not measured yet."""
     intrinsics: Provenance | None = None
     """How the lens was measured."""
     arena: Provenance | None = None
-    """How its place was measured."""
+    """How the camera's pose was measured."""

@@ -10,106 +10,104 @@ from robofleet.config.calibrated import (
     Pixel,
     TagOffset,
 )
-from robofleet.config.model import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
+from robofleet.settings import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
 
 Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class Cable(Model):
-    """Something thin over the arena, near the camera: it hides what is below."""
+    """A thin object between camera and arena. It hides what is behind it."""
 
     points_px: Annotated[tuple[Pixel, ...], Field(min_length=2, max_length=MANY, strict=False)]
     """Its course through the image."""
     width_px: Annotated[int, Field(ge=1, le=100)] = 2
-    """Across."""
+    """Width of its image."""
     gray: Gray = 40
-    """Of its image."""
+    """Grey level of its image."""
     at_s: Instant = 0.0
-    """When it is put there; 0: before the checks, too."""
+    """Time at which it appears; 0: before the checks."""
 
 
 class Glare(Model):
-    """A lamp's reflection: light added around a pixel, falling off as a Gaussian."""
+    """Reflection of a lamp: light that is added around a pixel and falls off as a Gaussian."""
 
     at_px: Pixel
-    """Its middle."""
+    """Centre of the reflection."""
     radius_px: Annotated[float, within(0.1, 1e4)]
     """Standard deviation of the Gaussian."""
     gray: Annotated[float, within(1e-3, 1e5)] = 400.0
-    """What it adds at its middle; beyond 255 it saturates."""
+    """Grey levels that are added at the centre. A sum above 255 saturates."""
 
 
 class Outage(Model):
-    """The camera sends the same picture again and again, or none.
-
-    Time counts from the start of the run; 0: before the checks, too.
-    """
+    """The camera repeats one image, or sends none. Times count from the start of the run; 0: from before the checks
+    on."""
 
     kind: Literal["frozen", "stalled"]
-    """``frozen``: the same picture; ``stalled``: none."""
+    """``frozen``: the same image again and again. ``stalled``: no image."""
     at_s: Instant
-    """When it begins."""
+    """Time at which it begins."""
     duration_s: Lasting
     """How long it lasts."""
 
 
 class Knock(Model):
-    """The camera is turned about its own axes, shifted and zoomed, at once or slowly, as one that warms up.
-
-    Time counts from the start of the run; 0: before the checks, too.
-    """
+    """The camera is turned about its own axes, shifted or zoomed: at once, or slowly as when it warms up. Times count
+    from the start of the run; 0: from before the checks on."""
 
     at_s: Instant
-    """When it begins."""
+    """Time at which it begins."""
     over_s: Instant = 0.0
-    """How long it takes; 0: at once."""
+    """How long the change takes; 0: at once."""
     rotation_deg: Annotated[tuple[Turn, Turn, Turn], Field(strict=False)] = (0.0, 0.0, 0.0)
-    """About the camera's axes: x right, y down, z forward."""
+    """Rotation about the camera's axes: x right, y down, z forward."""
     shift_m: Annotated[tuple[Shift, Shift, Shift], Field(strict=False)] = (0.0, 0.0, 0.0)
-    """In the world frame."""
+    """Shift in the world frame."""
     focal_ratio: Annotated[float, Field(ge=0.5, le=2)] = 1.0
-    """Of the focal lengths, after over before."""
+    """Focal lengths after the change, divided by those before it."""
 
 
 class Cover(Model):
-    """A sheet of plain paper on a robot's tag. Time counts from the start of the run; 0: before the checks, too."""
+    """A sheet of plain paper covers a robot's tag. Times count from the start of the run; 0: from before the checks
+    on."""
 
     robot: Name
-    """Whose tag is covered."""
+    """Id of the robot whose tag is covered."""
     at_s: Instant = 0.0
-    """When it is laid there."""
+    """Time at which the sheet is laid there."""
     duration_s: Lasting
-    """How long it lies there."""
+    """How long the sheet lies there."""
 
 
 class Swap(Model):
-    """Two robots' tags are exchanged. Time counts from the start of the run; 0: before the checks, too."""
+    """Somebody exchanges the tags of two robots. Times count from the start of the run; 0: from before the checks
+    on."""
 
     robots: Annotated[tuple[Name, Name], Field(strict=False)]
-    """The two that wear each other's tag from then on."""
+    """Ids of the two robots."""
     at_s: Instant
-    """When that is done."""
+    """Time of the exchange."""
 
 
 class TrueTagOffset(TagOffset):
-    """Where a simulated robot's tag really is on it: from the centre of the axle, in the body's frame."""
+    """True pose of the tag on a simulated robot, from the centre of the axle, in the body's frame."""
 
     robot: Name
-    """Which one."""
+    """Id of the robot."""
 
 
 class SimulatedCameraSettings(Model):
-    """What the simulated camera has to survive; nothing by default."""
+    """Troubles of the simulated camera. There are none by default."""
 
     light: Annotated[float, within(1e-3, 1)] = 1.0
     """Share of full light."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
-    """Of the images' compression; null: they are not compressed."""
+    """Quality of the images' JPEG compression; null: no compression."""
     projector_gray: Gray = 0
-    """Strength of a projector's moving pattern, added to what it falls on."""
+    """Strength of a projector's moving pattern, which is added to the image of the floor and the robots."""
     cables: Annotated[tuple[Cable, ...], Field(max_length=MANY, strict=False)] = ()
-    """Over the arena, near the camera."""
+    """Thin objects between camera and arena."""
     glare: Annotated[tuple[Glare, ...], Field(max_length=MANY, strict=False)] = ()
     """Reflections of lamps."""
     posters: Annotated[tuple[FloorTag, ...], Field(max_length=MANY, strict=False)] = ()
@@ -119,76 +117,80 @@ class SimulatedCameraSettings(Model):
     swaps: Annotated[tuple[Swap, ...], Field(max_length=MANY, strict=False)] = ()
     """Exchanges of two robots' tags."""
     outages: Annotated[tuple[Outage, ...], Field(max_length=MANY, strict=False)] = ()
-    """When no new picture comes."""
+    """Times without a new image."""
     knocks: Annotated[tuple[Knock, ...], Field(max_length=MANY, strict=False)] = ()
-    """When the camera is moved."""
+    """Movements of the camera."""
     tag_offsets: Annotated[tuple[TrueTagOffset, ...], Field(max_length=MANY, strict=False)] = ()
-    """Where tags really are on their robots; of a robot that is not named: as calibrated."""
+    """True poses of the tags on their robots. A robot that is not named has its tag where its calibration says."""
 
 
 class V4L2Settings(Model):
-    """A camera of the kernel's (``camera.source: v4l2``)."""
+    """A camera of the Linux kernel (``camera.source: v4l2``)."""
 
     device: Named = "/dev/video0"
-    """A link in ``/dev/v4l/by-id`` stays when the camera is plugged in again."""
+    """Device of the camera. A link in ``/dev/v4l/by-id`` keeps its name when the camera is plugged in again."""
     format: Literal["MJPG", "GREY"] = "MJPG"
-    """Of the pixels."""
+    """Pixel format."""
     gain: Annotated[int, within(-(2**31), 2**31 - 1)] | None = 0
-    """In the driver's units; null: this camera has no gain to set."""
+    """Gain in the camera's own units; null: the camera has no gain control."""
     stamp: Literal["start", "end"] = "start"
-    """What its driver stamps: the exposure's start, or the end of the transfer."""
+    """Which instant the camera's kernel driver stamps: ``start`` of the exposure, or ``end`` of the transfer."""
 
 
 class FilesSettings(Model):
-    """A video, or a folder of images (``camera.source: files``). Paths count from where robofleet is started."""
+    """A video or a folder of images (``camera.source: files``). Relative paths start at the folder in which robofleet
+    is started."""
 
     path: Named
-    """The video, or the folder."""
+    """Video, or folder of images."""
     stamps: Text | None = None
-    """A CSV of mid-exposures, see ``robofleet/tracking/files.py``; null: each image's name is its own, in ns."""
+    """CSV file with the times of mid-exposure, as ``robofleet/tracking/files.py`` describes; null: the name of each
+    image is its time in ns."""
 
 
 class BaslerSettings(Model):
-    """A Basler camera through pylon (``camera.source: basler``)."""
+    """A Basler camera, through pylon (``camera.source: basler``)."""
 
     serial: Text | None = None
-    """Which camera; null: the only one that is plugged in."""
+    """Serial number of the camera; null: the only one that is plugged in."""
     gain: Annotated[float, within(0, 1e5)] = 0.0
-    """In dB; of an older camera in the units of its GainRaw."""
+    """Gain in dB; of an older camera in the units of its GainRaw."""
     trigger_source: Literal["Software", "Line1", "Line2", "Line3"] = "Software"
-    """With ``camera.trigger: tick``."""
+    """Source of the trigger with ``camera.trigger: tick``."""
 
 
 class CameraSettings(Model):
-    """The overhead camera. ``trigger: tick`` exposes a fixed time before every tick; ``free`` does not."""
+    """The overhead camera."""
 
     source: Named = "simulated"
-    """``simulated``, ``v4l2``, ``files``, ``basler``, or a class, ``module:Class``."""
+    """Source of the images: ``simulated``, ``v4l2``, ``files``, ``basler``, or a class as ``module:Class``."""
     model: CameraModel
-    """Its lens and where it hangs, as calibrated."""
+    """Calibration of the camera: its lens and its pose."""
     width: Pixels
-    """Of its images, in pixels."""
+    """Width of the images in pixels."""
     height: Pixels
-    """Of its images, in pixels."""
+    """Height of the images in pixels."""
     rate_hz: Annotated[float, within(0.01, 1e4)]
-    """Of its images, where it has a clock of its own."""
+    """Images per second, if the camera has a clock of its own."""
     trigger: Literal["free", "tick"] = "tick"
-    """``tick``: exposed ``trigger_lead_s`` before every tick; ``free``: at ``rate_hz``."""
+    """``tick``: each image is exposed ``trigger_lead_s`` before a tick. ``free``: the camera takes images at
+    ``rate_hz``."""
     trigger_lead_s: Annotated[float, within(1e-6, 1)] = 0.018
-    """From mid-exposure to the tick."""
+    """Time from mid-exposure to the tick."""
     exposure_s: Annotated[float, within(1e-7, 1)] = 0.004
-    """Of each row."""
+    """Exposure time of each row."""
     picture_rate_hz: Annotated[float, within(0, 1000)] = 1.0
-    """Of the pictures that the tracker shows and that are recorded; 0: none."""
+    """Rate of the small pictures that the page shows and the recorder keeps; 0: none."""
     readout_s: Delay = 0.004
-    """From the end of the (first row's) exposure until the image is here."""
+    """Time from the end of the first row's exposure to the arrival of the image."""
     noise_gray: Annotated[float, within(0, 255)] = 3.0
-    """Standard deviation of a pixel; 0: two images may be equal."""
+    """Standard deviation of a pixel's noise. With 0, two images may be equal, and equal images look like a frozen
+    camera."""
     simulated: SimulatedCameraSettings = SimulatedCameraSettings()
-    """What a simulated camera has to survive."""
+    """Troubles of a simulated camera."""
     v4l2: V4L2Settings = V4L2Settings()
-    """Of a camera of the kernel's."""
+    """Settings of a camera of the Linux kernel."""
     files: FilesSettings | None = None
-    """Of recorded images."""
+    """Settings for recorded images."""
     basler: BaslerSettings = BaslerSettings()
-    """Of a Basler camera."""
+    """Settings of a Basler camera."""

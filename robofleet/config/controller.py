@@ -2,61 +2,64 @@
 
 from typing import Annotated, Literal
 
-from robofleet.config.model import Delay, Fraction, Model, Noise, within
+from robofleet.settings import Delay, Fraction, Model, Noise, within
 
 
 class FilterSettings(Model):
-    """The fleet filter: standard deviations of a pose measurement, and the prediction's loss of certainty."""
+    """The fleet filter, which estimates each robot's pose: noise of the measurements, and growth of the uncertainty
+    between them."""
 
     position_noise_m: Noise = 0.0004
-    """Of a measured position, along each axis."""
+    """Standard deviation of a measured position along each axis."""
     heading_noise_rad: Noise = 0.006
-    """Of a measured heading."""
+    """Standard deviation of a measured heading."""
     position_drift_m: Noise = 0.0015
-    """What a prediction is off after one second; it grows with the root of the time."""
+    """Standard deviation of a predicted position after one second. It grows with the square root of the time."""
     heading_drift_rad: Noise = 0.06
-    """The same of the heading."""
+    """Standard deviation of a predicted heading after one second. It grows with the square root of the time."""
     efficiency_sigma: Fraction = 0.15
-    """Of a wheel's true travel over the believed one, in the long run."""
+    """Standard deviation, over a long time, of a wheel's efficiency: its true travel divided by the expected travel."""
     efficiency_time_s: Annotated[float, within(1e-3, 1e6)] = 20.0
-    """In which it is forgotten."""
+    """Time constant with which the filter forgets a wheel's efficiency."""
     gate_sigma: Annotated[float, within(0.1, 1e6)] = 5.0
-    """A measurement further off than so many standard deviations is an outlier."""
+    """A measurement that is off by more standard deviations than this is rejected as an outlier."""
     lost_after_s: Annotated[float, within(1e-3, 100)] = 0.5
-    """Without a measurement for so long, a robot is lost and stands still."""
+    """A robot without a measurement for this long is lost: it stands still."""
 
 
 class BarrierSettings(Model):
-    """The barrier between robots: distances follow from these, the bodies and what is believed of the drives."""
+    """The control barrier function (CBF), which keeps robots apart. Its distances follow from these values, the
+    robots' bodies and the uncertainty of their drives."""
 
     gap_m: Annotated[float, within(0, 10)] = 0.01
-    """What two bodies keep at the worst."""
+    """Smallest gap between two bodies in the worst case."""
     age_s: Annotated[float, within(0, 10)] = 0.133
-    """Of the newest image at a tick, at most: 100 ms of delay, and a tick."""
+    """Largest age of the newest image at a tick: a delay of 100 ms, and one tick."""
     rate_per_s: Annotated[float, within(1e-3, 1e4)] = 10.0
-    """How fast a distance may be used up (gamma of the barrier)."""
+    """Rate at which two robots may use up the distance between them (gamma of the barrier)."""
     ahead_m: Annotated[float, within(1e-4, 10)] = 0.01
-    """Of the axle: the point that is kept apart."""
+    """Distance ahead of the axle of the point that the barrier keeps apart from others."""
 
 
 class ControllerSettings(Model):
-    """The NR flow and its tick."""
+    """The Newton-Raphson flow and its tick."""
 
     tick_s: Annotated[float, within(1e-3, 1)]
-    """From one control step to the next."""
+    """Time from one control step to the next."""
     alpha: Annotated[float, within(1e-3, 1e6)]
-    """Speed-up of the flow [1/s]."""
+    """Gain of the flow [1/s]: the higher, the faster the error decays."""
     horizon_s: Annotated[float, within(1e-3, 100)]
-    """How far ahead is predicted (T)."""
+    """Prediction horizon (T in the paper)."""
     point_ahead_m: Annotated[float, within(1e-4, 10)]
-    """Of the axle: the point p that is controlled (l)."""
+    """Distance ahead of the axle of the controlled point p (l in the paper)."""
     integrator: Literal["exact", "euler"] = "exact"
-    """Of the flow over a tick; ``euler`` is the paper's."""
+    """How the flow is integrated over a tick: ``exact``, or ``euler`` as in the paper."""
     disturbance: Literal["estimated", "none"] = "none"
-    """What the law knows of wheels that do not do as asked; ``estimated``: offset-free."""
+    """``estimated``: the controller compensates the wheels' deviations that the filter estimates, without a remaining
+    offset. ``none``: it trusts the wheels."""
     command_delay_s: Delay = 0.002
-    """From the tick to the moment when its commands act."""
+    """Time from the tick until its commands act on the wheels."""
     filter: FilterSettings = FilterSettings()
-    """Where each robot is, from its poses and its commands."""
+    """Filter that estimates each robot's pose from its measured poses and its commands."""
     barrier: BarrierSettings = BarrierSettings()
-    """What keeps robots apart and inside the arena."""
+    """Barrier that keeps robots apart and inside the arena."""

@@ -4,14 +4,16 @@ import difflib
 import ipaddress
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import get_args
+from typing import get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from robofleet.config import bodies
+from robofleet.config import bodies, units
 from robofleet.config.calibrated import CameraModel
-from robofleet.config.patterns import (
+from robofleet.config.tree import Config
+from robofleet.config.troubles import ClockStep, IdSwap, Late
+from robofleet.patterns import (
     ENDPOINT_PATTERN,
     LONGEST_SOCKET_PATH,
     NAME_PATTERN,
@@ -19,14 +21,13 @@ from robofleet.config.patterns import (
     SOCKET,
     TCP,
 )
-from robofleet.config.tree import Config
-from robofleet.config.troubles import ClockStep, IdSwap, Late
 
 Complaint = tuple[str, str]  # dotted path, message
 
 _WORDS = {
     "missing": "is missing",
     "model_type": "must be a mapping",
+    "dict_type": "must be a mapping",
     "tuple_type": "must be a list",
     "float_type": "must be a number",
     "finite_number": "must be a finite number",
@@ -53,22 +54,25 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
     """Return what is wrong and how to mend it, from one of pydantic's errors on a tree of kind ``root``."""
     kind, given, loc, context = error["type"], error["input"], error["loc"], error.get("ctx", {})
     if kind == "extra_forbidden":
-        return f"unknown key: {did_you_mean(str(loc[-1]), _known_keys(loc[:-1], root))}"
+        return f"unknown key: {_known_key(str(loc[-1]), loc[:-1], root)}"
     if kind == "union_tag_not_found":
-        return "is missing"
+        return "is missing: add it; configs/README.md describes it"
     if kind == "union_tag_invalid":
         kinds = context["expected_tags"].replace("'", "").split(", ")
         return f"there is no kind '{context['tag']}': {did_you_mean(context['tag'], kinds)}"
     if kind == "missing" or (given is None and loc):
-        return "has too few values" if isinstance(loc[-1], int) and given is not None else "is missing"
+        few = isinstance(loc[-1], int) and given is not None
+        return "has too few values: add one" if few else "is missing: add it; configs/README.md describes it"
     rule = _PATTERNS.get(context.get("pattern", "")) or _WORDS.get(kind, error["msg"]).format(**context)
     if isinstance(given, dict | list | tuple):
         return rule
     hint = ""
-    if kind in ("float_type", "int_type") and isinstance(given, str) and _is_number(given):
-        hint = ": remove the quotes"
+    if kind in ("float_type", "int_type") and isinstance(given, str):
+        hint = units.number_in(given, _key(loc))
     elif kind == "string_type":
         hint = ": quote it"
+    elif kind in ("less_than", "less_than_equal") and isinstance(given, int | float):
+        hint = units.meant(given, context.get("le", context.get("lt")), _key(loc))
     return f"{rule}, not {given!r}{hint}"
 
 
@@ -83,8 +87,9 @@ def place_of(error: ErrorDetails) -> tuple[str | int, ...]:
 def cross_checks(config: Config) -> list[Complaint]:
     """Return what is wrong between keys that are right by themselves."""
     camera, model = config.camera, config.camera.model
+    if twice := list(_repeated("id", [robot.id for robot in config.robots])):
+        return twice  # whoever names robots may mean either
     complaints = [
-        *_repeated("id", [robot.id for robot in config.robots]),
         *_repeated("tag", [robot.tag for robot in config.robots]),
         *_members(config),
         *_troubles(config),
@@ -92,6 +97,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_camera_model(config),
         *_tag_sizes(config),
         *_calibrations(config),
+        *_simulated(config),
         *bodies.complaints(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
@@ -109,9 +115,19 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
 
 
-def meant(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """Return the known key that an unknown one is nearest to, else the unknown one."""
-    near = difflib.get_close_matches(str(loc[-1]), sorted(_known_keys(loc[:-1])), n=1)
+def meant_among(given: Iterable[str], key: str) -> bool:
+    """Return whether a key, or one that is near to it, is among those that were given."""
+    return bool(difflib.get_close_matches(key, list(given), n=1))
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words: ``1 item``, ``2 items``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def meant(loc: tuple[str | int, ...], root: type[BaseModel] = Config) -> tuple[str | int, ...]:
+    """Return the known key that an unknown one is nearest to, else the unknown one; ``root``: as in ``plain_words``."""
+    near = difflib.get_close_matches(str(loc[-1]), sorted(_known_keys(loc[:-1], root)), n=1)
     return (*loc[:-1], *near) if near else loc
 
 
@@ -119,28 +135,52 @@ def _known_keys(loc: Iterable[str | int], root: type[BaseModel] = Config) -> lis
     """Return the keys that the mapping at ``loc`` may have."""
     kind = root
     kinds: dict[str | int, type[BaseModel]] = {}
+    inside: type[BaseModel] | None = None  # of a mapping whose keys are names
     for part in loc:
         if part in kinds:
             kind = kinds[part]
-        elif isinstance(part, str):
+        elif inside is not None:
+            kind, inside = inside, None
+        elif isinstance(part, str) and part in kind.model_fields:
             annotation = kind.model_fields[part].annotation
+            if get_origin(annotation) is dict:
+                inside = get_args(annotation)[1]
+                continue
             kind = (get_args(annotation) or (annotation,))[0]
             kinds = _kinds(kind)
-    return list(kind.model_fields)
+    return list(getattr(kind, "model_fields", ()))
+
+
+def _known_key(key: str, loc: tuple[str | int, ...], root: type[BaseModel]) -> str:
+    """Return a hint at a near key beside an unknown one, else at where in the tree a key of this name stands."""
+    known = _known_keys(loc, root)
+    if not loc and not difflib.get_close_matches(key, known, n=1) and (places := list(_places(key, root))):
+        return f"did you mean {' or '.join(map(repr, places))}?"
+    return did_you_mean(key, known)
+
+
+def _places(key: str, model: type[BaseModel], path: str = "") -> Iterator[str]:
+    """Yield the dotted paths at which a key of this name stands; an item of a list is its first."""
+    for name, field in model.model_fields.items():
+        if name == key and path:
+            yield path + name
+        annotation = field.annotation
+        within = (annotation, *get_args(annotation))
+        item = "0." if get_origin(annotation) is tuple else ""
+        for inner in within:
+            if isinstance(inner, type) and issubclass(inner, BaseModel):
+                yield from _places(key, inner, f"{path}{name}.{item}")
+
+
+def _key(loc: tuple[str | int, ...]) -> str:
+    """Return the key, whose end is its unit."""
+    return next((part for part in reversed(loc) if isinstance(part, str)), "")
 
 
 def _kinds(union: object) -> dict[str | int, type[BaseModel]]:
     """Return the models of a union by their kinds; none where it is no union."""
     models = get_args(get_args(union)[0]) if get_args(union) else ()
     return {name: model for model in models for name in get_args(model.model_fields["kind"].annotation)}
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _repeated(key: str, values: Sequence[object]) -> Iterator[Complaint]:
@@ -171,7 +211,7 @@ def _camera_model(config: Config) -> Iterator[Complaint]:
         )
     if model.T_world_camera is None:
         if config.tracker.source == "camera":
-            yield "camera.model", "where the camera hangs is not known: run tools/calibrate.py arena"
+            yield "camera.model", "where the camera hangs is not known: run robofleet calibrate arena"
         return
     x, y, z = model.T_world_camera.rotation_rad
     angle = math.hypot(x, y, z)
@@ -187,6 +227,10 @@ def _tag_sizes(config: Config) -> Iterator[Complaint]:
         return
     eye_m, least_px = model.T_world_camera.position_m[2], min(model.width, model.height)
     tags = [("tracker.tag_height_m", tracker.tag_side_m, tracker.tag_height_m)]
+    largest_m = least_px * (eye_m - tracker.tag_height_m) / max(model.focal_px)
+    if hint := units.meant(tracker.tag_side_m, largest_m, "tag_side_m"):
+        yield "tracker.tag_side_m", f"a tag of {tracker.tag_side_m:g} m fills the image{hint}: mend it"
+        return
     for i, robot in enumerate(config.robots):
         if robot.tag_height_m is not None:
             tags.append((f"robots.{i}.tag_height_m", tracker.tag_side_m, robot.tag_height_m))
@@ -213,6 +257,22 @@ def _calibrations(config: Config) -> Iterator[Complaint]:
         known[floor_tag.tag] = f"tracker.floor_tags.{i}'s"
 
 
+def no_errors(robot: int) -> Complaint:
+    """Return the refusal of a robot that does not exist, and whose vehicle does not say how bad it is."""
+    return (
+        f"robots.{robot}.vehicle.simulated",
+        "is missing: say what a simulated robot of this kind gets wrong: `simulated: {...}`, "
+        "configs/robots/ideal.yaml has none",
+    )
+
+
+def _simulated(config: Config) -> Iterator[Complaint]:
+    """Robots that only a plant can move: a real robot needs no errors."""
+    for i, robot in enumerate(config.robots):
+        if robot.vehicle.simulated is None and (robot.driver == "simulated" or robot.twin is not None):
+            yield no_errors(i)
+
+
 def _members(config: Config) -> Iterator[Complaint]:
     """What names no robot, and groups that name one twice."""
     known = [robot.id for robot in config.robots]
@@ -223,11 +283,17 @@ def _members(config: Config) -> Iterator[Complaint]:
     named += [
         (f"{path}.swaps.{i}.robots.{k}", r) for i, swap in enumerate(simulated.swaps) for k, r in enumerate(swap.robots)
     ]
+    place: dict[str, int] = {}
+    titles: dict[str, int] = {}
     for i, group in enumerate(config.groups):
+        if group.name is not None and titles.setdefault(group.name, i) != i:
+            yield f"groups.{i}.name", f"{group.name} is groups.{titles[group.name]}'s already: give each its own"
         for k, robot in enumerate(group.robots):
             named.append((f"groups.{i}.robots.{k}", robot))
             if robot in group.robots[:k]:
                 yield f"groups.{i}.robots.{k}", f"{robot} is in the group already: remove one"
+            elif place.setdefault(robot, i) != i:
+                yield f"groups.{i}.robots.{k}", f"{robot} is in groups.{place[robot]} already: a robot has one group"
     unseen = [robot.id for robot in config.virtual]
     for path, robot in named:
         if robot in unseen and path.startswith("camera."):
@@ -237,18 +303,15 @@ def _members(config: Config) -> Iterator[Complaint]:
 
 
 def _troubles(config: Config) -> Iterator[Complaint]:
-    """Timed faults of robots and processes that are not there, or that cannot be."""
-    robots, processes = [robot.id for robot in config.robots], config.processes
+    """Timed faults of robots that are not there, or that cannot be."""
+    known = [robot.id for robot in config.robots]
     for i, fault in enumerate(config.faults):
-        robot, process = getattr(fault, "robot", None), getattr(fault, "process", None)
-        named = [] if robot is None else [("robot", "robot", robot)]
-        named += [] if process is None else [("process", "process", process)]
-        named += [(f"robots.{k}", "robot", name) for k, name in enumerate(getattr(fault, "robots", ()))]
-        named += [(f"processes.{k}", "process", name) for k, name in enumerate(getattr(fault, "processes", ()))]
-        for key, kind, name in named:
-            known = robots if kind == "robot" else processes
+        robot = getattr(fault, "robot", None)
+        named = [] if robot is None else [("robot", robot)]
+        named += [(f"robots.{k}", name) for k, name in enumerate(getattr(fault, "robots", ()))]
+        for key, name in named:
             if name not in known:
-                yield f"faults.{i}.{key}", f"there is no {kind} '{name}': {did_you_mean(name, known)}"
+                yield f"faults.{i}.{key}", f"there is no robot '{name}': {did_you_mean(name, known)}"
         if isinstance(fault, IdSwap) and fault.robots[0] == fault.robots[1]:
             yield f"faults.{i}.robots.1", f"{fault.robots[1]} has its own tag: name two robots"
         if isinstance(fault, Late) and fault.p99_s <= fault.median_s:
@@ -265,7 +328,7 @@ def _troubles(config: Config) -> Iterator[Complaint]:
             )
         topics = getattr(fault, "topics", ())
         if robot is not None and (of_all := [t for t in topics if t in ("poses", "state", "tick")]):
-            yield f"faults.{i}.robot", f"{of_all[0]} is not said to one robot: leave robot out, or {of_all[0]}"
+            yield f"faults.{i}.robot", f"{of_all[0]} is not sent to one robot: leave robot out, or {of_all[0]}"
 
 
 def _endpoint(config: Config) -> Iterator[Complaint]:
@@ -289,7 +352,10 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
     except ValueError:
         loopback = False
     if not loopback:
-        yield "bus.endpoint", f"{host} can be reached from outside and TCP is not encrypted: leave it out, or private"
+        yield (
+            "bus.endpoint",
+            f"{host} can be reached from outside and TCP is not encrypted: leave it out, or write private",
+        )
     elif config.bus.insecure is None:
         yield (
             "bus.endpoint",

@@ -1,31 +1,53 @@
 """Reads a configuration: the file, the files that it names, ``--faults`` and ``--set``. All errors at once.
 
-A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].path`` or ``camera.model`` is a file of
-``robots/``, ``paths/`` or ``cameras/`` beside the configuration, else of the shipped ``configs/``; a name that ends in
-.yaml is a path from the configuration's folder; a mapping stands for itself.
+A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].settings.path`` or ``camera.model`` is a file
+of ``robots/``, ``paths/`` or ``cameras/`` beside the configuration, else of the shipped ``configs/``; a name that ends
+in .yaml is a path from the configuration's folder; a mapping stands for itself. A reference's ``csv`` is a path from
+the configuration's folder that ends in .csv; its rows take the name's place.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, JsonValue, ValidationError
+from pydantic_core import ErrorDetails
 
-from robofleet.config.faults import Complaint, cross_checks, did_you_mean, meant, place_of, plain_words
+from robofleet.config import groups, starts
+from robofleet.config.csvfile import read_table
+from robofleet.config.faults import (
+    Complaint,
+    counted,
+    cross_checks,
+    did_you_mean,
+    meant,
+    meant_among,
+    place_of,
+    plain_words,
+)
+from robofleet.config.groups import named
+from robofleet.config.names import SHIPPED, missing, nearest
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import NUMBER_LIKE, Fault, Node, Place, Source, parse_yaml, read_yaml
+from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Place, Source, parse_yaml, read_yaml
+from robofleet.plugins import PluginError, reach
 
-_SHIPPED = Path(__file__).resolve().parents[2] / "configs"
-FOLDERS = {
+FOLDERS: dict[tuple[str, ...], str] = {
     ("robots", "*", "vehicle"): "robots",
     ("robots", "*", "calibration"): "robots",
-    ("groups", "*", "path"): "paths",
+    ("groups", "*", "settings", "path"): "paths",
+    ("groups", "*", "settings", "references", "*", "path"): "paths",
     ("camera", "model"): "cameras",
+}
+# CSV files, and their headers
+TABLES: dict[tuple[str, ...], tuple[str, ...]] = {
+    ("groups", "*", "settings", "references", "*", "csv"): ("t_s", "x_m", "y_m")
 }
 
 Loc = tuple[str | int, ...]
+Kept = TypeVar("Kept")
 
 
 class ConfigError(Exception):
@@ -59,7 +81,7 @@ class ConfigFile:
     def __init__(self, file: Path, overrides: Sequence[str] = (), faults_file: Path | None = None) -> None:
         """Read and validate; ConfigError with everything that is wrong."""
         self._folder = file.parent
-        self._faults: list[Fault] = []
+        self._faults: list[Mistake] = []
         self._files: dict[Path, Node | None] = {}
         self._sources: list[Source] = []
         root = self._opened(file)
@@ -80,21 +102,85 @@ class ConfigFile:
             raise self._error()
 
     def _validate(self) -> None:
+        kept = self._judged_settings()
         try:
             self.config = Config.model_validate(self._root.plain())
         except ValidationError as invalid:
-            errors = invalid.errors(include_url=False)
-            locs = [place_of(error) for error in errors]
-            misspelt = {meant(error["loc"]) for error in errors if error["type"] == "extra_forbidden"}
-            for error, loc in zip(errors, locs, strict=True):
-                # Pydantic leaves invalid items out of its count.
-                if error["type"] == "too_short" and any(loc == other[: len(loc)] for other in locs if other != loc):
-                    continue
-                if error["type"] == "missing" and loc in misspelt:
-                    continue  # one typo is one fault
-                self._complain(loc, plain_words(error), at_key=error["type"] == "extra_forbidden")
+            for error in _each_once(invalid, Config):
+                loc = place_of(error)
+                message = self._moved(loc) if error["type"] == "extra_forbidden" else None
+                self._complain(loc, message or plain_words(error), at_key=error["type"] == "extra_forbidden")
             raise self._error() from None
-        self.refuse(cross_checks(self.config))
+        self.refuse([*cross_checks(self.config), *self._unreachable()])
+        pairs = zip(named(self.config).groups, kept, strict=True)
+        made = tuple(group.model_copy(update={"settings": settings}) for group, settings in pairs)
+        self.config = self.config.model_copy(update={"groups": made})
+        try:
+            self.config = starts.placed(self.config)
+        except ValueError as impossible:
+            self.refuse([("groups", f"cannot be made: {impossible}")])
+
+    def _unreachable(self) -> Iterator[Complaint]:
+        """Let classes be found whose modules stand beside the configuration; yields what stands in the way."""
+        robots, config = list(enumerate(self.config.robots)), self.config
+        named = [
+            *((f"robots.{i}.driver", robot.driver) for i, robot in robots),
+            *((f"robots.{i}.twin", robot.twin) for i, robot in robots if robot.twin is not None),
+            ("camera.source", config.camera.source),
+        ]
+        for path, name in named:
+            try:
+                reach(self._folder, name)
+            except PluginError as hidden:
+                yield path, str(hidden)
+
+    def _judged_settings(self) -> list[dict[str, JsonValue] | None]:
+        """Let each behaviour judge its own settings; returns what it made of them, with its defaults."""
+        tree = self._root.plain()
+        written = tree.get("groups") if isinstance(tree, dict) else None
+        entries = written if isinstance(written, list) else []
+        return [self._of_group(i, entry) if isinstance(entry, dict) else None for i, entry in enumerate(entries)]
+
+    def _of_group(self, i: int, group: dict[str, Any]) -> dict[str, JsonValue] | None:
+        """Return a group's settings as its behaviour has them; None after a fault, or where the tree has one there."""
+        where: Loc = ("groups", i)
+        behaviour, given = group.get("behaviour"), group.get("settings", {})
+        if not isinstance(behaviour, str) or not isinstance(given, dict):
+            return None
+        try:
+            reach(self._folder, behaviour)
+            settings = groups.load_kind(behaviour).Settings
+            return settings.model_validate(given).model_dump(mode="json")
+        except PluginError as unknown:
+            self._complain((*where, "behaviour"), str(unknown))
+        except ValidationError as invalid:
+            for error in _each_once(invalid, settings):
+                if error["type"] == "missing" and error["loc"][0] in group:
+                    continue  # a key of an old file is told of where it stands
+                loc = (*where, "settings", *error["loc"])
+                self._complain(loc, plain_words(error, settings), at_key=error["type"] == "extra_forbidden")
+        return None
+
+    def _moved(self, loc: Loc) -> str | None:
+        """Return where a behaviour's own key belongs that stands in its group directly, as it did in old files."""
+        behaviour = self._at((*loc[:2], "behaviour"))
+        if loc[:1] != ("groups",) or len(loc) != 3 or behaviour is None or not isinstance(behaviour.value, str):
+            return None
+        try:
+            reach(self._folder, behaviour.value)
+            known = groups.load_kind(behaviour.value).Settings.model_fields
+        except PluginError:
+            return None
+        if loc[2] not in known:
+            return None
+        where = ".".join(map(str, (*loc[:2], "settings", loc[2])))
+        return f"is a setting of the behaviour {behaviour.value}: write it under `settings:` ({where})"
+
+    def _at(self, loc: Loc) -> Node | None:
+        node: Node | None = self._root
+        for part in loc:
+            node = None if node is None else node.child(part)
+        return node
 
     def _complain(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a fault at the value or the nearest one above it, unless one was reported there already."""
@@ -106,10 +192,10 @@ class ConfigFile:
         if not node.bad:
             place = node.key if at_key else node.place
             path = ".".join(filter(None, (place.path, *map(str, loc[depth:]))))
-            self._faults.append(Fault(replace(place, path=path), message))
+            self._faults.append(Mistake(replace(place, path=path), message))
 
     def _error(self) -> ConfigError:
-        def position(fault: Fault) -> tuple[int, int, int]:
+        def position(fault: Mistake) -> tuple[int, int, int]:
             return self._sources.index(fault.place.source), fault.place.line, fault.place.column
 
         return ConfigError(dict.fromkeys(str(fault) for fault in sorted(self._faults, key=position)))
@@ -121,7 +207,7 @@ class ConfigFile:
         try:
             return self._read(file)
         except FileNotFoundError:
-            self._faults.append(Fault(Place(Source(str(file)), 1, 1, ""), "there is no such file"))
+            self._faults.append(Mistake(Place(Source(str(file)), 1, 1, ""), missing(file)))
             return None
 
     def _read(self, file: Path) -> Node | None:
@@ -136,9 +222,13 @@ class ConfigFile:
     def _with_faults(self, root: Node, file: Path) -> Node:
         node = self._opened(file)
         if node is not None and isinstance(node.value, dict):
+            if not meant_among(node.value, "faults"):
+                message = "has no key `faults`: it says what goes wrong, as configs/faults/lossy.yaml does"
+                self._faults.append(Mistake(node.place, message))
+                return root
             for key, other in node.value.items():
                 if key != "faults":
-                    self._faults.append(Fault(other.key, f"unknown key: {did_you_mean(key, ['faults'])}"))
+                    self._faults.append(Mistake(other.key, f"unknown key: {did_you_mean(key, ['faults'])}"))
             node = node.value.get("faults", replace(node, value=None))
         return root if node is None else self._placed(root, ["faults"], (), node)
 
@@ -149,7 +239,7 @@ class ConfigFile:
         parts = key.split(".")
         if not equals or "" in parts:
             message = "write KEY=VALUE with a dotted key, for example robots.0.tag=7"
-            self._faults.append(Fault(Place(source, 1, 1, ""), message))
+            self._faults.append(Mistake(Place(source, 1, 1, ""), message))
             return root
         node, faults = parse_yaml(value, source)
         self._faults += faults
@@ -166,14 +256,15 @@ class ConfigFile:
         where = ".".join(map(str, path)) or "the configuration"
         if isinstance(node.value, list):
             if not (part.isdecimal() and int(part) < len(node.value)):
-                message = f"{where} has {len(node.value)} items, counted from 0: there is no '{part}'"
-                self._faults.append(Fault(new.place, message))
+                message = f"{where} has {counted(len(node.value), 'item')}, counted from 0: there is no '{part}'"
+                message += _by_id(node.value, parts, where)
+                self._faults.append(Mistake(new.place, message))
                 return node
             i = int(part)
             child = self._placed(node.value[i], rest, (*path, i), new)
             return replace(node, value=[*node.value[:i], child, *node.value[i + 1 :]])
         if not isinstance(node.value, dict):
-            self._faults.append(Fault(new.place, f"{where} is {node.value!r}: it has no '{part}'"))
+            self._faults.append(Mistake(new.place, f"{where} is {node.value!r}: it has no '{part}'"))
             return node
         created = replace(new.place, path=".".join(map(str, (*path, part))))
         child = node.value.get(part, Node({}, created, created))
@@ -192,8 +283,12 @@ class ConfigFile:
 
     def _named(self, node: Node, path: Loc) -> Node:
         """Return what the file holds if the value at ``path`` is the name of one, else the node itself."""
-        folder = FOLDERS.get(tuple("*" if isinstance(part, int) else part for part in path))
-        if folder is None or not isinstance(node.value, str):
+        if not isinstance(node.value, str):
+            return node
+        if (columns := _kept_at(path, TABLES)) is not None:
+            return self._table(node, columns)
+        folder = _kept_at(path, FOLDERS)
+        if folder is None:
             return node
         for file in self._candidates(node.value, folder):
             try:
@@ -201,24 +296,74 @@ class ConfigFile:
             except FileNotFoundError:
                 continue
             return replace(node, bad=True) if tree is None else replace(tree, key=node.key)
-        self._faults.append(Fault(node.place, self._not_found(node.value, folder)))
+        self._faults.append(Mistake(node.place, self._not_found(node.value, folder)))
         return replace(node, bad=True)
+
+    def _table(self, node: Node, columns: tuple[str, ...]) -> Node:
+        """Return the rows of the CSV file that a node names."""
+        name = str(node.value)
+        if not name.endswith(".csv"):
+            self._faults.append(
+                Mistake(node.place, f"{name!r} is no path that ends in .csv: write {Path(name).stem}.csv")
+            )
+            return replace(node, bad=True)
+        file = self._folder / name
+        source = Source(str(file))
+        self._sources.append(source)
+        try:
+            rows, faults = read_table(file, source, node.place.path, columns)
+        except FileNotFoundError:
+            rows, faults = None, [Mistake(node.place, f"there is no file {file}: mend its name")]
+        self._faults += faults
+        return replace(node, bad=True) if rows is None else replace(rows, key=node.key)
 
     def _candidates(self, name: str, folder: str) -> list[Path]:
         if name.endswith(".yaml"):
             return [self._folder / name]
         if not re.fullmatch(r"[\w-]+", name):
             return []
-        return [place / folder / f"{name}.yaml" for place in (self._folder, _SHIPPED)]
+        return [place / folder / f"{name}.yaml" for place in (self._folder, SHIPPED)]
 
     def _not_found(self, name: str, folder: str) -> str:
         candidates = self._candidates(name, folder)
         if not candidates:
-            return f"{name!r} is neither a name nor a path that ends in .yaml"
+            stem = Path(name).stem
+            return f"{name!r} is neither a name nor a path that ends in .yaml: write {stem}, or {name}.yaml"
         if len(candidates) == 1:
-            return f"there is no file {candidates[0]}"
-        known = {file.stem for place in (self._folder, _SHIPPED) for file in (place / folder).glob("*.yaml")}
-        return f"there is no file {candidates[0]}, nor one in {_SHIPPED}: {did_you_mean(name, known)}"
+            near = nearest(candidates[0])
+            return f"there is no file {candidates[0]}: " + (f"did you mean {near}?" if near else "mend its name")
+        known = {file.stem for place in (self._folder, SHIPPED) for file in (place / folder).glob("*.yaml")}
+        return f"there is no file {candidates[0]}, nor one in {SHIPPED}: {did_you_mean(name, known)}"
+
+
+def _each_once(invalid: ValidationError, root: type[BaseModel]) -> Iterator[ErrorDetails]:
+    """Yield pydantic's errors on a tree of kind ``root``, without those that another one brings about."""
+    errors = invalid.errors(include_url=False)
+    locs = [place_of(error) for error in errors]
+    misspelt = {meant(error["loc"], root) for error in errors if error["type"] == "extra_forbidden"}
+    for error, loc in zip(errors, locs, strict=True):
+        # Pydantic leaves invalid items out of its count.
+        if error["type"] == "too_short" and any(loc == other[: len(loc)] for other in locs if other != loc):
+            continue
+        if error["type"] == "missing" and loc in misspelt:
+            continue  # one typo is one fault
+        yield error
+
+
+def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Kept]) -> Kept | None:
+    """Return what a table of paths says of this one; ``*`` in it is any part."""
+    for pattern, kept in kinds.items():
+        if len(pattern) == len(path) and all(one in ("*", part) for one, part in zip(pattern, path, strict=True)):
+            return kept
+    return None
+
+
+def _by_id(items: list[Node], parts: list[str], where: str) -> str:
+    """Return the key of the robot that was named by its id."""
+    for i, item in enumerate(items):
+        if (named := item.child("id")) is not None and named.value == parts[0]:
+            return f": write {'.'.join([where, str(i), *parts[1:]])}"
+    return ""
 
 
 class _Dumper(yaml.SafeDumper):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, JsonValue
 
 from robofleet.config.calibrated import RobotCalibration
-from robofleet.config.model import (
+from robofleet.settings import (
     LAST_TAG,
     MANY,
     Coordinate,
@@ -26,68 +26,71 @@ from robofleet.vehicles.interface import Wiring
 
 
 class PlantErrors(Model):
-    """How far a simulated robot is from ideal. Spreads are half widths of a uniform draw, one a run."""
+    """How a simulated robot differs from an ideal one. Each run draws the spread quantities once, uniformly, between
+    minus and plus the given value."""
 
     motor_lag_s: Lag
     """Time constant of the wheel-speed loop."""
     speed_quantum_rad_s: Annotated[float, within(0, 100)]
-    """One encoder count in one period of the loop; 0: continuous."""
+    """Speed of one encoder count in one period of the loop; 0: the speed is continuous."""
     loop_period_s: Annotated[float, within(1e-4, 1)]
-    """Of the robot's own wheel-speed loop."""
+    """Period of the robot's own wheel-speed loop."""
     deadband_rad_s: Annotated[float, within(0, 100)]
-    """A turning wheel stops when less is commanded."""
+    """A turning wheel stops when its commanded speed is below this value."""
     breakaway_rad_s: Annotated[float, within(0, 100)]
-    """A wheel at rest stays there when less is commanded."""
+    """A wheel at rest starts to turn only when its commanded speed reaches this value."""
     actuation_delay_s: Delay = 0.0
-    """From a command's arrival to the moment when the wheels begin to follow it."""
+    """Time from the arrival of a command until the wheels begin to follow it."""
     wheel_gain_error: Annotated[float, Field(gt=-1, lt=1)] = 0.0
-    """Of both wheels' travel, relative."""
+    """Relative error of both wheels' travel."""
     wiring: Wiring = "straight"
-    """Of motors and encoders together."""
+    """How motors and encoders are connected. ``straight`` is correct; the others are mistakes that the checks before a
+    run must find."""
     wheel_gain_spread: Fraction
-    """Of each wheel's travel, relative."""
+    """Relative spread of each wheel's travel."""
     wheel_base_spread: Fraction
-    """Of the wheel base, relative."""
+    """Relative spread of the wheel base."""
     slip_s_per_rad: Annotated[float, within(0, 10)]
-    """Share of a wheel's travel that is lost at a yaw rate of 1 rad/s."""
+    """Share of a wheel's travel that slip takes at a yaw rate of 1 rad/s."""
     slip_noise: Annotated[float, within(0, 10)]
-    """Standard deviation of the slip, relative to it."""
+    """Standard deviation of the slip, relative to the slip."""
     top_speed_sag: Fraction
     """Share of the top speed that is lost when the battery is empty."""
     battery_life_s: Annotated[float, within(1, 1e10)]
-    """From full to empty."""
+    """Time from a full battery to an empty one."""
 
 
 class Vehicle(Model):
-    """A kind of robot (a file of ``configs/robots``): what the controller believes, and the errors."""
+    """A kind of robot (a file of ``configs/robots``): the values that the controller uses, and the errors of a
+    simulated robot."""
 
     wheel_radius_m: Length
-    """As believed."""
+    """Radius of a wheel that the controller uses."""
     wheel_base_m: Length
-    """Between the wheels' points of contact."""
+    """Distance between the points where the wheels touch the floor."""
     body_radius_m: Length
-    """Of the smallest disc around everything that can touch, about the middle of the axle."""
+    """Radius of the smallest disc, about the middle of the axle, that covers the whole robot."""
     max_wheel_speed_rad_s: Annotated[float, within(1e-2, 1e4)]
-    """No wheel is asked for more."""
+    """Highest speed that the controller commands of a wheel."""
     max_speed_m_s: Annotated[float, within(1e-3, 1000)]
-    """The robot is asked for no more."""
+    """Highest speed that the controller commands of the robot."""
     max_wheel_acceleration_rad_s2: Annotated[float, within(1e-2, 1e6)]
-    """The fastest change of a wheel's speed that the gate asks for."""
+    """Fastest change of a wheel's speed that the gate passes."""
     motor_lag_s: Lag
-    """Time constant of the wheel-speed loop, as believed."""
-    simulated: PlantErrors
-    """What a simulated robot of this kind is like."""
+    """Time constant of the wheel-speed loop that the controller uses."""
+    simulated: PlantErrors | None = None
+    """Errors of a simulated robot of this kind. null: only a real robot can be of this kind."""
 
 
 class StartPose(Model):
-    """Where a simulated robot's centre stands at first [world frame]."""
+    """Where a robot's centre stands at first [world frame]."""
 
     x_m: Coordinate
-    """From the arena's centre, along its long side."""
+    """Position along the arena's long side, from its centre."""
     y_m: Coordinate
-    """To the left of it."""
+    """Position to the left of the long axis, from the arena's centre."""
     heading_deg: Degrees
-    """From the x axis, counter-clockwise."""
+    """Heading from the x axis, counter-clockwise."""
 
     @property
     def psi(self) -> float:
@@ -96,28 +99,32 @@ class StartPose(Model):
 
 
 class Robot(Model):
-    """One robot of the fleet."""
+    """A robot of the fleet."""
 
     id: Name
-    """Its name on the bus, in messages and in the summary."""
+    """Name of the robot on the bus, in messages and in the summary."""
     tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
-    """The id of its AprilTag, of the family 36h11."""
+    """Id of its AprilTag, of the family 36h11."""
     tag_height_m: Height | None = None
-    """Of its tag above the floor; null: ``tracker.tag_height_m``."""
+    """Height of its tag above the floor; null: ``tracker.tag_height_m``."""
     driver: Named = "simulated"
-    """What moves it: an entry point of ``robofleet.drivers``, or a class, ``module:Class``."""
+    """Driver that moves it: an entry point of ``robofleet.drivers``, or a class as ``module:Class``."""
     settings: Annotated[dict[Text, JsonValue], Field(max_length=MANY)] = Field(default={})
-    """Of its driver, as ``drivers/README.md`` lists them: its serial port, for example."""
+    """Settings of its driver, for example the serial port. ``drivers/README.md`` lists them."""
     twin: Named | None = None
-    """What answers on its serial port in the robot's place: an entry point of ``robofleet.twins``, or a class,
-    ``module:Class``; its port is made, and goes before ``settings.port``. null: a robot that exists, or a
+    """Firmware twin that answers on the serial port in the robot's place: an entry point of ``robofleet.twins``, or a
+    class as ``module:Class``. The run makes its port, which replaces ``settings.port``. null: a real robot, or a
     ``simulated`` one."""
     reality: Literal["real", "simulated"] = "real"
-    """``real``: the camera sees it; ``simulated``: it stands in no arena, and its pose is merged with what the camera
-    sees of the others."""
+    """``real``: the robot stands in the arena, and the camera sees it. ``simulated``: no camera sees it; the tracker
+    adds its pose to those of the others."""
     vehicle: Vehicle
-    """The kind of robot that it is."""
+    """Kind of the robot."""
     calibration: RobotCalibration | None = None
-    """What ``tools/calibrate.py`` measured of it; null: nothing was."""
-    start: StartPose
-    """Where it stands at first, if it or its body is simulated."""
+    """What ``robofleet calibrate`` measured of the robot; null: nothing was measured."""
+    park: StartPose | None = None
+    """Where the robot is parked after a run with ``run.end: park``, and by ``robofleet park``."""
+    start: StartPose | None = None
+    """Where the robot's centre is at first. A simulated robot begins there. Somebody puts a real robot there by hand,
+    and arming judges where it really stands. null: on the group's path, the leader at its beginning and each other
+    robot ``spacing_m`` behind the one that it follows. A simulated robot in no group needs a start."""

@@ -1,13 +1,21 @@
 """The configuration's JSON schema: with it an editor completes keys, shows what they mean, and marks mistakes."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from robofleet.config.load import FOLDERS
+from robofleet.config import groups
+from robofleet.config.load import FOLDERS, TABLES
 from robofleet.config.tree import Config
+from robofleet.plugins import PluginError, known
 
 NAME_OR_FILE = r"^[\w-]+$|\.yaml$"
+TABLE_FILE = r"\.csv$"
+SETTINGS = "groups", "*", "settings"
+_BY_REFERENCE = "#/$defs/{model}"
+
+Node = dict[str, Any]
 
 
 class _Untitled(GenerateJsonSchema):
@@ -17,22 +25,69 @@ class _Untitled(GenerateJsonSchema):
         return False
 
 
-def schema() -> dict[str, Any]:
-    """Return the schema of a configuration as it is written: a file may stand in its place by its name."""
+def schema() -> Node:
+    """Return the schema of a configuration as it is written: a file may stand in its place by its name.
+
+    Where a group's behaviour is one that is installed, its ``settings`` are that behaviour's; else they are anything.
+    """
     tree = Config.model_json_schema(schema_generator=_Untitled)
-    for *parents, key in FOLDERS:
-        properties = _at(tree, parents)["properties"]
-        given = properties[key]
-        inline = given.get("anyOf") or [{"$ref": given.pop("$ref")}]
-        given["anyOf"] = [{"type": "string", "pattern": NAME_OR_FILE}, *inline]
+    _let_files_stand(tree, tree, ())
+    group = _at(tree, tree, SETTINGS[:2])
+    assert group is not None
+    group["allOf"] = [_where(name, own) for name, own in behaviours(tree["$defs"]).items()]
     return {"$schema": GenerateJsonSchema.schema_dialect, "title": "robofleet's configuration"} | tree
 
 
-def _at(tree: dict[str, Any], path: list[str]) -> dict[str, Any]:
-    """Return the model that a path of keys leads to; ``*`` is any item of a list."""
-    node = tree
+def behaviours(models: Node) -> dict[str, Node]:
+    """Return the schema of each installed behaviour's settings, by its name; ``models`` gets the parts in them."""
+    found = {}
+    for name in known(groups.GROUP):
+        try:
+            settings = groups.load_kind(name).Settings
+        except PluginError:  # somebody's package that does not load: it is refused where it is named
+            continue
+        own = settings.model_json_schema(schema_generator=_Untitled, ref_template=_BY_REFERENCE)
+        parts: Node = own.pop("$defs", {})
+        _let_files_stand(own, {"$defs": parts}, SETTINGS)
+        for part, node in parts.items():
+            assert models.setdefault(part, node) == node, f"two parts are called {part}: rename that of {name}"
+        found[name] = own
+    return found
+
+
+def _where(behaviour: str, settings: Node) -> Node:
+    """Return what makes a group's settings those of its behaviour."""
+    own: Node = {"properties": {"settings": settings}}
+    if settings.get("required"):
+        own["required"] = ["settings"]
+    return {"if": {"properties": {"behaviour": {"const": behaviour}}, "required": ["behaviour"]}, "then": own}
+
+
+def _let_files_stand(root: Node, models: Node, above: Sequence[str]) -> None:
+    """Let the name of a file stand for what it holds, in a model whose own keys stand below ``above``."""
+    for pattern, places in ((NAME_OR_FILE, FOLDERS), (TABLE_FILE, TABLES)):
+        for place in places:
+            *parents, key = place
+            inside = place[: len(above)] == tuple(above) and (above or place[: len(SETTINGS)] != SETTINGS)
+            model = _at(models, root, parents[len(above) :]) if inside else None
+            if model is None or key not in model.get("properties", {}):
+                continue
+            given = model["properties"][key]
+            inline = given.get("anyOf") or [{one: given.pop(one) for one in ("$ref", "items", "type") if one in given}]
+            named = {"type": "string", "pattern": pattern}
+            if named not in inline:  # several behaviours share a part
+                given["anyOf"] = [named, *inline]
+
+
+def _at(models: Node, node: Node, path: Sequence[str]) -> Node | None:
+    """Return the model that a path of keys leads to; ``*`` is any item of a list or of a mapping."""
     for part in path:
-        node = node["items"] if part == "*" else node["properties"][part]
-        if "$ref" in node:
-            node = tree["$defs"][node["$ref"].rpartition("/")[2]]
+        if part == "*":
+            named = node.get("patternProperties") or {}
+            found = node.get("items") or node.get("additionalProperties") or next(iter(named.values()), None)
+        else:
+            found = node.get("properties", {}).get(part)
+        if not isinstance(found, dict):
+            return None
+        node = models["$defs"][found["$ref"].rpartition("/")[2]] if "$ref" in found else found
     return node

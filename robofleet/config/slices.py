@@ -10,7 +10,7 @@ import numpy as np
 
 from robofleet.clock import S
 from robofleet.config.robots import Robot, Vehicle
-from robofleet.config.tree import Config, Group
+from robofleet.config.tree import Config
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation
 
@@ -47,8 +47,10 @@ def vehicle_drive(vehicle: Vehicle) -> DifferentialDrive:
 
 
 def imperfections(vehicle: Vehicle) -> Imperfections:
-    """Return how bad the simulated robot is."""
+    """Return how bad the simulated robot is; ValueError where nothing says it."""
     p = vehicle.simulated
+    if p is None:
+        raise ValueError("a simulated robot needs its vehicle's `simulated`")
     return Imperfections(
         motor_lag=p.motor_lag_s,
         speed_quantum=p.speed_quantum_rad_s,
@@ -73,7 +75,10 @@ def build(config: Config) -> int:
 
 
 def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] | None) -> Simulation:
-    """Return what a simulated robot is made from; the same robot of the same seed is the same one."""
+    """Return what a simulated robot is made from; the same robot of the same seed is the same one.
+
+    ValueError where the configuration does not say how bad it is, or where it begins: only a real robot needs neither.
+    """
     return Simulation(
         vehicle_drive(robot.vehicle),
         imperfections(robot.vehicle),
@@ -84,14 +89,10 @@ def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] 
 
 
 def start_pose(robot: Robot) -> tuple[float, float, float]:
-    """Return x, y [m], psi [rad] of a simulated robot at first."""
+    """Return x, y [m], psi [rad] of a robot at first; ValueError where nothing says it."""
+    if robot.start is None:
+        raise ValueError(f"{robot.id} has no start")
     return robot.start.x_m, robot.start.y_m, robot.start.psi
-
-
-def knots(group: Group) -> tuple[np.ndarray, np.ndarray]:
-    """Return the path's knots and derivatives, (S, 2) each."""
-    at = np.array([knot.at_m for knot in group.path.knots])
-    return at, np.array([knot.derivative_m for knot in group.path.knots])
 
 
 def generator(seed: int, *key: str) -> np.random.Generator:

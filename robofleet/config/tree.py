@@ -5,200 +5,197 @@ Every key carries its unit. World frame: the arena's centre on the floor, x alon
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
-from robofleet.config.model import MANY, TAGS, Coordinate, Count, Delay, Fraction, Height, Length, Model, Name, within
-from robofleet.config.patterns import ENDPOINT_PATTERN, PRIVATE
 from robofleet.config.robots import Robot
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
+from robofleet.patterns import ENDPOINT_PATTERN, PRIVATE
+from robofleet.safety.supervisor import Roster
+from robofleet.settings import MANY, TAGS, Count, Delay, Fraction, Height, Length, Model, Name, Named, Text, within
 
 Side = Annotated[float, within(0.1, 1000)]
-Derivative = Annotated[float, within(-1e4, 1e4)]
 Most = Annotated[float, within(1e-6, 1e9)]
 
 
 class Arena(Model):
-    """The floor the robots may be on: a rectangle around the world's origin."""
+    """The floor on which the robots may drive: a rectangle around the world's origin."""
 
     name: Name
-    """On the bus, and for ``robofleet stop``; an arena has one run at a time."""
+    """Name of the arena on the bus and in commands such as ``robofleet stop NAME``. An arena has one run at a time."""
     size_m: Annotated[tuple[Side, Side], Field(strict=False)]
-    """Along x and along y."""
+    """Length of the floor along x and along y."""
 
 
 class BusSettings(Model):
-    """Where the router listens. Whoever reaches it can drive."""
+    """The address at which the processes of a run meet. Everybody who reaches it can drive the robots."""
 
     endpoint: Annotated[str, Field(max_length=300, pattern=ENDPOINT_PATTERN)] = PRIVATE
-    """``private``: a socket named after the arena, in ``$XDG_RUNTIME_DIR/robofleet`` or ``/tmp/robofleet-UID``. The
-    folder of a socket must be this user's alone. Port 0 takes any free one."""
+    """``private``: a socket named after the arena, in ``$XDG_RUNTIME_DIR/robofleet`` or ``/tmp/robofleet-UID``. Only
+    this user may have access to the folder of a socket. With TCP, port 0 takes any free port."""
     insecure: Literal["loopback"] | None = None
-    """``loopback`` allows TCP on this computer: every user and program of it can then drive."""
-
-
-class Knot(Model):
-    """A joint of the path: position and derivative with respect to the parameter, one unit a side."""
-
-    at_m: Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]
-    """Its position [world frame]."""
-    derivative_m: Annotated[tuple[Derivative, Derivative], Field(strict=False)]
-    """With respect to the parameter, which is 1 longer at the next knot."""
-
-
-class PathFile(Model):
-    """A closed path of Hermite cubics (a file of ``configs/paths``)."""
-
-    knots: Annotated[tuple[Knot, ...], Field(min_length=2, max_length=MANY, strict=False)]
-    """In the order of driving; the last side leads back to the first knot."""
+    """``loopback`` allows TCP on this computer. Every user and every program of the computer can then drive the
+    robots."""
 
 
 class Group(Model):
-    """Robots that do something together, first one first."""
+    """Robots that drive together."""
 
-    behaviour: Literal["platoon", "excitation"]
-    """``excitation`` is what ``tools/calibrate.py`` lets the robots drive."""
+    name: Name | None = None
+    """Name of the group in messages, figures and the summary; null: its behaviour's name, or ``group1``, ``group2``."""
+    behaviour: Named
+    """What the group does: an entry point of ``robofleet.behaviours``, or a class as ``module:Class``."""
     robots: Annotated[tuple[Name, ...], Field(min_length=1, max_length=TAGS, strict=False)]
-    """By their ids, the leader first."""
-    path: PathFile
-    """What the leader follows."""
-    spacing_m: Annotated[float, within(1e-3, 1000)]
-    """From each robot's point to the one ahead of it, along the path (d)."""
-    path_rate: Annotated[float, within(1e-6, 100)]
-    """Sides of the path per second (gamma)."""
-    track: Literal["point", "centre"] = "point"
-    """What follows the path: the point p, ahead of the axle, or the robot's centre."""
+    """Ids of the robots, in the order of the group: where one leads, the leader first."""
+    settings: Annotated[dict[Text, JsonValue], Field(max_length=MANY)] = Field(default={})
+    """Settings of the behaviour. ``configs/keys/behaviours.md`` lists them."""
+
+    @property
+    def title(self) -> str:
+        """The group's name; once the file is read, every group has one."""
+        return self.name or self.behaviour
 
 
 class TruthSettings(Model):
-    """Poses without pixels: everybody's, with ``tracker.source: truth``; else those of the robots that are in no image
-    (``reality: simulated``), which have the delay of the image they are merged with."""
+    """Poses that no image is needed for. With ``tracker.source: truth`` all robots have such poses. Otherwise the
+    robots with ``reality: simulated`` have them, as late as the image with which they are merged."""
 
     position_noise_m: Annotated[float, within(0, 10)] = 0.0
-    """Standard deviation, along each axis."""
+    """Standard deviation of the position along each axis."""
     heading_noise_rad: Annotated[float, within(0, 10)] = 0.0
-    """Standard deviation."""
+    """Standard deviation of the heading."""
     delay_s: Annotated[float, Field(ge=0, le=0.25)] = 0.01
-    """From the moment that a pose is of to its arrival; the simulation remembers 0.3 s."""
+    """Time from the instant at which a pose is true to its arrival. The simulation remembers 0.3 s."""
     jitter_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0
-    """Most that is added to it, at random."""
+    """Largest random time that is added to the delay."""
     dropout: Fraction = 0.0
     """Share of the poses that are missing."""
 
 
 class TrackerSettings(Model):
-    """Where poses come from."""
+    """How robofleet measures the robots' poses."""
 
     source: Literal["camera", "truth"]
-    """``camera``: the detector reads its images; ``truth``: all robots are simulated and say where they are."""
+    """``camera``: the detector finds the tags in the camera's images. ``truth``: all robots are simulated and publish
+    their true poses."""
     tag_side_m: Length
-    """Of the black square of a robot's tag."""
+    """Side of the black square of a robot's tag."""
     tag_height_m: Height
-    """Of the robots' tags above the floor."""
+    """Height of the robots' tags above the floor."""
     floor_tags: Annotated[tuple[FloorTag, ...], Field(max_length=TAGS, strict=False)] = ()
-    """Surveyed ones, by which a camera that moves is noticed and corrected."""
+    """Surveyed tags on the floor. They show whether the camera moves, and by how much the poses must be corrected."""
     truth: TruthSettings = TruthSettings()
-    """How good the poses without pixels are."""
+    """Noise, delay and losses of the poses that no image is needed for."""
 
 
 class DriverSettings(Model):
-    """How the robots' drivers are spread over processes."""
+    """How the robots' drivers share processes, and who starts them."""
 
     robots_per_process: Annotated[int, within(1, TAGS)] = 1
-    """At most, in the order of ``robots``."""
+    """Largest number of robots in one driver process. They are taken in the order of ``robots``."""
     started_by: Literal["run", "systemd"] = "run"
-    """``systemd``: units of ``tools/deploy`` start them, and ``robofleet run`` starts everything else."""
+    """``run``: ``robofleet run`` starts the drivers. ``systemd``: the services of ``tools/deploy`` start them, and
+    ``robofleet run`` starts everything else."""
 
 
 class LockstepSettings(Model):
-    """What a lockstep run charges for work that takes no simulated time."""
+    """Simulated times of a lockstep run, where computing takes no simulated time by itself."""
 
     bus_delay_s: Annotated[float, within(1e-6, 1)] = 0.001
-    """From a message's sending to its arrival."""
+    """Time from the sending of a message to its arrival."""
     tracker_delay_s: Delay = 0.004
-    """From an image to its poses."""
+    """Time from an image to its poses."""
 
 
 class Bounds(Model):
-    """What a run is judged by in its report, as ``summary.json`` has the figures; null: not judged."""
+    """Limits by which the report judges a run. The figures are those of ``summary.json``; null: the figure is not
+    judged."""
 
     control_error_mean_mm: Most | None = None
-    """At most, of the mean over all robots."""
+    """Upper limit of the mean control error over all robots."""
     timed_error_mean_mm: Most | None = None
-    """At most, of the leader's mean."""
+    """Upper limit of the leader's mean timed error."""
     path_error_mean_mm: Most | None = None
-    """At most, of the mean over all robots."""
+    """Upper limit of the mean path error over all robots."""
     spacing_max_deviation_mm: Most | None = None
-    """At most, after ``run.spacing_settle_s``."""
+    """Upper limit of the largest deviation from ``spacing_m``, after ``run.spacing_settle_s``."""
     min_gap_mm: Annotated[float, within(-1e6, 1e6)] | None = None
-    """At least, between two robots' bodies."""
+    """Lower limit of the smallest gap between the bodies of two robots."""
     pose_error_rms_mm: Most | None = None
-    """At most, of the filter at the tick against truth."""
+    """Upper limit of the root mean square of the filter's position error at the ticks."""
     overruns: Count | None = None
-    """At most: ticks that were missed."""
+    """Upper limit of the number of ticks that the controller missed."""
     exposure_to_wheel_p99_ms: Most | None = None
-    """At most, from mid-exposure to the wheel."""
+    """Upper limit of the 99th percentile of the time from mid-exposure to the wheels."""
     stops: Count | None = None
-    """At most: how often a robot stood by itself."""
+    """Upper limit of the number of times that a robot stopped by itself."""
 
 
 class RunSettings(Model):
-    """One run."""
+    """Length, start and judgement of a run."""
 
     duration_s: Annotated[float, within(1e-3, 1e7)]
-    """From the first tick of the run; a lap of the shipped path takes 88 s."""
+    """Length of the run from its first tick. A lap of the shipped path takes 88 s."""
     settle_s: Annotated[float, within(0, 1e7)] = 1.4
-    """The control error counts from then on."""
+    """Time after which the control error counts."""
     spacing_settle_s: Annotated[float, within(0, 1e7)] = 5.0
-    """The spacing and what is measured on the truth count from then on."""
+    """Time after which the spacing and the true errors count."""
     seed: Annotated[int, within(0, 2**63 - 1)] = 1
-    """Of everything random; in lockstep the same seed gives the same run."""
+    """Seed of all random numbers. In lockstep the same seed gives the same run."""
     attended: bool = False
-    """Somebody sits at the terminal: when it closes, or ``robofleet run`` is frozen, the robots are stopped."""
+    """``true``: a person sits at the terminal. The robots stop when the terminal closes or ``robofleet run``
+    freezes."""
+    begin: Literal["where_they_stand", "go_to_start"] = "where_they_stand"
+    """``go_to_start``: before the first tick the robots drive by themselves to where their behaviours begin (a platoon:
+    behind each other on the path), and where a behaviour has no places, to ``robots[].start``."""
+    end: Literal["where_they_stand", "park"] = "where_they_stand"
+    """``park``: after the run the robots drive to ``robots[].park``."""
     start: Literal["auto", "operator"] = "auto"
-    """``operator``: everything is there and waits until somebody starts it."""
+    """``auto``: the robots drive as soon as the checks have passed. ``operator``: they wait until the operator starts
+    them."""
     bounds: Bounds = Bounds()
-    """What the report judges the run by."""
+    """Limits by which the report judges the run."""
 
 
 class Config(Model):
-    """The whole tree."""
+    """The parts of a configuration."""
 
     arena: Arena
-    """The floor."""
+    """The floor: name and size."""
     bus: BusSettings = BusSettings()
-    """Where the processes meet."""
+    """The address at which the processes meet."""
     robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=TAGS, strict=False)]
-    """Every robot of the fleet; one that is in no group is a bystander, which the others keep clear of."""
-    groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=1, strict=False)]
-    """One, today."""
+    """Every robot of the fleet. A robot in no group is a bystander: it does not drive, and the others keep clear of
+    it."""
+    groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=TAGS, strict=False)]
+    """Which robots drive together, and what they do. A robot is in one group at most."""
     controller: ControllerSettings
-    """The law, and what it believes."""
+    """The control law, its filter and the barrier between robots."""
     tracker: TrackerSettings
-    """How the robots are seen."""
+    """How the robots' poses are measured."""
     camera: CameraSettings
     """The overhead camera."""
     run: RunSettings
-    """How long, from which seed, and how it is judged."""
+    """Length, seed, start and judgement of a run."""
     drivers: DriverSettings = DriverSettings()
-    """How the drivers are spread over processes."""
+    """How the drivers share processes, and who starts them."""
     lockstep: LockstepSettings = LockstepSettings()
-    """What ``robofleet run --lockstep`` charges."""
-    faults: Annotated[tuple[Fault, ...], Field(max_length=MANY, strict=False)] = ()
-    """What goes wrong on purpose, and when; ``--faults FILE`` replaces them."""
-
-    @property
-    def processes(self) -> tuple[str, ...]:
-        """The processes of a run, by name."""
-        twins = ("twins",) if self.twins else ()
-        return "router", "supervisor", "tracker", "controller", *twins, *self.driven
+    """Simulated times of bus and tracker in ``robofleet run CONFIG --lockstep``."""
+    faults: Annotated[tuple[InjectedFault, ...], Field(max_length=MANY, strict=False)] = ()
+    """Faults on purpose, and their times. ``--faults FILE`` replaces them."""
 
     @property
     def twins(self) -> tuple[Robot, ...]:
         """The robots in whose place a twin answers."""
         return tuple(robot for robot in self.robots if robot.twin is not None)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether nothing of a run exists outside this computer: every robot, or its twin, and the camera."""
+        robots = all(robot.driver == "simulated" or robot.twin is not None for robot in self.robots)
+        return robots and (self.tracker.source == "truth" or self.camera.source == "simulated")
 
     @property
     def seen(self) -> tuple[Robot, ...]:
@@ -228,21 +225,23 @@ class Config(Model):
         raise KeyError(robot_id)
 
     @property
-    def platoon(self) -> tuple[Robot, ...]:
-        """The robots of the group, leader first: the order of every array and of every report."""
-        return tuple(self.robot(robot_id) for robot_id in self.groups[0].robots)
+    def members(self) -> tuple[Robot, ...]:
+        """The robots of all groups, group by group: the order of every array and of every report."""
+        return tuple(self.robot(robot_id) for group in self.groups for robot_id in group.robots)
 
     @property
     def bystanders(self) -> tuple[Robot, ...]:
-        """The robots that this run does not drive: bodies that the group keeps clear of, wherever they stand."""
-        return tuple(robot for robot in self.robots if robot.id not in self.groups[0].robots)
+        """The robots that this run does not drive: bodies that the others keep clear of, wherever they stand."""
+        driven = {robot_id for group in self.groups for robot_id in group.robots}
+        return tuple(robot for robot in self.robots if robot.id not in driven)
 
     @property
     def bodies(self) -> tuple[Robot, ...]:
-        """Every robot, the group's first: what stands in the arena, and the order in which its robots are numbered."""
-        return (*self.platoon, *self.bystanders)
+        """Every robot, the groups' first: what stands in the arena, and the order in which its robots are numbered."""
+        return (*self.members, *self.bystanders)
 
     @property
-    def ids(self) -> tuple[str, ...]:
-        """The names of the bodies, in their order."""
-        return tuple(robot.id for robot in self.bodies)
+    def ids(self) -> Roster:
+        """The names of the bodies, in their order, and of their groups."""
+        groups = {robot_id: group.title for group in self.groups for robot_id in group.robots}
+        return Roster((robot.id for robot in self.bodies), (groups.get(robot.id, "") for robot in self.bodies))

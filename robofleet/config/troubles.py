@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import MANY, Instant, Lasting, Lateness, Model, Name, Text, within
+from robofleet.settings import MANY, Instant, Lasting, Lateness, Model, Name, Text, within
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
 Share = Annotated[float, within(1e-9, 1)]
@@ -16,108 +16,108 @@ _Push = Annotated[float, within(-10, 10)]
 
 
 class Timed(Model):
-    """When something goes wrong; times count from the start of the run."""
+    """When a fault acts. Times count from the start of the run."""
 
     at_s: Instant | None = None
-    """null: from the first moment, before the checks."""
+    """Time at which the fault begins; null: at the first moment, before the checks."""
     duration_s: Lasting | None = None
-    """null: for good."""
+    """How long the fault lasts; null: to the end."""
 
 
 class BodyFault(Timed):
-    """A simulated robot's motors stand still whatever they are told, or half of its wheels' travel is lost as slip."""
+    """A simulated robot's motors do not turn, or its wheels slip."""
 
     kind: Literal["motor_stuck", "slip"]
-    """``motor_stuck``: the motors stand; ``slip``: half of the travel is lost."""
+    """``motor_stuck``: the motors stand still whatever is commanded. ``slip``: half of the wheels' travel is lost."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
 
 
 class RunawayFault(Timed):
-    """A simulated robot's wheel turns by itself, whatever it is told."""
+    """A wheel of a simulated robot turns by itself, whatever is commanded."""
 
     kind: Literal["motor_runs"]
-    """What goes wrong."""
+    """Name of the fault."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
     wheel: Literal["left", "right"]
-    """Which one."""
+    """Which wheel turns."""
     speed_rad_s: Annotated[float, within(-1000, 1000)]
-    """How fast; forward is positive."""
+    """Speed of the wheel, forward positive."""
 
 
 class Push(Timed):
     """A hand pushes a simulated robot over the floor, whatever its wheels do."""
 
     kind: Literal["pushed"]
-    """What goes wrong."""
+    """Name of the fault."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
     velocity_m_s: Annotated[tuple[_Push, _Push], Field(strict=False)]
-    """Along x and y [world frame]."""
+    """Velocity along x and along y [world frame]."""
 
 
 class ReadingFault(Timed):
-    """What a robot says of itself: a battery at 5 %, or its own e-stop pressed."""
+    """A robot reports a low battery or a pressed emergency stop of its own."""
 
     kind: Literal["low_battery", "wired_stop"]
-    """``low_battery``: at 5 %; ``wired_stop``: its own e-stop is pressed."""
+    """``low_battery``: a battery at 5 %. ``wired_stop``: the robot's own emergency stop is pressed."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
 
 
 class TouchFault(Timed):
-    """A twin's robot is touched: what it feels, and says."""
+    """A sensor of a twin's robot reports a contact or a missing floor."""
 
     kind: Literal["bumper_hit", "wheel_lifted", "cliff"]
-    """What it feels."""
+    """Which sensor reports."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
 
 
 class LinkFault(Timed):
-    """A twin's serial line is pulled out and plugged in again at the end, or its firmware hangs until then."""
+    """A twin's serial cable is unplugged, or its firmware hangs. At the end of the fault both are as before."""
 
     kind: Literal["unplugged", "firmware_hangs"]
-    """``unplugged``: the port is gone; ``firmware_hangs``: nothing is read, answered or changed, motors go on."""
+    """``unplugged``: the port is gone. ``firmware_hangs``: the firmware reads, answers and changes nothing; the motors
+    go on."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
 
 
 class LineFault(Timed):
-    """Lines between a driver and a twin, both ways, lose their end, get bytes that nobody sent, or come late.
-
-    A line is what is said at once, whatever the protocol: a write of the driver, an answer of the robot.
-    """
+    """Lines between a driver and a twin, in both directions, are cut, changed or delayed. A line is whatever is written
+    at once: a write of the driver, or an answer of the robot."""
 
     kind: Literal["line_cut", "line_garbage", "line_late"]
-    """``line_cut``: from some byte on; ``line_garbage``: some bytes are others; ``line_late``: by ``delay_s``."""
+    """``line_cut``: the line loses its end. ``line_garbage``: some of its bytes are changed. ``line_late``: it arrives
+    ``delay_s`` late."""
     robot: Name | None = None
-    """Whose; null: every twin's."""
+    """Id of the robot; null: every twin."""
     share: Share = 0.01
-    """Of the lines."""
+    """Share of the lines that the fault strikes."""
     delay_s: Lateness = 0.05
-    """How late."""
+    """Delay of a late line."""
 
 
 class PoseFault(Timed):
     """The tracker does not see a robot's tag, or sees it twice and believes neither."""
 
     kind: Literal["pose_dropout", "duplicate_tag"]
-    """``pose_dropout``: not seen; ``duplicate_tag``: seen twice."""
+    """``pose_dropout``: the tag is not seen. ``duplicate_tag``: the tag is seen twice."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
 
 
 class PoseNoise(Timed):
-    """A robot's pose is measured badly."""
+    """The measured pose of a robot is noisy."""
 
     kind: Literal["pose_noise"]
-    """What goes wrong."""
+    """Name of the fault."""
     robot: Name
-    """Whose."""
+    """Id of the robot."""
     sigma_m: Annotated[float, within(1e-9, 100)]
-    """Standard deviation, along each axis."""
+    """Standard deviation of the position along each axis."""
     sigma_rad: Annotated[float, within(0, 10)] = 0.0
     """Standard deviation of the heading."""
 
@@ -126,106 +126,108 @@ class IdSwap(Timed):
     """Two robots wear each other's tag."""
 
     kind: Literal["id_swap"]
-    """What goes wrong."""
+    """Name of the fault."""
     robots: Annotated[tuple[Name, Name], Field(strict=False)]
-    """Which two."""
+    """Ids of the two robots."""
 
 
 class CameraFault(Timed):
-    """The camera gives the same picture again and again, or none."""
+    """The camera repeats one image, or sends none."""
 
     kind: Literal["camera_frozen", "camera_stalled"]
-    """``camera_frozen``: the same picture; ``camera_stalled``: none."""
+    """``camera_frozen``: the same image again and again. ``camera_stalled``: no image."""
 
 
 class PoseDelay(Timed):
-    """What the tracker says comes late, all of it and in order."""
+    """All messages of the tracker arrive late, in order."""
 
     kind: Literal["pose_delay"]
-    """What goes wrong."""
+    """Name of the fault."""
     delay_s: Lateness
-    """How late."""
+    """Delay of each message."""
 
 
 class OfMessages(Timed):
-    """Something that is done to messages."""
+    """A fault that strikes messages."""
 
     topics: Annotated[tuple[MessageTopic, ...], Field(min_length=1, max_length=MANY, strict=False)]
-    """Which messages."""
+    """Topics of the messages."""
     robot: Name | None = None
-    """Those to and from this one; null: everybody's."""
+    """Only messages to and from this robot; null: all."""
 
 
 class MessageFault(OfMessages):
-    """Messages arrive twice, behind the next one, with a NaN, or cut short. ``robot``: those to and from this one."""
+    """Messages arrive twice, in the wrong order, with a NaN, or cut short."""
 
     kind: Literal["duplicated", "reordered", "not_a_number", "malformed"]
-    """``reordered``: behind the next one; ``malformed``: cut short."""
+    """``duplicated``: twice. ``reordered``: behind the next one. ``not_a_number``: with a NaN. ``malformed``: cut
+    short."""
     share: Share = 1.0
-    """Of the messages."""
+    """Share of the messages that the fault strikes."""
 
 
 class Lost(OfMessages):
-    """Messages do not arrive, one by one, or all of a robot's together in bursts of up to ``burst_s``."""
+    """Messages do not arrive: one by one, or all messages of a robot together in bursts."""
 
     kind: Literal["lost"]
-    """What goes wrong."""
+    """Name of the fault."""
     share: Share = 1.0
-    """Of the messages; with bursts, of the time."""
+    """Share of the messages that are lost; with bursts, share of the time."""
     burst_s: Instant = 0.0
-    """The longest burst; 0: one message at a time."""
+    """Longest burst; 0: messages are lost one by one."""
 
 
 class Late(OfMessages):
-    """Messages arrive late by a log-normal time, each by its own: one may overtake another."""
+    """Messages arrive late by log-normal times. Each has its own time, so one may overtake another."""
 
     kind: Literal["late"]
-    """What goes wrong."""
+    """Name of the fault."""
     median_s: Lateness = 0.002
-    """Half of them are later."""
+    """Delay that half of the messages exceed."""
     p99_s: Lateness = 0.06
-    """One in a hundred is later."""
+    """Delay that one message in a hundred exceeds."""
 
 
 class NetworkCut(Timed):
-    """Nothing passes between some processes and the others; what is ``held_back`` arrives at the end, all at once."""
+    """No message passes between some processes and the others."""
 
     kind: Literal["network_cut"]
-    """What goes wrong."""
+    """Name of the fault."""
     processes: Annotated[tuple[Text, ...], Field(min_length=1, max_length=MANY, strict=False)]
-    """Those on one side of the cut."""
+    """Names of the processes on one side of the cut, as their logs are named."""
     held_back: bool = False
-    """Whether what was said meanwhile arrives at the end."""
+    """``true``: the messages of that time arrive together at the end. ``false``: they are lost."""
 
 
 class ProcessFault(Timed):
-    """A process is killed and started again at the end, or it is stopped and goes on then."""
+    """A process is killed and started again at the end, or stopped and continued at the end."""
 
     kind: Literal["killed", "stopped"]
-    """``killed``: and started again at the end; ``stopped``: and continued then."""
+    """``killed``: killed, and started again at the end. ``stopped``: stopped, and continued at the end."""
     process: Text
-    """Which one."""
+    """Name of the process, as its log is named: ``tracker``, ``driver-r1``."""
 
 
 class ClockStep(Timed):
-    """A process's clock jumps, and back at the end. In lockstep only: no process may set a real clock."""
+    """A process's clock jumps, and jumps back at the end. Only lockstep has this fault: a process may not set a real
+    clock."""
 
     kind: Literal["clock_step"]
-    """What goes wrong."""
+    """Name of the fault."""
     process: Text
-    """Whose clock."""
+    """Name of the process whose clock jumps."""
     step_s: Annotated[float, within(-1e6, 1e6)]
-    """Forward, or back if negative."""
+    """Size of the jump, forward positive."""
 
 
 class WholeFault(Timed):
-    """The disk takes nothing any more, or a second controller wants to drive the same robots (in lockstep only)."""
+    """The disk is full, or a second controller tries to drive the same robots (in lockstep only)."""
 
     kind: Literal["disk_full", "second_controller"]
-    """``disk_full``: nothing can be written; ``second_controller``: it wants the same robots."""
+    """``disk_full``: nothing can be written. ``second_controller``: a second controller asks for the same robots."""
 
 
-Fault = Annotated[
+InjectedFault = Annotated[
     BodyFault
     | RunawayFault
     | Push

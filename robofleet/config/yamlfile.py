@@ -6,6 +6,7 @@ from pathlib import Path
 
 import yaml
 
+from robofleet.config import names
 from robofleet.files import read_named
 
 Value = dict[str, "Node"] | list["Node"] | str | int | float | bool | None
@@ -14,8 +15,12 @@ _TAG = "tag:yaml.org,2002:"
 _SCALARS = {_TAG + kind for kind in ("null", "bool", "int", "float", "str")}
 _ALIAS, _EXPLICIT = "!alias", "!explicit "
 _LARGEST = 1 << 20  # [bytes] of a document: a hundred robots with their calibrations fit twice
+_MCAP = b"\x89MCAP"  # what a recording begins with
 _DEEPEST = 32  # mappings and lists in each other
 _LONGEST_NUMBER = 100  # [characters]; a longer one takes its time, and is none that can be meant
+_CLOSE = {True: "write ] at its end, and commas between its items", False: "write } at its end, and commas between"}
+_MISPLACED = re.compile("mapping values are not allowed|expected <block end>|expected <document start>")
+_GLUED = re.compile(r"\s*(?:- )?([A-Za-z_]\w*:)[^\s:]")  # key:value
 NUMBER_LIKE = re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)(?:[eE][-+]?[0-9]+)?|0o[0-7]+")
 
 
@@ -38,7 +43,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Fault:
+class Mistake:
     """Something wrong at a place."""
 
     place: Place
@@ -83,7 +88,7 @@ class Node:
         return self.value
 
 
-def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Fault]]:
+def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Mistake]]:
     """Read a file: its tree (None when there is none) and its faults.
 
     Raises:
@@ -93,38 +98,43 @@ def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Fault]]:
         data = read_named(file, _LARGEST)
     except FileNotFoundError:
         raise
+    except IsADirectoryError:
+        return None, [Mistake(Place(source, 1, 1, ""), f"is a folder: {names.in_folder(file)}")]
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        return None, [Fault(Place(source, 1, 1, ""), f"cannot be read: {reason}")]
+        return None, [Mistake(Place(source, 1, 1, ""), f"cannot be read: {reason}")]
     return parse_bytes(data, source)
 
 
-def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Fault]]:
+def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Mistake]]:
     """Parse what a file holds: its tree (None when there is none) and its faults."""
+    if data.startswith(_MCAP):
+        message = f"is a recording, not a configuration: `robofleet report {source.name}` reads it"
+        return None, [Mistake(Place(source, 1, 1, source.key), message)]
     if len(data) > _LARGEST:
-        return None, [Fault(Place(source, 1, 1, source.key), f"is longer than {_LARGEST} bytes")]
+        return None, [Mistake(Place(source, 1, 1, source.key), f"is longer than {_LARGEST} bytes")]
     try:
         return parse_yaml(data.decode("utf-8-sig"), source)
     except UnicodeDecodeError as error:
         place = _place_of(source, data[: error.start].decode("utf-8-sig"))
-        return None, [Fault(place, "is not UTF-8 text: save the file as UTF-8")]
+        return None, [Mistake(place, "is not UTF-8 text: save the file as UTF-8")]
 
 
-def parse_yaml(text: str, source: Source) -> tuple[Node | None, list[Fault]]:
+def parse_yaml(text: str, source: Source) -> tuple[Node | None, list[Mistake]]:
     """Parse one document: its tree (None when there is none) and its faults."""
     try:
         root = _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
-        return None, [_syntax_fault(error, source)]
+        return None, [_syntax_fault(error, source, text)]
     except yaml.reader.ReaderError as error:
         message = f"the character {error.character!r} may not stand in YAML"
-        return None, [Fault(_place_of(source, text[: error.position]), message)]
+        return None, [Mistake(_place_of(source, text[: error.position]), message)]
     except RecursionError:
-        return None, [Fault(Place(source, 1, 1, source.key), "is nested too deeply")]
+        return None, [Mistake(Place(source, 1, 1, source.key), "is nested too deeply")]
     except (ValueError, OverflowError) as error:  # an escape beyond Unicode
-        return None, [Fault(Place(source, 1, 1, source.key), f"is not YAML: {error}")]
+        return None, [Mistake(Place(source, 1, 1, source.key), f"is not YAML: {error}")]
     if root is None:
-        return None, [Fault(Place(source, 1, 1, source.key), "is empty")]
+        return None, [Mistake(Place(source, 1, 1, source.key), "is empty: copy configs/platoon.yaml, and change it")]
     walk = _Walk(source)
     node = walk.node(root, source.key, None)
     return node, walk.faults
@@ -135,15 +145,36 @@ def _place_of(source: Source, before: str) -> Place:
     return Place(source, len(lines), len(lines[-1]) + 1, source.key)
 
 
-def _syntax_fault(error: yaml.MarkedYAMLError, source: Source) -> Fault:
-    mark = error.problem_mark or error.context_mark
-    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-    message = "is not YAML: " + ", ".join(part for part in (error.context, error.problem) if part)
-    if error.problem == "but found another document":
+def _syntax_fault(error: yaml.MarkedYAMLError, source: Source, text: str) -> Mistake:
+    """Return PyYAML's complaint in plain words, where the mistake is: often above the place where it was noticed."""
+    problem, mark = error.problem or "", error.problem_mark or error.context_mark
+    opened = error.context_mark or mark
+    message = "is not YAML: " + ", ".join(part for part in (error.context, problem) if part)
+    if problem == "but found another document":
         message = "a second document starts here: a file holds one"
-    elif error.problem and r"'\t'" in error.problem:
-        message += ": indent with spaces"
-    return Fault(Place(source, line, column, source.key), message)
+    elif r"'\t'" in problem:
+        message = "a tab stands here: indent with spaces"
+    elif problem.startswith("found character") and "cannot start" in problem:
+        message = f"YAML keeps this character for itself: quote the text, {problem.split()[2]} included"
+    elif "could not find expected ':'" in problem:
+        mark, message = opened, "this key has no colon: write `key: value`"
+    elif problem.startswith(("expected ',' or", "did not find expected ',' or")):
+        mark, message = (
+            opened,
+            f"this {'list' if ']' in problem else 'mapping'} is not closed: {_CLOSE[']' in problem]}",
+        )
+    elif "unexpected end of stream" in problem and "quoted" in (error.context or ""):
+        mark, message = opened, "this quotation mark has no second one: close it"
+    elif _MISPLACED.search(problem):
+        message = "is in the wrong place: indent the keys of one mapping alike"
+        before = [i for i, line in enumerate(text.split("\n")[: mark.line if mark else 0]) if line.strip()]
+        if before and (glued := _GLUED.match(text.split("\n")[before[-1]])):
+            message = "no space follows the colon: write `key: value`"
+            return Mistake(Place(source, before[-1] + 1, glued.start(1) + 1, source.key), message)
+        if "mapping values" in problem:
+            message += ", and quote a text that holds a colon"
+    line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+    return Mistake(Place(source, line, column, source.key), message)
 
 
 class _Loader(yaml.SafeLoader):
@@ -179,7 +210,7 @@ class _Walk:
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.faults: list[Fault] = []
+        self.faults: list[Mistake] = []
 
     def node(self, node: yaml.Node, path: str, key: Place | None) -> Node:
         place = self._place(node, path)
@@ -194,7 +225,7 @@ class _Walk:
         else:
             value, message = _scalar(node)
         if message:
-            self.faults.append(Fault(place, message))
+            self.faults.append(Mistake(place, message))
         return Node(value, place, key or place, bad=message is not None)
 
     def _mapping(self, node: yaml.MappingNode, path: str) -> dict[str, Node]:
@@ -211,7 +242,7 @@ class _Walk:
             else:
                 children[key] = self.node(value_node, place.path, place)
                 continue
-            self.faults.append(Fault(place, message))
+            self.faults.append(Mistake(place, message))
         return children
 
     def _place(self, node: yaml.Node, path: str) -> Place:

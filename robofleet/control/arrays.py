@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,8 @@ cached = infinite_kernel
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a part of a model; a division by zero is an infinity, which is then reported."""
+    import numba  # noqa: PLC0415 - it takes a second to load, and a process that only reads a configuration has none
+
     return numba.njit(**INFINITE)(function)
 
 

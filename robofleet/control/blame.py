@@ -4,15 +4,10 @@ import inspect
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numba
-
 from robofleet.control.flow_settings import FlowError
 from robofleet.control.prediction import Plant
 from robofleet.kernels import INFINITE, snapshot
-from robofleet.kernels.complaint import complaint
 
-_VECTOR = numba.float64[::1]
-_OMITTED: Callable[[object], Any] = numba.types.Omitted
 _OF_STATE_AND_INPUT = ("f", "f_x", "f_u", "fastest_rate")
 
 Suspect = tuple[str, Callable[..., Any] | None, int]  # name, function (None: not given), how many vectors it takes
@@ -26,19 +21,20 @@ def plant_functions(plant: Plant) -> list[Suspect]:
 
 def blame(error: Exception, functions: Iterable[Suspect]) -> FlowError:
     """Return what to say of a model that failed with ``error``: the first of its functions that fails alone."""
-    returned = []
+    import numba  # noqa: PLC0415 - it takes a second to load, and most who import the law compile no model
+
+    from robofleet.kernels.complaint import complaint  # noqa: PLC0415
+
+    vector, omitted, returned = numba.float64[::1], numba.types.Omitted, []
     for name, function, count in functions:
         if function is None:
             continue
         try:
             alone, _ = snapshot(function, INFINITE)
             defaults = [one.default for one in inspect.signature(alone.py_func).parameters.values()][count:]
-            alone.compile((*(_VECTOR,) * count, *map(_OMITTED, defaults)))
+            alone.compile((*(vector,) * count, *map(omitted, defaults)))
         except Exception as found:  # noqa: BLE001 - numba raises what it likes, not its own errors alone
             return FlowError(f"{name}: {complaint(found, function)}")
         returned.append(f"{name} returns {alone.nopython_signatures[0].return_type}")
-    return FlowError(f"plant: numba cannot compile its functions together ({', '.join(returned)}): {_last(error)}")
-
-
-def _last(error: Exception) -> str:
-    return complaint(error, blame).partition(": ")[2]
+    last = complaint(error, blame).partition(": ")[2]
+    return FlowError(f"plant: numba cannot compile its functions together ({', '.join(returned)}): {last}")

@@ -127,7 +127,8 @@ def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
         squared = _squared_distance(coefficients[side % sides], x, y)
         count = _real_roots(_differentiate(squared), start, end, roots)
         roots[count], roots[count + 1] = start, end
-        for s in roots[: count + 2]:
+        for k in range(count + 2):
+            s = roots[k]
             value = _horner(squared, s)
             if value < best_value:
                 best, best_value = side + s, value
@@ -195,7 +196,8 @@ def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
     """
     degree = len(a) - 1
     ladder = np.zeros((degree + 1, degree + 1))
-    ladder[0] = a
+    for j in range(degree + 1):
+        ladder[0, j] = a[j]
     for k in range(1, degree):
         for j in range(1, degree + 2 - k):
             ladder[k, j - 1] = j * ladder[k - 1, j]
@@ -203,7 +205,8 @@ def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
     count = 0
     for k in range(degree - 1, -1, -1):
         polynomial = ladder[k, : degree + 1 - k]
-        breaks[:count] = roots[:count]
+        for j in range(count):
+            breaks[j] = roots[j]
         breaks[count] = high
         previous, found = low, 0
         value = _horner(polynomial, low)
@@ -239,3 +242,6 @@ def _solve(a: Array, low: float, high: float) -> float:
             return following
         s = following
     return s
+
+
+KERNELS = (point, nearest)  # that are called from Python

@@ -52,25 +52,20 @@ class PlatoonSettings:
 class Column(IntEnum):
     """Columns of what a tick decides, one row a robot."""
 
-    POINT_X = 0  # x: the point p [m]
-    POINT_Y = 1
+    U_X = 0  # the input after the update [m/s]: what the wheels cannot do of it is still in it
+    U_Y = 1
     REFERENCE_X = 2  # rho at the horizon [m]
     REFERENCE_Y = 3
     REFERENCE_PARAMETER = 4  # of rho on the path
-    U_X = 5  # the input after the update, as the wheels can do it [m/s]
-    U_Y = 6
-    CONTROL_ERROR = 7  # |rho - (x + T (u + w))| before the update [m]; w: the estimated disturbance, else 0
-    LEFT = 8  # wheel speeds [rad/s]
-    RIGHT = 9
-    SATURATED = 10  # 1 where the wheels could not do all of it
+    CONTROL_ERROR = 5  # |rho - (x + T (u + w))| before the update [m]; w: the estimated disturbance, else 0
 
 
 INPUTS = slice(Column.U_X, Column.U_Y + 1)
-WHEELS = slice(Column.LEFT, Column.RIGHT + 1)
+REFERENCES = slice(Column.REFERENCE_X, Column.REFERENCE_Y + 1)
 
 
 @dataclass
-class Platoon:
+class PlatoonLaw:
     """The platoon's law and its state: u (N, 2) [m/s], and where each robot is along the path."""
 
     path: Path
@@ -106,7 +101,7 @@ class Platoon:
         self.u[:] = u
 
     def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
-        """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.
+        """Return what all robots do in the next tick: (N, 6), columns as in :class:`Column`.
 
         t: time since the start at the moment when the commands act [s]. poses (N, 3): x, y [m], psi [rad] of the
         centres at that moment. driving (N,): false where a robot must stand still (its u becomes 0).
@@ -186,20 +181,34 @@ def _tick(
             rho_x, rho_y = rho_x + offset * tangent_x, rho_y + offset * tangent_y
         drifted_x, drifted_y = x + T * w[i, 0], y + T * w[i, 1]
         error = np.hypot(rho_x - drifted_x - T * u[i, 0], rho_y - drifted_y - T * u[i, 1])
-        left, right, ratio = 0.0, 0.0, 1.0
+        u_x, u_y, ratio = 0.0, 0.0, 1.0
         if driving[i]:
             u_x = point_update(u[i, 0], drifted_x, rho_x, T, gain)
             u_y = point_update(u[i, 1], drifted_y, rho_y, T, gain)
-            radius, base, max_wheel_speed, max_speed = limits[i]
+            radius, base, max_wheel_speed, max_speed = limits[i, 0], limits[i, 1], limits[i, 2], limits[i, 3]
             v, omega = _body_from_point(u_x, u_y, psi, l)
             left, right = _wheels_from_body(v, omega, radius, base)
             ratio = _feasible_ratio(left, right, radius, max_wheel_speed, max_speed)
-            left, right = ratio * left, ratio * right
-            u[i] = ratio * u_x, ratio * u_y
-        else:
-            u[i] = 0.0
+        u[i, 0], u[i, 1] = ratio * u_x, ratio * u_y
         predicted_x = drifted_x + T * u[i, 0] - offset * np.cos(psi)
         predicted_y = drifted_y + T * u[i, 1] - offset * np.sin(psi)
-        decisions[i] = (
-            x, y, rho_x, rho_y, reference[i], u[i, 0], u[i, 1], error, left, right, 1.0 if ratio < 1.0 else 0.0,
-        )  # fmt: skip
+        row = decisions[i]  # columns as in Column; number by number, as an assignment of a tuple compiles slowly
+        row[0], row[1], row[2], row[3], row[4], row[5] = u_x, u_y, rho_x, rho_y, reference[i], error
+
+
+@kernel
+def see(coefficients: Array, points: Array, along: Array, seen: Array) -> None:
+    """Write each robot's distance from the path and from the robot ahead (NaN: none) into ``seen`` (N, 2) [m].
+
+    points (N, 2) [m]. along (N,): the parameters nearest to them in the tick before, NaN: search the whole path; they
+    are brought up to date.
+    """
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        along[i] = paths.nearest(coefficients, x, y, along[i])
+        path_x, path_y = paths.point(coefficients, along[i])
+        seen[i, 0] = np.hypot(x - path_x, y - path_y)
+        seen[i, 1] = np.hypot(x - points[i - 1, 0], y - points[i - 1, 1]) if i else np.nan
+
+
+KERNELS = (_tick, see)  # that are called from Python

@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.model import Model, Positive
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.driving import (
@@ -27,6 +26,7 @@ from robofleet.experiments.driving import (
 )
 from robofleet.experiments.results import Cell, Figure, Result, Table
 from robofleet.experiments.simulate import Drive, drive
+from robofleet.settings import Model, Positive
 from robofleet.vehicles.bicycle import ZHOU_2017
 
 # Table 1, by speed [km/h]: peak lateral error [cm] and heading error [deg], the paper's and its source's

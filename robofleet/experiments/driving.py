@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.model import Model, NonNegative, Positive
 from robofleet.control.flow import FlowSettings
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.parameters import Parameters
 from robofleet.experiments.results import Array, Cell, Curve, Figure, Panel, Table
 from robofleet.experiments.simulate import Drive, Loop
+from robofleet.settings import Model, NonNegative, Positive
 
 OTHER_MODELS = "the sources' columns are other models on other roads: no claim of being better rests on them"
 

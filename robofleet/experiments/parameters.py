@@ -10,13 +10,13 @@ from pydantic_core import ErrorDetails
 
 from robofleet.config.faults import Complaint, did_you_mean, plain_words
 from robofleet.config.load import ConfigError
-from robofleet.config.model import Model
-from robofleet.config.yamlfile import Fault, Node, Place, Source, read_yaml
+from robofleet.config.yamlfile import Mistake, Node, Place, Source, read_yaml
+from robofleet.settings import Model
 
 Loc = tuple[str | int, ...]
 M = TypeVar("M", bound="Parameters")
 
-SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "paper"
+SHIPPED = Path(__file__).parents[1] / "configs" / "paper"
 
 
 class Parameters(Model):
@@ -36,7 +36,7 @@ def load_parameters(kind: type[M], file: Path) -> M:
     try:
         root, faults = read_yaml(file, Source(str(file)))
     except FileNotFoundError:
-        root, faults = None, [Fault(Place(Source(str(file)), 1, 1, ""), "there is no such file")]
+        root, faults = None, [Mistake(Place(Source(str(file)), 1, 1, ""), "there is no such file")]
     if root is None:
         raise ConfigError(str(fault) for fault in faults)
     try:
@@ -56,7 +56,7 @@ def _loc(path: str) -> Loc:
     return tuple(int(part) if part.isdigit() else part for part in path.split("."))
 
 
-def _fault(root: Node, kind: type[Model], error: ErrorDetails) -> Fault | None:
+def _fault(root: Node, kind: type[Model], error: ErrorDetails) -> Mistake | None:
     """Return one of pydantic's errors at its place; None where YAML was refused already."""
     loc: Loc = error["loc"]
     if error["type"] == "extra_forbidden":
@@ -81,7 +81,7 @@ def _keys(kind: type[Model], loc: Loc) -> list[str]:
     return list(model.model_fields)
 
 
-def _at(root: Node, loc: Loc, message: str, *, at_key: bool = False) -> Fault:
+def _at(root: Node, loc: Loc, message: str, *, at_key: bool = False) -> Mistake:
     """Return a fault at the value that ``loc`` leads to, or at the nearest one above it."""
     node, depth = root, 0
     for part in loc:
@@ -89,4 +89,4 @@ def _at(root: Node, loc: Loc, message: str, *, at_key: bool = False) -> Fault:
             break
         node, depth = child, depth + 1
     place = node.key if at_key else node.place
-    return Fault(replace(place, path=".".join(filter(None, (place.path, *map(str, loc[depth:]))))), message)
+    return Mistake(replace(place, path=".".join(filter(None, (place.path, *map(str, loc[depth:]))))), message)

@@ -9,13 +9,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from robofleet.config import slices
+from robofleet.behaviours.paths import PathFile
+from robofleet.behaviours.platoon import Platoon
 from robofleet.config.load import load_config
-from robofleet.config.model import NonNegative, Positive
 from robofleet.config.tree import Config
-from robofleet.control.path import Path
 from robofleet.experiments.parameters import SHIPPED, Parameters
-from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains
+from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains, settings_of
 from robofleet.experiments.platoon_views import (
     Drive,
     gain_table,
@@ -27,6 +26,7 @@ from robofleet.experiments.platoon_views import (
 from robofleet.experiments.results import Result
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.run import Run
+from robofleet.settings import NonNegative, Positive
 
 
 class PlatoonParameters(Parameters):
@@ -74,24 +74,27 @@ def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: 
     found = Run(lockstep.recording)
     points = found.points()
     assert points is not None
-    return Drive(found.t, found.items["control_error_m"], points, found.path)
+    (told,) = found.told
+    return Drive(found.t, told.figures["control_error"], points, settings_of(config).path.path())
 
 
 def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Config:
     """Return the configuration of a longer platoon: path and arena scaled, speed and law the same."""
-    group = base.groups[0]
-    length = Path.hermite(*slices.knots(group)).length()
-    scale = max(1.0, parameters.room * robots * group.spacing_m / length)
+    own = settings_of(base)
+    scale = max(1.0, parameters.room * robots * own.spacing_m / own.path.path().length())
     tree = base.model_dump(mode="json")
-    for knot in tree["groups"][0]["path"]["knots"]:
+    (group,) = tree["groups"]
+    for knot in group["settings"]["path"]["knots"]:
         knot["at_m"] = [scale * value for value in knot["at_m"]]
         knot["derivative_m"] = [scale * value for value in knot["derivative_m"]]
     ids = [f"r{k + 1}" for k in range(robots)]
-    tree["groups"][0] |= {"robots": ids, "path_rate": group.path_rate / scale}
+    group["robots"] = ids
+    group["settings"]["path_rate"] = own.path_rate / scale
     tree["arena"]["size_m"] = [scale * side for side in base.arena.size_m]
     template = tree["robots"][0]
-    if robots != len(base.platoon):  # the configuration has a start for its own number of robots
-        starts = _starts(tree["groups"][0]["path"]["knots"], base, robots)
+    if robots != len(base.members):  # the configuration has a start for its own number of robots
+        settings = Platoon.Settings.model_validate(group["settings"])
+        starts = _starts(settings.path, own.spacing_m, base.controller.point_ahead_m, robots)
         tree["robots"] = [
             template | {"id": name, "tag": tag, "start": start}
             for tag, (name, start) in enumerate(zip(ids, starts, strict=True))
@@ -106,14 +109,14 @@ def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator:
     return Config.model_validate(tree)
 
 
-def _starts(knots: list[dict[str, list[float]]], base: Config, robots: int) -> list[dict[str, float]]:
+def _starts(file: PathFile, spacing_m: float, point_ahead_m: float, robots: int) -> list[dict[str, float]]:
     """Start poses along the path, the points p at their spacing."""
-    path = Path.hermite(np.array([k["at_m"] for k in knots]), np.array([k["derivative_m"] for k in knots]))
+    path = file.path()
     sigma = [0.0]
     for _ in range(robots - 1):
-        sigma.append(float(path.back(np.array([sigma[-1]]), base.groups[0].spacing_m)[0]))
+        sigma.append(float(path.back(np.array([sigma[-1]]), spacing_m)[0]))
     tangent = path.tangent(np.array(sigma))
-    centre = path.position(np.array(sigma)) - base.controller.point_ahead_m * tangent
+    centre = path.position(np.array(sigma)) - point_ahead_m * tangent
     heading = np.degrees(np.arctan2(tangent[:, 1], tangent[:, 0]))
     return [
         {"x_m": x, "y_m": y, "heading_deg": angle}

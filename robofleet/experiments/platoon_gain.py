@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from robofleet.behaviours.platoon import Platoon
 from robofleet.config import slices
-from robofleet.config.model import Model, Positive
 from robofleet.config.tree import Config
+from robofleet.control import wheels
 from robofleet.control.path import Path
-from robofleet.control.platoon import WHEELS, Platoon, PlatoonSettings
+from robofleet.control.platoon import INPUTS, PlatoonLaw, PlatoonSettings
+from robofleet.settings import Model, Positive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
@@ -31,6 +33,12 @@ class GainParameters(Model):
     period_s: Positive
     periods: Annotated[tuple[Annotated[int, Field(gt=0)], ...], Field(min_length=1, strict=False)]
     amplitude_s: Positive
+
+
+def settings_of(base: Config) -> Platoon.Settings:
+    """Return the settings of a configuration's one group, which is a platoon."""
+    (group,) = base.groups
+    return Platoon.Settings.model_validate(group.settings)
 
 
 def robot_gains(parameters: GainParameters, base: Config, integrator: Integrator) -> list[float | None]:
@@ -58,34 +66,40 @@ def robot_gains(parameters: GainParameters, base: Config, integrator: Integrator
 
 def _along(parameters: GainParameters, base: Config, integrator: Integrator, amplitude_s: float) -> Array:
     """Drive ideal robots with motor lag around a circle; where each is along it over one period (K, N) [m]."""
-    group, c = base.groups[0], base.controller
-    radius = 1.5 * parameters.robots * group.spacing_m / math.tau
+    own, c = settings_of(base), base.controller
+    radius = 1.5 * parameters.robots * own.spacing_m / math.tau
     angle = np.arange(_CIRCLE_SIDES) * math.tau / _CIRCLE_SIDES
     at = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     handle = 12 * radius * math.tan(math.tau / _CIRCLE_SIDES / 4) / 3  # Hermite's best arc
     path = Path.hermite(at, handle * np.column_stack([-np.sin(angle), np.cos(angle)]))
-    speed = group.path_rate * Path.hermite(*slices.knots(group)).length() / len(group.path.knots)
+    given = own.path.path()
+    speed = own.path_rate * given.length() / given.sides
     settings = PlatoonSettings(
         c.alpha,
         c.horizon_s,
         c.point_ahead_m,
-        group.spacing_m,
+        own.spacing_m,
         speed * path.sides / path.length(),
         c.tick_s,
         integrator,
         "point",
     )
-    vehicle = slices.drive(base.platoon[0])
-    platoon = Platoon(path, settings, (vehicle,) * parameters.robots)
-    fleet = _Circling(vehicle, radius, group.spacing_m, parameters.robots, c.point_ahead_m)
-    driving = np.ones(parameters.robots, dtype=np.bool_)
+    vehicle = slices.drive(base.members[0])
+    law = PlatoonLaw(path, settings, (vehicle,) * parameters.robots)
+    fleet = _Circling(vehicle, radius, own.spacing_m, parameters.robots, c.point_ahead_m)
+    driving, of_body = np.ones(parameters.robots, dtype=np.bool_), np.zeros(parameters.robots, dtype=np.bool_)
+    limits, commands, points = wheels.limits(law.vehicles), np.zeros_like(law.u), np.zeros_like(law.u)
+    saturated = np.zeros(parameters.robots)
     ticks = round(parameters.period_s / c.tick_s)
     along = []
     for k in range(2 * ticks):
         t = k * c.tick_s
         shake = sum(math.sin(math.tau * n * k / ticks + n) for n in parameters.periods)
-        wheels = platoon.tick(t + amplitude_s * shake, fleet.poses, driving)[:, WHEELS]
-        fleet.move(wheels, c.tick_s)
+        asked = law.tick(t + amplitude_s * shake, fleet.poses, driving)[:, INPUTS]
+        wheels.commanded(
+            asked, of_body, fleet.poses, c.point_ahead_m, limits, driving, law.u, commands, saturated, points
+        )
+        fleet.move(commands, c.tick_s)
         along.append(fleet.along())
     return np.array(along[ticks:])
 

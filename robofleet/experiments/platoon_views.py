@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.experiments.platoon_gain import INTEGRATORS, Integrator
+from robofleet.experiments.platoon_gain import INTEGRATORS, Integrator, settings_of
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
-from robofleet.recording.tables import PAPER_CONTROL_ERROR_MM
+from robofleet.recording.paper import CONTROL_ERROR_MM
 
 Array = NDArray[np.float64]
 Key = tuple[int, Integrator]  # robots, integrator
@@ -35,14 +35,14 @@ class Drive:
 
 def laboratory_table(drives: dict[Key, "Drive"], base: Config) -> Table:
     """Row 8: the paper's four robots, beside the paper."""
-    rows: list[tuple[Cell, ...]] = [("the paper (hardware)", PAPER_CONTROL_ERROR_MM, None, None)]
-    n = len(base.platoon)
+    rows: list[tuple[Cell, ...]] = [("the paper (hardware)", CONTROL_ERROR_MM, None, None)]
+    n = len(base.members)
     for integrator in INTEGRATORS:
         if (n, integrator) not in drives:
             continue
         found = drives[n, integrator]
         settled = found.t >= base.run.spacing_settle_s
-        deviation = np.abs(found.spacing()[settled] - base.groups[0].spacing_m).max()
+        deviation = np.abs(found.spacing()[settled] - settings_of(base).spacing_m).max()
         errors = found.mean_errors(base.run.settle_s) * 1e3
         rows.append((f"simulation, {integrator}", float(errors.mean()), float(errors.max()), float(deviation) * 1e3))
     return Table(
@@ -89,12 +89,12 @@ def gain_table(gains: dict[Integrator, list[float | None]], frequencies: Array) 
 
 def laboratory_figures(drives: dict[Key, "Drive"], base: Config) -> tuple[Figure, ...]:
     """The paper's Figs. 15 to 18 by content."""
-    n = len(base.platoon)
+    n = len(base.members)
     if (n, "exact") not in drives:
         return ()
     found = drives[n, "exact"]
-    ids = [robot.id for robot in base.platoon]
-    rate = base.groups[0].path_rate
+    ids = [robot.id for robot in base.members]
+    rate = settings_of(base).path_rate
     speed = np.linalg.norm(found.path.derivative(rate * found.t % found.path.sides), axis=-1) * rate
     lap = found.path.position(np.linspace(0.0, found.path.sides, 400))
     trails = [Curve(name, found.points[:, i, 0], found.points[:, i, 1]) for i, name in enumerate(ids)]

@@ -57,7 +57,7 @@ def storm(
     first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
     pixels: Annotated[bool, typer.Option("--pixels", help="Render the camera's images: slower.")] = False,
 ) -> None:
-    """Hit a simulated fleet with random faults, in lockstep, and check what must always hold.
+    """Fuzz a simulated fleet with random faults, in lockstep, and check what must always hold.
 
     $ robofleet storm configs/platoon.yaml --seeds 50
 

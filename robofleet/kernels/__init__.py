@@ -1,21 +1,32 @@
 """``kernel``, ``model``: functions that numba compiles once, kept on disk by what they mean."""
 
-import functools
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
-import numba
+from robofleet.kernels.lazy import Kernel, reached
 
-from robofleet.kernels.meaning import UnknownMeaningError, digest_of, snapshot
-from robofleet.kernels.store import Kept
-
-__all__ = ["INFINITE", "UnknownMeaningError", "image_kernel", "infinite_kernel", "kernel", "model", "snapshot"]
+__all__ = [
+    "INFINITE",
+    "Kernel",
+    "UnknownMeaningError",
+    "image_kernel",
+    "infinite_kernel",
+    "kernel",
+    "model",
+    "reached",
+    "snapshot",
+]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 INFINITE: dict[str, Any] = {"error_model": "numpy"}  # a division by zero is an infinity, which is then reported
+_NO_CALLBACK = {"no_cfunc_wrapper": True}  # nobody calls a kernel from C
 _models: dict[str, Any] = {}
+
+
+class UnknownMeaningError(TypeError):
+    """A function reads a value of which nobody can tell whether it changed; the message names both."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -42,21 +53,20 @@ def model(function: Callable[..., Any]) -> Any:
     Raises:
         UnknownMeaningError: the function, or one that it calls, reads a value that cannot be told from a changed one.
     """
+    from robofleet.kernels.store import kept  # noqa: PLC0415 - numba takes a second to load
+
     copy, digest = snapshot(function, INFINITE)
     if digest not in _models:
-        _models[digest] = _kept(copy, lambda: digest)
+        _models[digest] = kept(copy, lambda: digest)
     return _models[digest]
 
 
+def snapshot(function: Callable[..., Any], options: dict[str, Any]) -> tuple[Any, str]:
+    """Return a compiled copy of a function as it means now, and its digest; see ``meaning.snapshot``."""
+    from robofleet.kernels import meaning  # noqa: PLC0415
+
+    return meaning.snapshot(function, options)
+
+
 def _kernel(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
-    compiled: Callable[P, R] = _kept(
-        numba.njit(**options)(function), functools.cache(lambda: digest_of(function, options))
-    )
-    return compiled
-
-
-def _kept(compiled: Any, digest: Callable[[], str]) -> Any:
-    if hasattr(compiled, "py_func"):  # else numba is switched off
-        compiled._cache = Kept(compiled.py_func.__name__, digest)  # enable_caching() takes none but numba's own
-        compiled.meaning = digest
-    return compiled
+    return cast("Callable[P, R]", Kernel(function, {**options, **_NO_CALLBACK}))

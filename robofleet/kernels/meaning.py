@@ -21,14 +21,13 @@ import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
+from robofleet.kernels import UnknownMeaningError
+from robofleet.kernels.lazy import Kernel
+
 # what they compile to is known from their name and the version
 _LIBRARIES = {"numpy", "numba", "math", "cmath", "operator", "builtins"}
 _VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
-
-
-class UnknownMeaningError(TypeError):
-    """A function reads a value of which nobody can tell whether it changed; the message names both."""
 
 
 def digest_of(function: Callable[..., Any], options: object) -> str:
@@ -70,7 +69,7 @@ class _Walk:
 
     def digest(self, function: Callable[..., Any], options: object) -> str:
         self._say("versions", *_VERSIONS, "options", repr(options))
-        plain = function.py_func if isinstance(function, Dispatcher) else function
+        plain = function.py_func if isinstance(function, Dispatcher | Kernel) else function
         if not isinstance(plain, types.FunctionType):
             raise UnknownMeaningError(f"expected a Python function, got a {type(function).__name__}")
         self.top = self._function(plain, numba.njit(**self._options))
@@ -107,10 +106,12 @@ class _Walk:
         return value
 
     def _by_name_or_code(self, value: Any, name: str) -> Any:
-        if isinstance(value, Dispatcher):
-            if _is_ours(value.py_func) and hasattr(value, "meaning"):
+        if isinstance(value, Kernel):
+            if _is_ours(value.py_func):
                 self._say("kernel", value.meaning())
                 return value
+            value = value.compiled
+        if isinstance(value, Dispatcher):
             options = {**value.targetoptions, "locals": value.locals}
             self._say("compiled", repr(sorted(options.items(), key=str)))
             return self._function(value.py_func, numba.jit(**options))

@@ -27,6 +27,13 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robofleet" / "kernels"
 
 
+def kept(compiled: Any, meaning: Callable[[], str]) -> Any:
+    """Let what numba compiles be kept on disk, by the digest of its function."""
+    if hasattr(compiled, "py_func"):  # else numba is switched off
+        compiled._cache = Kept(compiled.py_func.__name__, meaning)  # enable_caching() takes none but numba's own
+    return compiled
+
+
 class Kept(_Cache):
     """The cache of one of numba's dispatchers, which asks it before it compiles and gives it what it compiled.
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from robofleet.clock import utc_now
 from robofleet.comms.private_folder import PlaceError, private_folder, temporary_folder
-from robofleet.config.patterns import ENDPOINT_PATTERN, NAME_PATTERN, PRIVATE
+from robofleet.patterns import ENDPOINT_PATTERN, NAME_PATTERN, PRIVATE
 
 if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hurry
     from robofleet.config.tree import Config

@@ -2,84 +2,46 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path as FilePath
 
-import numpy as np
-from numpy.typing import NDArray
-
+from robofleet.behaviours.interface import Behaviour, Bound, Refusal
 from robofleet.clock import S
-from robofleet.config import barrier, slices
+from robofleet.config import groups, slices, units
 from robofleet.config.faults import Complaint
 from robofleet.config.load import ConfigFile
-from robofleet.config.tree import Config, Group
-from robofleet.control.path import Path
+from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
-from robofleet.processes import check_drivers, check_faults, reality
+from robofleet.processes import check_drivers, check_faults, check_starts, reality
 from robofleet.safety.arming import free_m
-from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.gate import VALID_NS
+from robofleet.safety.supervisor import Phase
 from robofleet.tracking.sources import ScheduledCamera
 
-Array = NDArray[np.float64]
-
-_STEPS = 1000  # a side: the fastest wheel is then known to about 1e-5 of itself
-_STANDSTILL = 0.01  # of the mean |r'|: a path slower than this at a point has a cusp there
-_ROUNDING = 1e-9
 _LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
 
 
-@dataclass(frozen=True)
-class Bound:
-    """One thing that was looked at: a value, and its limit (at most, at least, or ``strict``: less)."""
-
-    path: str
-    what: str
-    value: float
-    limit: float
-    unit: str
-    mend: str
-    at_least: bool = False
-    strict: bool = False
-
-    @property
-    def tightness(self) -> float:
-        """Up to 1 when the bound holds."""
-        used, available = (self.limit, self.value) if self.at_least else (self.value, self.limit)
-        return used / available if available > 0 else math.inf
-
-    @property
-    def holds(self) -> bool:
-        """Whether the bound is kept."""
-        return self.tightness <= 1 + (-_ROUNDING if self.strict else _ROUNDING)
-
-
-@dataclass(frozen=True)
-class Lap:
-    """A robot on its lap when it follows the path without error: arrays over the parameter, shape (n,)."""
-
-    sigma: Array
-    position: Array  # r, shape (n, 2) [m]
-    speed: Array  # |r'| [m a side]
-    v: Array  # of the body [m/s]
-    omega: Array  # of the body [rad/s]
-    centre: Array  # of the robot, shape (n, 2) [m]
-
-
 def load_checked(
-    file: FilePath, overrides: Sequence[str] = (), faults_file: FilePath | None = None, *, lockstep: bool = False
+    file: FilePath,
+    overrides: Sequence[str] = (),
+    faults_file: FilePath | None = None,
+    *,
+    lockstep: bool = False,
+    change: Callable[[Config], Config] | None = None,
 ) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
-    Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too.
+    Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too. ``change``
+    makes another one of it before it is judged: its groups do something else, for example.
     """
     source = ConfigFile(file, overrides, faults_file)
-    complaints = refusals(source.config, lockstep=lockstep)
+    config = source.config if change is None else change(source.config)
+    complaints = refusals(config, lockstep=lockstep)
     if not any(path.startswith("robots.") for path, _ in complaints):
-        complaints += check_drivers.unreachable(source.config)
+        complaints += check_drivers.unreachable(config)
     source.refuse(complaints)
-    return source.config
+    return config
 
 
 def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
@@ -91,11 +53,20 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality.complaints(config), *faults]
     if config.tracker.source == "camera":
         complaints += _camera_source(config, lockstep)
-    for bound in _bounds(config):
-        if not bound.holds:
-            relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
-            value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
-            complaints.append((bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}"))
+    if impossible := list(_impossible(config)):
+        return complaints + impossible
+    for bound in _worst(bound for bound in _bounds(config) if not bound.holds):
+        relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
+        value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
+        hint = "" if bound.at_least else units.meant(bound.value, bound.limit, bound.path.rpartition(".")[2])
+        complaints.append((bound.path, f"{bound.what} is {value}{hint}, must be {relation} {limit}: {bound.mend}"))
+    complaints += _ways(config)
+    if not any(path.startswith(("robots.", "groups.")) for path, _ in complaints):
+        complaints += [
+            (_absolute(config, where, refusal.key), refusal.message)
+            for where, behaviour in _behaviours(config)
+            for refusal in behaviour.refusals()
+        ]
     return complaints
 
 
@@ -113,51 +84,84 @@ def proofs(config: Config) -> list[tuple[str, str, str, str]]:
             f"{b.tightness:.0%}",
         )
         for b in tightest.values()
-    ]
+    ] + check_starts.rows(config)
 
 
-def drive_lap(path: Path, group: Group, point_ahead: float) -> Lap:
-    """Return the lap of a robot whose point p (or centre) moves exactly as r(gamma t).
-
-    p at r makes the heading follow psi' = (-sin psi r_x' + cos psi r_y') / l: solved exactly over steps with
-    r' held, which is stable for every l > 0; the first of two laps forgets the start.
-    """
-    sigma = (np.arange(path.sides * _STEPS) + 0.5) / _STEPS
-    derivative = path.derivative(sigma)
-    speed = np.hypot(derivative[:, 0], derivative[:, 1])
-    if group.track == "centre":
-        second = path.second_derivative(sigma)
-        cross = derivative[:, 0] * second[:, 1] - derivative[:, 1] * second[:, 0]
-        along, turn = speed, cross / np.maximum(speed, np.finfo(float).tiny) ** 2
-        centre = path.position(sigma)
-    else:
-        decay = np.exp(-speed / (_STEPS * point_ahead)).tolist()
-        direction = np.arctan2(derivative[:, 1], derivative[:, 0]).tolist()
-        psi = direction[-1]
-        lags = []  # from r' to the heading, before and after each step [rad]
-        for towards, factor in zip(direction * 2, decay * 2, strict=True):
-            before = math.remainder(psi - towards, math.tau)
-            after = 2 * math.atan(math.tan(before / 2) * factor)
-            psi += after - before
-            lags.append((before, after))
-        lag = np.array(lags[len(sigma) :])
-        along, turn = speed * np.cos(lag.mean(axis=1)), (lag[:, 1] - lag[:, 0]) * _STEPS
-        heading = np.array(direction) + lag.mean(axis=1)
-        centre = path.position(sigma) - point_ahead * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    rate = group.path_rate
-    return Lap(sigma, path.position(sigma), speed, along * rate, turn * rate, centre)
+def _worst(broken: Iterable[Bound]) -> list[Bound]:
+    """Return one bound of those on one number that mending it mends all: the tightest of each direction."""
+    kept: dict[object, Bound] = {}
+    for bound in broken:
+        one = bound.path.endswith(("path_rate", "spacing_m"))
+        key = (bound.path, bound.at_least) if one else (bound.path, bound.what, bound.mend)
+        if key not in kept or bound.tightness > kept[key].tightness:
+            kept[key] = bound
+    return list(kept.values())
 
 
 def _bounds(config: Config) -> Iterator[Bound]:
     yield from _controller(config)
-    yield from _path(config)
+    for where, behaviour in _behaviours(config):
+        for bound in behaviour.bounds():
+            what = f"{behaviour.team.name}: {bound.what}" if len(config.groups) > 1 else bound.what
+            yield replace(bound, path=_absolute(config, where, bound.path), what=what)
     yield from _start(config)
     if config.tracker.source == "camera":
         yield from _camera(config)
 
 
+def _impossible(config: Config) -> Iterator[Complaint]:
+    for i, group in enumerate(config.groups):
+        try:
+            groups.behaviour(config, group)
+        except ValueError as error:
+            yield f"groups.{i}.settings", f"{group.behaviour} cannot be made of them: {error}"
+
+
+def _behaviours(config: Config) -> Iterator[tuple[int, Behaviour]]:
+    """Yield each group's number and behaviour."""
+    yield from enumerate(groups.behaviours(config))
+
+
+def _ways(config: Config) -> Iterator[Complaint]:
+    """Refuse a start or a park to which the robots cannot go by themselves."""
+    ways = (
+        (config.run.begin == "go_to_start", Phase.POSITIONING, "start", groups.starts_of(config)),
+        (config.run.end == "park", Phase.PARKING, "park", groups.parks_of(config)),
+    )
+    rows = {robot.id: row for row, robot in enumerate(config.robots)}
+    for wanted, phase, key, known in ways:
+        if not wanted:
+            continue
+        missing = [robot.id for robot in config.members if robot.id not in known]
+        for name in missing:
+            option = "run.begin: go_to_start" if phase is Phase.POSITIONING else "run.end: park"
+            yield f"robots.{rows[name]}.{key}", f"is missing: {option} must know where {name} is to go"
+        if missing:
+            continue
+        way = groups.on_the_way(config, phase)
+        for refusal in (*way.refusals(), *_refused(way.bounds())):
+            yield f"run.{'begin' if phase is Phase.POSITIONING else 'end'}", f"{key}: {refusal.message}"
+
+
+def _refused(bounds: Iterable[Bound]) -> Iterator[Refusal]:
+    for bound in bounds:
+        if not bound.holds:
+            relation = "at least" if bound.at_least else "at most"
+            value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
+            yield Refusal(bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}")
+
+
+def _absolute(config: Config, group: int, key: str) -> str:
+    """Return where in the configuration a behaviour's key is."""
+    first, _, rest = key.partition(".")
+    ids = [robot.id for robot in config.robots]
+    if first in ids:
+        return f"robots.{ids.index(first)}.{rest}".rstrip(".")
+    return f"groups.{group}.{key}" if first in ("settings", "robots", "behaviour", "") else key
+
+
 def _controller(config: Config) -> Iterator[Bound]:
-    controller, spacing = config.controller, config.groups[0].spacing_m
+    controller = config.controller
     if controller.integrator == "euler":
         mend = f"lower alpha below {2 / controller.tick_s:.3g}, or take the exact integrator"
         gain = controller.alpha * controller.tick_s
@@ -167,111 +171,31 @@ def _controller(config: Config) -> Iterator[Bound]:
     yield Bound("controller.barrier.rate_per_s", "rate_per_s * tick_s", used, 1.0, "", mend, strict=True)
     mend = "a command is valid for 120 ms and at each tick up to 30 ms old, so the gates would close between two ticks"
     yield Bound("controller.tick_s", "tick_s", controller.tick_s, _LONGEST_TICK_S, "s", mend)
-    yield Bound(
-        "controller.point_ahead_m", "point_ahead_m", controller.point_ahead_m, spacing / 2, "m",
-        "the point must be much closer to its robot than the next robot is, so lower it or raise spacing_m",
-    )  # fmt: skip
-
-
-def _path(config: Config) -> Iterator[Bound]:
-    group = config.groups[0]
-    path = Path.hermite(*slices.knots(group))
-    lap = drive_lap(path, group, config.controller.point_ahead_m)
-    slowest = int(lap.speed.argmin())
-    mend = f"it stands still at parameter {lap.sigma[slowest]:.2f}, so mend the derivatives of its knots"
-    cusp = Bound(
-        "groups.0.path", "the path's smallest derivative", float(lap.speed[slowest]),
-        _STANDSTILL * float(lap.speed.mean()), "m a side", mend, at_least=True,
-    )  # fmt: skip
-    yield cusp
-    yield from _inside(config, lap)
-    if cusp.holds:
-        yield from _wheels(config, lap)
-    yield from _spacing(config, path, lap)
-    if group.behaviour == "platoon":
-        yield from _clear_of_the_path(config, lap)
-
-
-def _inside(config: Config, lap: Lap) -> Iterator[Bound]:
-    radius = max(robot.vehicle.body_radius_m for robot in config.platoon)
-    keepout = barrier.keepout(config)
-    margin = max(from_edge(keepout, barrier.body(config, robot)) for robot in config.platoon) - radius
-    for axis, name in enumerate("xy"):
-        reach = np.abs(lap.position[:, axis])
-        k = int(reach.argmax())
-        mend = f"the path leaves the arena at parameter {lap.sigma[k]:.2f}, so move its knots inwards"
-        what = f"the path's reach in {name} with a body's radius"
-        yield Bound("groups.0.path", what, float(reach[k]) + radius, config.arena.size_m[axis] / 2 - margin, "m", mend)
-
-
-def _wheels(config: Config, lap: Lap) -> Iterator[Bound]:
-    """Wheel and body speeds along the lap, for each kind of robot; both are proportional to the path rate."""
-    kinds = {slices.drive(robot): robot.id for robot in reversed(config.platoon)}
-    for drive, robot_id in kinds.items():
-        body = np.abs(lap.v)
-        wheel = (body + np.abs(lap.omega) * drive.wheel_base / 2) / drive.wheel_radius
-        for what, values, limit, unit in (
-            ("the fastest wheel along the path", wheel, drive.max_wheel_speed, "rad/s"),
-            ("the highest speed along the path", body, drive.max_speed, "m/s"),
-        ):
-            k = int(values.argmax())
-            fits = _rounded_down(config.groups[0].path_rate * limit / float(values[k]))
-            mend = f"{robot_id} at path parameter {lap.sigma[k]:.2f}; path_rate {fits:g} fits"
-            yield Bound("groups.0.path_rate", what, float(values[k]), limit, unit, mend)
-
-
-def _spacing(config: Config, path: Path, lap: Lap) -> Iterator[Bound]:
-    spacing, robots, length = config.groups[0].spacing_m, config.platoon, path.length()
-    if len(robots) > 1:
-        far = lap.position[:: _STEPS // 100]
-        reach = np.linalg.norm(far[:, None] - far[None], axis=-1).max(axis=1)
-        k = int(reach.argmin())
-        fits = _rounded_down(float(reach[k]))
-        mend = f"no point of the path is so far from parameter {k / 100:.2f}, so a spacing of {fits:g} fits"
-        yield Bound("groups.0.spacing_m", "spacing_m on this path", spacing, float(reach[k]), "m", mend, strict=True)
-    mend = f"a spacing of {_rounded_down(length / len(robots)):g} fits"
-    what = "the platoon with a gap behind it, spacing_m a robot,"
-    yield Bound("groups.0.spacing_m", what, len(robots) * spacing, length, "m", mend, strict=True)
-    keepout = barrier.keepout(config)
-    for one, other in itertools.pairwise(robots):
-        fastest = min(float(np.abs(lap.v).max()), other.vehicle.max_speed_m_s)
-        near = apart(keepout, barrier.body(config, one), barrier.body(config, other)) + 2 * fastest / keepout.rate
-        mend = f"the barrier would hold {other.id} back from {one.id}, so raise it"
-        yield Bound("groups.0.spacing_m", "spacing_m", spacing, near, "m", mend, at_least=True)
-
-
-def _clear_of_the_path(config: Config, lap: Lap) -> Iterator[Bound]:
-    """A bystander stands where the barrier lets every robot pass on its lap."""
-    keepout = barrier.keepout(config)
-    bodies = [barrier.body(config, robot) for robot in config.platoon]
-    for i, robot in enumerate(config.robots):
-        if robot in config.bystanders:
-            distances = np.hypot(lap.centre[:, 0] - robot.start.x_m, lap.centre[:, 1] - robot.start.y_m)
-            k, its = int(distances.argmin()), barrier.body(config, robot)
-            near = max(apart(keepout, one, its) for one in bodies)
-            mend = f"the robots pass it at path parameter {lap.sigma[k]:.2f}, so park {robot.id} further away"
-            what = "the distance of a robot that is not in the group from the path"
-            yield Bound(f"robots.{i}.start", what, float(distances[k]), near, "m", mend, at_least=True)
 
 
 def _start(config: Config) -> Iterator[Bound]:
-    for i, robot in enumerate(config.robots):
-        for axis, (name, at) in enumerate((("x", robot.start.x_m), ("y", robot.start.y_m))):
+    """Every robot stands inside, clear of the others, with room for its wheels to be tried."""
+    placed = [(i, robot, robot.start) for i, robot in enumerate(config.robots) if robot.start is not None]
+    driven = {robot.id for robot in config.members}
+    for i, robot, start in placed:
+        for axis, (name, at) in enumerate((("x", start.x_m), ("y", start.y_m))):
             what = f"a start pose's reach in {name} with the body's radius"
-            reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2
+            room = free_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
+            reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2 - room
             yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
-    for (i, one), (j, other) in itertools.combinations(enumerate(config.robots), 2):
-        apart = math.hypot(one.start.x_m - other.start.x_m, one.start.y_m - other.start.y_m)
+    for (i, one, here), (j, other, there) in itertools.combinations(placed, 2):
+        apart = math.hypot(here.x_m - there.x_m, here.y_m - there.y_m)
         bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
-        what, mend = "the distance between two robots at the start", f"move {one.id} and {other.id} apart"
-        yield Bound(f"robots.{j}.start", what, apart, bodies, "m", mend, at_least=True)
-        standing = [one in config.bystanders, other in config.bystanders]
-        if sum(standing) == 1:
-            k, moves = (i, other) if standing[0] else (j, one)
+        tried = [robot for robot in (one, other) if robot.id in driven]
+        room = bodies + max((free_m(slices.drive(robot).wheel_radius) for robot in tried), default=0.0)
+        if len(tried) == 1:
+            k, moves = (i, other) if one.id not in driven else (j, one)
             what = "the distance of a robot that is not in the group from one that is, at the start"
-            room = bodies + free_m(slices.drive(moves).wheel_radius)
             mend = f"{moves.id}'s wheels are tried before a start, so move {config.robots[k].id} away from it"
             yield Bound(f"robots.{k}.start", what, apart, room, "m", mend, at_least=True)
+        else:
+            what, mend = "the distance between two robots at the start", f"move {one.id} and {other.id} apart"
+            yield Bound(f"robots.{j}.start", what, apart, room, "m", mend, at_least=True)
 
 
 def _camera(config: Config) -> Iterator[Bound]:
@@ -305,8 +229,3 @@ def _none(_config: Config) -> tuple[Complaint, ...]:
 
 def _shown(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}".rstrip()
-
-
-def _rounded_down(value: float) -> float:
-    """Return a number of three digits that is at most 1 % less, and not more."""
-    return float(f"{0.995 * value:.3g}")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from robofleet.clock import Clock, S, WallClock
 from robofleet.config import slices
-from robofleet.config.faults import Complaint
+from robofleet.config.faults import Complaint, no_errors
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
@@ -40,6 +40,14 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
         return
     if lockstep and not issubclass(kind, SimulatedDriver):
         yield f"robots.{i}.driver", f"{robot.driver!r} keeps real time, and lockstep does not: run without --lockstep"
+    if robot.start is None and (robot.twin is not None or issubclass(kind, SimulatedDriver)):
+        yield (
+            f"robots.{i}.start",
+            f"is missing: {robot.id} is in no group and stands nowhere by itself: "
+            "write start: {x_m: ..., y_m: ..., heading_deg: ...}",
+        )
+    if robot.vehicle.simulated is None and issubclass(kind, SimulatedDriver):
+        yield no_errors(i)
     if robot.twin is not None:
         try:
             load("robofleet.twins", robot.twin)
@@ -68,9 +76,7 @@ def unreachable(config: Config) -> list[Complaint]:
             f"waiting for {names} to answer: a board that starts when its port is opened takes seconds", file=sys.stderr
         )
     for attempt in _unfinished(slow, clock.now_ns() + round(_AT_MOST_S * S), clock):
-        attempt.complaint = (
-            f"its driver has not come to an end with opening it after {_AT_MOST_S:.0f} s: mend the driver"
-        )
+        attempt.complaint = f"its driver did not finish opening it within {_AT_MOST_S:.0f} s: mend the driver"
     return [(driver_settings.place(config, a.robot), a.complaint) for a in attempts if a.complaint]
 
 

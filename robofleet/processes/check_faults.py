@@ -2,11 +2,22 @@
 
 from collections.abc import Iterator
 
-from robofleet.config.faults import Complaint
+from robofleet.config.faults import Complaint, did_you_mean
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.config.troubles import BodyFault, LineFault, LinkFault, Push, RunawayFault, TouchFault
+from robofleet.config.troubles import (
+    BodyFault,
+    ClockStep,
+    LineFault,
+    LinkFault,
+    NetworkCut,
+    ProcessFault,
+    Push,
+    RunawayFault,
+    TouchFault,
+)
 from robofleet.plugins import PluginError, load
+from robofleet.processes import table
 from robofleet.simulation.faulty_line import TOUCHES
 from robofleet.vehicles.interface import RobotFault, SimulatedDriver
 
@@ -14,7 +25,13 @@ from robofleet.vehicles.interface import RobotFault, SimulatedDriver
 def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
     """Return what cannot be done to these robots: (dotted path, what is wrong and how to mend it)."""
     twins = [robot.id for robot in config.twins]
+    known = table.injectable(config)
     for i, fault in enumerate(config.faults):
+        if isinstance(fault, ProcessFault | ClockStep) and fault.process not in known:
+            yield f"faults.{i}.process", _no_process(fault.process, known)
+        if isinstance(fault, NetworkCut):
+            strangers = ((k, name) for k, name in enumerate(fault.processes) if name not in known)
+            yield from ((f"faults.{i}.processes.{k}", _no_process(name, known)) for k, name in strangers)
         if not lockstep and fault.kind in ("clock_step", "second_controller"):
             yield f"faults.{i}.kind", f"{fault.kind} is for lockstep alone: add --lockstep, or remove it"
         if isinstance(fault, BodyFault | RunawayFault | Push) and (
@@ -28,7 +45,11 @@ def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
                 yield f"faults.{i}.robot", f"{fault.robot} has no twin: {fault.kind} is for {', '.join(twins)}"
             elif isinstance(fault, TouchFault) and not _feels(config.robot(fault.robot), fault.kind):
                 twin = config.robot(fault.robot).twin
-                yield f"faults.{i}.kind", f"{twin!r} has no sense of it, nothing would happen: remove it"
+                yield f"faults.{i}.kind", f"{twin!r} has no such sensor, so nothing would happen: remove it"
+
+
+def _no_process(name: str, known: tuple[str, ...]) -> str:
+    return f"there is no process '{name}': {did_you_mean(name, known)}"
 
 
 def _obeys_no_body_fault(robot: Robot) -> str:

@@ -12,11 +12,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from robofleet.clock import Clock, S
+from robofleet.processes.compiling import Progress, decoded
 
-_READY_WITHIN_S = 30.0
+_READY_WITHIN_S = 120.0  # of a busy machine; the operator may end it at any time
 _EXIT_WITHIN_S = 1.2
+_RECORDED_WITHIN_S = 6.0  # the recorder writes what is left, and its file's index
 _POLL_S = 0.05
 _LAST_LINES = 5
+_EMPTY_HANDED = "recorder", "supervisor", "controller", "tracker"  # before they are ready
 _LONGEST_WORD = 256  # of a child that is ready [bytes]
 _CHILD_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
 
@@ -34,15 +37,29 @@ class Child:
     process: "subprocess.Popen[bytes]"
     lifeline: socket.socket
     log: Path
-    needed: bool = True  # the run ends when it dies
     ready: bool = False
-    said: str = ""  # when it was ready
+    progress: Progress | None = None  # of what it compiles before it is ready
+    unheard: str = ""  # the beginning of a line
     killed: bool = False  # by a fault that was asked for
 
     @property
     def died(self) -> bool:
         """Whether it is there no more."""
         return self.process.poll() is not None
+
+    def hear(self, said: bytes) -> None:
+        """Take what it said before it is ready, or that it is."""
+        *lines, self.unheard = (self.unheard + said.decode()).split("\n")
+        for line in lines:
+            if (progress := decoded(line)) is None:
+                self.ready = True
+            else:
+                self.progress = progress
+
+    @property
+    def compiles(self) -> bool:
+        """Whether it compiles, and is not ready for that reason."""
+        return self.progress is not None and not self.ready
 
     def last_lines(self) -> str:
         """Return the end of what it wrote."""
@@ -58,14 +75,14 @@ class Children:
     config_file: Path
     children: list[Child] = field(default_factory=list)
 
-    def start(self, name: str, *arguments: str, needed: bool = True) -> Child:
+    def start(self, name: str, *arguments: str) -> Child:
         """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
-        child = self._started(name, arguments)
-        child.needed = needed
+        child = self.started(name, arguments)
         self.children.append(child)
         return child
 
-    def _started(self, name: str, arguments: tuple[str, ...]) -> Child:
+    def started(self, name: str, arguments: tuple[str, ...]) -> Child:
+        """Start a process that is none of the run's own: nobody waits for it, and who has started it ends it."""
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
         with theirs, log.open("ab") as output:
@@ -96,15 +113,18 @@ class Children:
         """Start a child that was killed."""
         child = self._named(name)
         child.lifeline.close()
-        self.children[self.children.index(child)] = self._started(name, child.arguments)
+        self.children[self.children.index(child)] = self.started(name, child.arguments)
 
     def _named(self, name: str) -> Child:
         return next(child for child in self.children if child.name == name)
 
     def wait_ready(self, clock: Clock, meanwhile: Callable[[], None]) -> None:
-        """Return when every child has said that it is ready; ``meanwhile`` is called again and again, and may raise."""
+        """Return when every child has said that it is ready; ``meanwhile`` is called again and again, and may raise.
+
+        Whoever tells of its progress is given more time.
+        """
         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
-        while waiting := [child for child in self.children if not child.ready and (child.needed or not child.died)]:
+        while waiting := [child for child in self.children if not child.ready]:
             self.check()
             meanwhile()
             if clock.now_ns() > deadline_ns:
@@ -113,13 +133,19 @@ class Children:
             readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
             for child in waiting:
                 if child.lifeline in readable and (said := child.lifeline.recv(_LONGEST_WORD)):
-                    child.ready, child.said = True, said.decode().strip()
+                    child.hear(said)
+                    if child.progress is not None:
+                        deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
+
+    def compiling(self) -> tuple[Progress, ...]:
+        """Return how far those are that compile."""
+        return tuple(child.progress for child in self.children if child.progress is not None and child.compiles)
 
     def check(self) -> None:
         """Raise RunError with its name and last lines if a child has died."""
         for child in self.children:
             code = child.process.poll()
-            if code is not None and child.needed and not child.killed:
+            if code is not None and not child.killed:
                 if code < 0:
                     raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
                 raise RunError(f"the {child.name} ended with exit code {code}: see {child.log}{child.last_lines()}")
@@ -128,13 +154,16 @@ class Children:
         """End every child but the first ones, each with a last word; kill what does not answer. Idempotent."""
         group = self.children[but:]
         for child in group:
+            if not child.ready and child.name in _EMPTY_HANDED:  # nothing to end well; compilers do not hear
+                child.process.kill()
             with suppress(OSError):  # it is gone already
                 child.lifeline.sendall(last_word)
             child.lifeline.close()
-        deadline_ns = clock.now_ns() + round(_EXIT_WITHIN_S * S)
+        began_ns = clock.now_ns()
         for child in group:
+            within_s = _RECORDED_WITHIN_S if child.name == "recorder" else _EXIT_WITHIN_S
             try:
-                child.process.wait(max(0.0, (deadline_ns - clock.now_ns()) / S))
+                child.process.wait(max(0.0, within_s - (clock.now_ns() - began_ns) / S))
             except subprocess.TimeoutExpired:
                 child.process.kill()
                 child.process.wait()

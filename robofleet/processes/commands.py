@@ -1,22 +1,21 @@
 """The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
 
-import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from robofleet.processes import table
+from robofleet.processes.page_address import LOOPBACK, listening, warn_of_network
 from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
 from robofleet.valid_json import dumps
 
 if TYPE_CHECKING:
-    import socket
-
     from robofleet.config.tree import Config
     from robofleet.processes.arena_file import ArenaFile
-
-_LOOPBACK = "127.0.0.1"
+    from robofleet.processes.table import Row
 
 app = typer.Typer()
 OPERATOR = "A running arena, from any terminal"
@@ -35,7 +34,7 @@ ArenaName = Annotated[
     str | None,
     typer.Argument(
         metavar="ARENA",
-        help="arena.name of its configuration; where only one has a run, it need not be said.",
+        help="arena.name of its configuration; leave it out if only one arena has a run.",
         autocompletion=_running_names,
         show_default=False,
     ),
@@ -77,7 +76,8 @@ def _asking(what: str, described: str) -> None:
 _asking("arm", "Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.")
 _asking("start", "Start a fleet that waits for its operator (run.start: operator).")
 _asking("hold", "Let every robot stand; `robofleet resume` goes on.")
-_asking("resume", "Go on after a hold.")
+_asking("resume", "Continue after a hold.")
+_asking("park", "Let every robot drive to its place to park; the run ends there.")
 _asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
 
 
@@ -86,7 +86,7 @@ def status(
     arena: ArenaName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
 ) -> None:
-    """How an arena stands: its phase and the cause, each robot's gate, latch and battery, and what can be done now.
+    """Show an arena's state: its phase and the cause, each robot's gate, latch and battery, and what can be done now.
 
     $ robofleet status --json
     """
@@ -124,145 +124,103 @@ def _told(done: bool, what: str) -> None:
         raise typer.Exit(1)
 
 
-def _process(name: str) -> None:
+def _process(row: "Row") -> None:
     def command(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-        from robofleet.processes import child  # noqa: PLC0415
-        from robofleet.processes.node import Lifeline  # noqa: PLC0415
+        _be(row, config, lifeline)
 
-        tree = _for_one_process(config, listen=name == "router")
-        with bad_input():
-            getattr(child, name)(tree, Lifeline(lifeline))
-
-    app.command(name, help=f"The {name} of a run.\n\n$ robofleet {name} lab.yaml", rich_help_panel=PROCESSES)(command)
+    _add(row, command)
 
 
-for _name in ("router", "tracker"):
-    _process(_name)
+def _add(row: "Row", command: Callable[..., None]) -> None:
+    robots = " --robots r1,r2" if row is table.DRIVER else ""
+    described = f"{row.what}\n\n$ robofleet {row.name} lab.yaml{robots}"
+    app.command(row.name, help=described, rich_help_panel=PROCESSES)(command)
 
 
-@app.command(rich_help_panel=PROCESSES)
-def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """The supervisor of a run.
-
-    $ robofleet supervisor lab.yaml
-    """
+def _be(row: "Row", file: Path, lifeline: int | None, robots: tuple[str, ...] = (), *, take_over: bool = False) -> None:
+    """Be one process of the run of a configuration, in whose folder it is recorded."""
     from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
 
-    tree = _for_one_process(config)
+    config = _for_one_process(file, robots, listen=row is table.ROUTER)
     with bad_input():
-        child.supervisor(tree, Lifeline(lifeline), config.parent)
+        child.main(row, config, file.parent, lifeline, robots, take_over=take_over)
 
 
-@app.command(rich_help_panel=PROCESSES)
-def recorder(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """The recorder of a run: it writes run.mcap beside CONFIG.
-
-    $ robofleet recorder lab/config.yaml
-    """
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-    tree = _for_one_process(config)
-    with bad_input():
-        child.recorder(tree, Lifeline(lifeline), config.parent)
+for _row in (table.ROUTER, table.TRACKER, table.SUPERVISOR, table.RECORDER, table.TWINS):
+    _process(_row)
 
 
-@app.command(rich_help_panel=PROCESSES)
-def twins(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """The firmware twins of a run: what answers on the serial ports of robots that do not exist.
-
-    $ robofleet twins lab.yaml
-    """
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-    tree = _for_one_process(config)
-    with bad_input():
-        child.twins(tree, Lifeline(lifeline))
-
-
-@app.command(rich_help_panel=PROCESSES)
 def controller(
     config: ConfigPath,
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """The controller of a run.
-
-    $ robofleet controller lab.yaml
-    """
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
-    tree = _for_one_process(config)
-    with bad_input():
-        child.controller(tree, Lifeline(lifeline), take_over=takeover)
+    """Be the controller."""
+    _be(table.CONTROLLER, config, lifeline, take_over=takeover)
 
 
-@app.command(rich_help_panel=PROCESSES)
 def driver(
     config: ConfigPath,
     robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
     lifeline: LifelineFd = None,
 ) -> None:
-    """The drivers of some robots: what a robot's own computer runs.
-
-    $ robofleet driver lab.yaml --robots r1,r2
-    """
-    from robofleet.processes import child  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
-
+    """Be a driver's process."""
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
-    tree = _for_one_process(config, names)
-    with bad_input():
-        child.driver(tree, Lifeline(lifeline), names)
+    _be(table.DRIVER, config, lifeline, names)
+
+
+_add(table.CONTROLLER, controller)
+_add(table.DRIVER, driver)
 
 
 @app.command(rich_help_panel=OPERATOR)
 def web(
-    config: Annotated[
-        Path | None, typer.Argument(metavar="CONFIG", help="A run's config.yaml; default: the running arena's.")
+    run: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="ARENA|CONFIG",
+            help="Which run's page; leave it out if only one arena has a run.",
+            autocompletion=_running_names,
+            show_default=False,
+        ),
     ] = None,
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Default: any free one.")] = 0,
-    host: Annotated[str, typer.Option(metavar="NAME", help="Which of this machine's addresses.")] = _LOOPBACK,
+    host: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="This machine's address to listen at; for a phone, the one in its network."
+        ),
+    ] = LOOPBACK,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """The operator's page of a run, in a browser: see it, hold it, stop it. It prints the page's address.
+    """The operator's page of a run that is on, in your browser: see it, hold it, stop it.
 
     $ robofleet web
 
     $ robofleet web --host 192.168.1.5 --port 8080
+
+    When the run has ended the page shows how, with its report. It is served while somebody looks, ten minutes at most.
     """
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+    with bad_input():
+        need_extra("lab", *WEB_PACKAGES)
+    if lifeline is not None:
+        from robofleet.processes.web import process  # noqa: PLC0415
+
+        assert run is not None
+        tree = _for_one_process(Path(run))
+        with bad_input():
+            process.of_run(tree, Path(run).absolute().parent, lifeline, listening(host, port, "--host"), host)
+        return
+    from robofleet.processes.web import command  # noqa: PLC0415
 
     with bad_input():
-        need_extra("web", *WEB_PACKAGES)
-        file = Path(_running(None).folder) / "config.yaml" if config is None else config
-        tree = _for_one_process(file)
-        listening = _listening(host, port)
-    from robofleet.processes.web import server  # noqa: PLC0415
-
-    if host not in (_LOOPBACK, "localhost", "::1"):
-        print(f"--host {host}: whoever reads this network's traffic can take the token and drive", file=sys.stderr)
-    server.web(tree, file.absolute().parent, Lifeline(lifeline), listening, host, of_run=lifeline is not None)
-
-
-def _listening(host: str, port: int) -> "socket.socket":
-    import socket  # noqa: PLC0415
-
-    try:
-        (family, _, _, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        if address[0] in ("0.0.0.0", "::"):
-            raise RefusedError(
-                f"--host {host}: name one of this machine's addresses: what a browser calls it is checked"
-            )
-        return socket.create_server(address[:2], family=family)
-    except OSError as error:
-        why = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
-        raise RefusedError(
-            f"--host {host} --port {port}: {why}: name an address of this machine, and a port that is free"
-        ) from error
+        there = command.there(run, _running, _for_one_process)
+        with listening(host, port, "--host") as place:
+            warn_of_network(host, "--host")
+            done, said = command.serve(there, place, host, browser=not no_browser)
+        if said:
+            _told(done, said)
 
 
 def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":

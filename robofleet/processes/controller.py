@@ -19,11 +19,15 @@ from robofleet.comms.messages import (
 from robofleet.comms.statuses import HURRY_NS, Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
-from robofleet.control.platoon import INPUTS, WHEELS
+from robofleet.control import path, platoon, wheels
 from robofleet.processes import fleet
+from robofleet.processes.compiling import Say, on_stderr, told
+from robofleet.processes.deciding import Deciding, Judge, untimed
 from robofleet.processes.leases import Leases
-from robofleet.safety.supervisor import NOBODY, Phase
+from robofleet.safety import barrier as safety_barrier
+from robofleet.safety.supervisor import MOVING, NOBODY, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
+from robofleet.tracking import estimator
 from robofleet.tracking.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
 
@@ -42,19 +46,22 @@ class _Timing:
 
 
 class Controller:
-    """All robots of the group, in platoon order; the bystanders are seen, and kept clear of."""
+    """All groups' robots, group by group; the bystanders are seen, and kept clear of.
+
+    ``judge`` calls the behaviours, and says which took too long.
+    """
 
     def __init__(
-        self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False
-    ) -> None:
-        robots, c = config.platoon, config.controller
+        self, config: Config, bus: Bus, clock: Clock, rng: np.random.Generator, *, take_over: bool = False,
+        judge: Judge = untimed,
+    ) -> None:  # fmt: skip
+        robots, c = config.members, config.controller
         self._config, self._clock = config, clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
         session = self._epoch << 32 | slices.drawn_id(rng, 32)
         self._leases = Leases(bus, [robot.id for robot in robots], session, take_over=take_over)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
-        self._first_delay_s = slices.delay_ns(config, robots[0]) / S
         self._lost_after_ns = round(c.filter.lost_after_s * S)
         self._rows = {robot.tag: row for row, robot in enumerate(config.bodies)}
         self._drives = [slices.drive(robot) for robot in robots]
@@ -67,13 +74,15 @@ class Controller:
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
         self._timing = _Timing()
-        self._record = np.zeros((len(robots), 18))
+        self._record = np.zeros((len(robots), 15))
+        self._deciding = Deciding(config, judge)
+        self._unknown = np.zeros((len(robots), 2))
         self._begin()
 
     def _begin(self) -> None:
         """Know nothing of the fleet: at the start, and as long as somebody else drives these robots."""
         n = len(self._drives)
-        self._behaviour = fleet.behaviour(self._config)
+        self._deciding.begin()
         self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
         self._bystanders = fleet.bystanders(self._config)
         self._wheels = [[0.0, 0.0]] * n  # as commanded at the newest tick
@@ -120,35 +129,35 @@ class Controller:
         lost = tick_ns - self._filter.measured_ns > self._lost_after_ns
         running = self._phase is Phase.RUNNING
         self._run_tick += running
-        driving = ~lost & self._permitted & running
+        driving = ~lost & self._permitted & (self._phase in MOVING)
         here, there, turning = self._filter.predict(tick_ns)
-        t = max(0, self._run_tick) * self._tick_s + self._first_delay_s
-        w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else None
-        decisions = self._behaviour.tick(t, there, driving, w)
-        self._keep_apart(tick_ns, there, turning, driving, decisions)
-        self._try_wheels(decisions)
-        self._filter.command(tick_ns, decisions[:, WHEELS])
-        self._wheels = decisions[:, WHEELS].tolist()
+        w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else self._unknown
+        bodies, seen = there, self._filter.measured_ns > 0
+        if len(self._bystanders.measured_ns):
+            bodies = np.concatenate([there, self._bystanders.predict(tick_ns)])
+            seen = np.concatenate([seen, self._bystanders.measured_ns > 0])
+        self._deciding.tick(bodies, seen, driving, w, moving=self._phase in MOVING)
+        self._keep_apart(tick_ns, bodies, turning, driving)
+        commanded = self._deciding.wheels
+        self._try_wheels(commanded)
+        self._filter.command(tick_ns, commanded)
+        self._wheels = commanded.tolist()
         seq = self._seq
         for row in range(len(self._wheels)):
             self._command(row)
-        self._publish_record(tick_ns, here, measured, lost, decisions, seq)
+        self._publish_record(tick_ns, here, measured, lost, seq)
 
-    def _keep_apart(
-        self, tick_ns: int, there: np.ndarray, turning: np.ndarray, driving: np.ndarray, decisions: np.ndarray
-    ) -> None:
-        """Change what is not safe, and let the behaviour know what is done instead."""
+    def _keep_apart(self, tick_ns: int, bodies: np.ndarray, turning: np.ndarray, driving: np.ndarray) -> None:
+        """Change what is not safe, and let the behaviours know what is done instead."""
         unseen, pushed = _age_s(self._filter.measured_ns, tick_ns), None
         if len(self._bystanders.measured_ns):
             pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
-            there = np.concatenate([there, self._bystanders.predict(tick_ns)])
             turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
             unseen = np.concatenate([unseen, _age_s(self._bystanders.measured_ns, tick_ns)])
-        u, wheels = decisions[:, INPUTS], decisions[:, WHEELS]
-        self._record[:, 16], self._record[:, 17] = self._barrier.filter(
-            there, turning, unseen, driving, wheels, u, pushed
+        self._record[:, 12], self._record[:, 13] = self._barrier.filter(
+            bodies, turning, unseen, driving, self._deciding.wheels, self._deciding.u, pushed
         )
-        self._behaviour.changed(u)
+        self._deciding.changed()
 
     def _read_state(self) -> None:
         state = self._state.take()
@@ -160,21 +169,23 @@ class Controller:
             self._probe = (state.probed, state.stroke) if state.phase == Phase.ARMED else (NOBODY, 0)
             if state.phase != self._phase:
                 resumed, self._phase = self._phase is Phase.HOLD, Phase(state.phase)
-                if self._phase is Phase.RUNNING and not resumed:
+                if resumed and self._phase is self._deciding.phase:
+                    self._deciding.resume()
+                elif self._phase in MOVING:
                     self._run_tick = -1
-                    self._behaviour.restart()
+                    self._deciding.restart(self._phase)
 
     def _hear_drivers(self) -> None:
         self._statuses.take()
         self._leases.update(self._statuses.newest)
 
-    def _try_wheels(self, decisions: np.ndarray) -> None:
+    def _try_wheels(self, commanded: np.ndarray) -> None:
         """Let the robot that is being tried do its stroke."""
         row, stroke = self._probe
-        if row < len(decisions) and stroke < len(STROKES):
+        if row < len(commanded) and stroke < len(STROKES):
             drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
             ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
-            decisions[row, WHEELS] = ratio * left, ratio * right
+            commanded[row] = ratio * left, ratio * right
 
     def _read_poses(self) -> list[bool]:
         """Correct the filter by the newest image; returns which robots it measured."""
@@ -197,7 +208,7 @@ class Controller:
             self._bystanders.observe(np.array(instants_ns[n:]), np.array(poses[n:]))
         for row, how in enumerate(used):
             if how == CARRIED:
-                self._behaviour.carried(row)
+                self._deciding.carried(row)
         self._exposure_ns = message.exposure_ns
         return [how != UNUSED for how in used]
 
@@ -221,21 +232,17 @@ class Controller:
             )  # fmt: skip
             self._commands[row](WHEEL_COMMAND.encode(command))
 
-    def _publish_record(
-        self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, decisions: np.ndarray, seq: int
-    ) -> None:
-        r = self._record
-        r[:, 0:3] = here
-        r[:, 3:14] = decisions
-        r[:, 14] = measured
-        r[:, 15] = lost
+    def _publish_record(self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, seq: int) -> None:
+        r, decided = self._record, self._deciding
+        r[:, 0:3], r[:, 3:5], r[:, 5:7], r[:, 7:9] = here, decided.points, decided.u, decided.wheels
+        r[:, 9], r[:, 10], r[:, 11], r[:, 14] = decided.saturated, measured, lost, decided.failed
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
             *self._taken, self._exposure_ns, *self._heard, seq,
-            self._phase, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
+            self._phase, decided.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
-        self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes()))
+        self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes(), decided.numbers.tobytes()))
 
 
 def _age_s(measured_ns: np.ndarray, tick_ns: int) -> np.ndarray:
@@ -243,18 +250,32 @@ def _age_s(measured_ns: np.ndarray, tick_ns: int) -> np.ndarray:
     return np.where(measured_ns > 0, (tick_ns - measured_ns) / S, np.inf)
 
 
-def compile_kernels(config: Config) -> None:
-    """Compile every numba kernel of the control path, or load it from the cache, before the first tick."""
-    behaviour, fleet_filter, barrier = fleet.behaviour(config), fleet.fleet_filter(config), fleet.barrier(config)
-    n = len(config.platoon)
+def compile_kernels(config: Config, say: Say | None = None) -> None:
+    """Compile every numba kernel of the control path, or load it from the cache, before the first tick.
+
+    ``say`` is told how far it is; by default a line is written to stderr.
+    """
+    kernels = (*platoon.KERNELS, *path.KERNELS, *wheels.KERNELS, *estimator.KERNELS, *safety_barrier.KERNELS)
+    with told("control", kernels, say or on_stderr()):
+        _call_kernels(config)
+
+
+def _call_kernels(config: Config) -> None:
+    deciding, fleet_filter, barrier = Deciding(config), fleet.fleet_filter(config), fleet.barrier(config)
+    to_start, to_park = config.run.begin == "go_to_start", config.run.end == "park"
+    n = len(config.members)
     driving = np.ones(n, dtype=np.bool_)
     for instant_ns in (S, 2 * S):
         fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, 3)))
         _, there, _ = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
-        decisions = behaviour.tick(0.0, there, driving, w)
         bodies = np.zeros((len(config.bodies), 3))
-        barrier.filter(
-            bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, decisions[:, WHEELS], decisions[:, INPUTS]
-        )
-        fleet_filter.command(instant_ns, decisions[:, WHEELS])
+        bodies[:n] = there
+        deciding.tick(bodies, np.ones(len(bodies), dtype=np.bool_), driving, w, moving=True)
+        barrier.filter(bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, deciding.wheels, deciding.u)
+        for wanted, phase in ((to_start, Phase.POSITIONING), (to_park, Phase.PARKING)):
+            if wanted:  # its behaviour rehearses by its first decisions
+                deciding.restart(phase)
+                deciding.tick(bodies, np.ones(len(bodies), dtype=np.bool_), driving, w, moving=True)
+        deciding.restart(Phase.RUNNING)
+        fleet_filter.command(instant_ns, deciding.wheels)

@@ -1,21 +1,16 @@
 """A driver process: one robot or several, each behind its gate. It owns the gates; the drivers know no bus."""
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
 
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Wake
 from robofleet.config import slices
 from robofleet.config.tree import Config
-from robofleet.plugins import load
 from robofleet.processes import driver_settings
-from robofleet.processes.attached import Attached
+from robofleet.processes.drivers import Drivers
 from robofleet.processes.gated_robot import GatedRobot, Witness
 from robofleet.processes.keeping import Keeping
-from robofleet.simulation.faults import Schedule
-from robofleet.vehicles.interface import Driver, DriverError, SimulatedDriver
+from robofleet.vehicles.interface import DriverError
 
 _LOOP_NS = 10 * MS
 
@@ -32,10 +27,11 @@ class DriverProcess:
         wake: Wake,
         rng: np.random.Generator,
         keeping: Keeping,
+        drivers: Drivers,
         witness: Witness | None = None,
-        faults: Schedule | None = None,
     ) -> None:
-        self._clock, self._faults = clock, faults
+        """Open every robot; DriverError where one does not answer."""
+        self._clock, self._drivers = clock, drivers
         self._keeping, self._witness = keeping, witness
         self._robots: list[GatedRobot] = []
         try:
@@ -47,20 +43,12 @@ class DriverProcess:
         self._loops = 0
 
     def _open(self, config: Config, robot_ids: tuple[str, ...], bus: Bus, wake: Wake, rng: np.random.Generator) -> None:
-        faults = self._faults
         for robot_id in robot_ids:
-            robot = config.robot(robot_id)
-            now_ns = self._clock.now_ns if faults is None else faults.now_ns
-            trouble = None if faults is None else faults.body_trouble(robot_id)
-            kind = load("robofleet.drivers", robot.driver)
-            context = driver_settings.context(config, robot, now_ns, trouble)
-            make: Callable[[], Driver] = partial(kind, context)
-            if not issubclass(kind, SimulatedDriver):
-                make = partial(Attached, make, now_ns)
+            context = self._drivers.context(robot_id)
             try:
-                driver = make() if faults is None else faults.driver(robot_id, make)
+                driver = self._drivers.open(context)
             except DriverError as error:
-                raise DriverError(f"{driver_settings.place(config, robot)}: {error}") from error
+                raise DriverError(f"{driver_settings.place(config, config.robot(robot_id))}: {error}") from error
             boot_id, build = slices.drawn_id(rng, 64), slices.build(config)
             try:
                 gated = GatedRobot(context, driver, boot_id, build, bus, wake, self._keeping, self._witness)

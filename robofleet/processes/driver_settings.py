@@ -12,7 +12,7 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.arena_file import twin_port
-from robofleet.vehicles.interface import BodyTrouble, DriverContext
+from robofleet.vehicles.interface import DriverContext, SimulatedDriver
 
 
 def of(config: Config, robot: Robot) -> Any:
@@ -29,11 +29,10 @@ def of(config: Config, robot: Robot) -> Any:
     return kind.model_validate(robot.settings | port)
 
 
-def context(
-    config: Config, robot: Robot, now_ns: Callable[[], int], trouble: Callable[[], BodyTrouble] | None = None
-) -> DriverContext:
+def context(config: Config, robot: Robot, now_ns: Callable[[], int]) -> DriverContext:
     """Return what a robot's driver is made from; raises as ``of`` does."""
-    simulation = slices.simulation(config, robot, trouble)
+    simulated = issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
+    simulation = slices.simulation(config, robot, None) if simulated else None
     return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot))
 
 

@@ -1,7 +1,7 @@
 """Lockstep's event queue: each process is called at the instant that it asked for, or when a message wakes it."""
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from robofleet.clock import S, SimulatedClock, stopwatch_ns
 from robofleet.comms.bus import Bus
@@ -101,11 +101,12 @@ class ProcessFaults:
     A simulated robot goes on to exist while nobody drives it: its truth is then published here.
     """
 
-    def __init__(self, schedule: Schedule, queue: EventQueue, bus: Bus) -> None:
+    def __init__(self, schedule: Schedule, queue: EventQueue, bus: Bus, processes: Iterable[str]) -> None:
         self._schedule, self._slots = schedule, queue.slots
-        self._kills = {name: schedule.of("killed", process=name) for name in schedule.processes}
-        self._stops = {name: schedule.of("stopped", process=name) for name in schedule.processes}
-        self._steps = {name: schedule.of("clock_step", process=name) for name in schedule.processes}
+        names = tuple(processes)
+        self._kills = {name: schedule.of("killed", process=name) for name in names}
+        self._stops = {name: schedule.of("stopped", process=name) for name in names}
+        self._steps = {name: schedule.of("clock_step", process=name) for name in names}
         self._second = schedule.of("second_controller")
         self._acting: set[int] = set()  # by number
         self._truths = {

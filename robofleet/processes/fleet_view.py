@@ -16,8 +16,8 @@ from robofleet.comms.messages import (
 )
 from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
-from robofleet.safety.supervisor import NOBODY, Event, Happening
-from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening
+from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.tracking.events import TrackerEvent
 
 _STREAM = 64  # news between two looks
@@ -37,14 +37,17 @@ _TAG_NEWS = {
     TrackerEvent.TAG_JUMPED: Event.POSE_JUMPED,
     TrackerEvent.TAG_CARRIED: Event.POSE_JUMPED,
 }
+_FAILURES = frozenset(event for event in Event if event.name.startswith("BEHAVIOUR_"))
 
 
 class FleetListener:
     """Listens to the drivers, the controller and the tracker; what came late behind something newer is passed over."""
 
-    def __init__(self, config: Config, bus: Bus, free_bytes: Callable[[], int]) -> None:
-        robots, arena, driven = config.bodies, config.arena.name, len(config.platoon)
-        self._free_bytes = free_bytes
+    def __init__(
+        self, config: Config, bus: Bus, free_bytes: Callable[[], int], machine: Callable[[int], Machine | None]
+    ) -> None:
+        robots, arena, driven = config.bodies, config.arena.name, len(config.members)
+        self._free_bytes, self._machine = free_bytes, machine
         self.statuses = Statuses(bus, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
@@ -71,6 +74,7 @@ class FleetListener:
             news=self._heard_news(),
             free_bytes=self._room(),
             operator_ns=operator_ns,
+            machine=self._machine(now_ns),
         )
         return self._fleet
 
@@ -113,12 +117,14 @@ class FleetListener:
             controller_build=record.build,
             tick=record.tick,
             overruns=record.overruns,
+            arrived=record.phase * record.arrived,
         )
         for row, robot in enumerate(record.robots[: len(self._robots)]):
             self._robots[row] = self._robots[row]._replace(
                 estimate=(robot.x_m, robot.y_m, robot.psi_rad),
                 lost=robot.lost > 0.0,
                 filtered=int(robot.filtered),
+                failed=int(robot.failed) if record.phase in MOVING and robot.failed in _FAILURES else 0,
                 blocked=robot.blocked > 0.0,
             )
 

@@ -158,7 +158,7 @@ class GatedRobot:
             try:
                 self._driver.write(STOP)
             except DriverError as error:
-                self._health.complain(f"its wheels were not told to stop in the end: {error}")
+                self._health.complain(f"its wheels did not get the last stop command: {error}")
             finally:
                 self._driver.close()
                 self._health.say()
@@ -218,7 +218,7 @@ class GatedRobot:
             self._keeping.save(self._robot, memory)
         except OSError as error:
             self._unsaved = memory
-            self._health.complain(f"its lease and its latch cannot be kept: {error}")
+            self._health.complain(f"its lease and its latch cannot be written to disk: {error}")
             return False
         self._kept, self._unsaved, self._lost = memory, None, False
         return True
@@ -230,7 +230,7 @@ class GatedRobot:
                 self._keeping.lose(self._robot)
                 self._lost = True
             except OSError as error:
-                self._health.complain(f"after a restart its latch is forgotten: {error}")
+                self._health.complain(f"after a restart its latch is lost: {error}")
 
     def _tell(self, now_ns: int) -> None:
         self._told_latch = (self._gate.latch, self._gate.latch_id)

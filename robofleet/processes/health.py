@@ -41,7 +41,7 @@ class Health:
             self._felt = self.reading.faults | (self._felt if latch else 0)
             if self._away and not failed:
                 self._away = False
-                self.complain("its driver has it again: look at the robot, then reset")
+                self.complain("its driver has reconnected: look at the robot, then reset")
         fastest = 0.0 if self.failed else max(abs(self.reading.left_speed), abs(self.reading.right_speed))
         ran, self._turning = self._turning.runs, runaway.look(self._turning, output != STOP, fastest, now_ns)
         if self._turning.runs and not ran:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from robofleet.safety.gate import GateState, Latch
-from robofleet.simulation.faults import Schedule
 
 _MOST = 1 << 63  # half of what the wire carries: so many leases or latches nobody lives to see
 _HALF = 4096  # bytes: the halves of a file share no block of a disk
@@ -60,6 +59,11 @@ class MemoryKeeping:
         self._kept[robot] = _UNKNOWN
 
 
+def state_folder() -> Path:
+    """Return the folder with one folder an arena."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "robofleet"
+
+
 class FileKeeping:
     """One file a robot, in the user's state folder, of full size from the start: a full disk has room for a latch.
 
@@ -68,8 +72,7 @@ class FileKeeping:
     """
 
     def __init__(self, arena: str) -> None:
-        state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-        self._folder = Path(state) / "robofleet" / arena
+        self._folder = state_folder() / arena
 
     def prove(self, robots: tuple[str, ...]) -> None:
         """Make room for what these robots must keep, and write it once; OSError, which names the place, if not."""
@@ -78,6 +81,24 @@ class FileKeeping:
                 self.save(robot, self.load(robot))
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(self._file(robot))) from error
+
+    def try_place(self, robots: tuple[str, ...]) -> None:
+        """Raise OSError, which names the place, where these robots' memories could not be written; touch none of
+        them: a driver that is still ending may write its own."""
+        for robot in robots:
+            file = self._file(robot)
+            beside = file.with_suffix(f".{os.getpid()}.try")
+            try:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                if file.exists():
+                    os.close(os.open(file, os.O_RDWR))
+                try:
+                    with beside.open("wb", buffering=0) as stream:
+                        _write(stream.fileno(), 0, bytes(2 * _HALF))
+                finally:
+                    beside.unlink(missing_ok=True)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(file)) from error
 
     def load(self, robot: str) -> Kept:
         """Return what was kept; a file that cannot be read latches the robot: nobody knows what was before."""
@@ -135,19 +156,6 @@ class FileKeeping:
 
     def _file(self, robot: str) -> Path:
         return self._folder / f"{robot}.json"
-
-
-class FaultyKeeping:
-    """A keeping whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
-
-    def __init__(self, keeping: Keeping, faults: Schedule) -> None:
-        self.load, self.lose, self._keeping, self._faults = keeping.load, keeping.lose, keeping, faults
-
-    def save(self, robot: str, kept: Kept) -> None:
-        """Keep it, if the disk takes it."""
-        if self._faults.disk_is_full():
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self._keeping.save(robot, kept)
 
 
 def _halves(number: int, kept: Kept) -> tuple[bytes, bytes]:

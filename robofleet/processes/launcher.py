@@ -6,35 +6,46 @@ from typing import Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import CAMERA, PICTURE, REQUEST, STATE, STATUS, TICK, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD, RunState
+from robofleet.comms.keys import BUSY, CAMERA, PICTURE, REQUEST, STATE, STATUS, TICK, key
+from robofleet.comms.messages import BUSY_MACHINE, ROBOT_STATUS, RUN_STATE, TICK_RECORD, BusyMachine, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes import controller, tracker
+from robofleet.processes import table
 from robofleet.processes.arena_file import twin_port
 from robofleet.processes.child_faults import ChildFaults
-from robofleet.processes.children import Child, Children, RunError
+from robofleet.processes.children import Children, RunError
 from robofleet.processes.estop import emergency_stop
+from robofleet.processes.live_state import READY
+from robofleet.processes.machine import Silence
+from robofleet.processes.page_process import PageProcess, PageWanted
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
-from robofleet.recording.causes import run_cause
+from robofleet.recording import busy_machine
 from robofleet.recording.channels import keys
 from robofleet.recording.run import Recording, Watch
-from robofleet.safety.advice import advised
 from robofleet.safety.arming import Stage
+from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 
 _REST_WITHIN_NS = S
 _SILENT_NS = 2 * S
 _POLL_NS = 50 * MS
+_LOAD_WITHIN_NS = S // 2
+_ANSWER_WITHIN_NS = 15 * S  # to a start: nothing moves before, and a busy machine is slow to tell who is there
 _ATTENDED_NS = 200 * MS
 _STREAM = 65536  # messages; half a minute of a fleet of four
 _SHOWN = 512  # messages of a key, for the live view
 _AT_REST_RAD_S = 0.01
-_PHASES = {Phase.ARMED: "arming", Phase.RUNNING: "running", Phase.HOLD: "held"}
+_PHASES = {
+    Phase.ARMED: "arming",
+    Phase.POSITIONING: "positioning",
+    Phase.RUNNING: "running",
+    Phase.PARKING: "parking",
+    Phase.HOLD: "held",
+}
 _EMERGENCY = "emergency stop"
 _TWICE = 2
 _ASKED_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
@@ -66,25 +77,29 @@ class Launcher:
         *,
         reset: bool = False,
         take_over: bool = False,
-        web: bool = False,
+        web: PageWanted | None = None,
     ) -> None:
         self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
         self._reset, self._take_over, self._web = reset, take_over, web
         self._clock = WallClock()
         self.recording = Recording(config)
+        self.began = False  # every process was ready: there is something to read and to judge
         self._arena, self._robots = config.arena.name, config.ids
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
+        self._busy_key = key(self._arena, BUSY)
         self._picture_key = key(self._arena, PICTURE, CAMERA)
         self._status_keys = [key(self._arena, STATUS, robot) for robot in self._robots]
+        started = table.started_by("run", config)
         # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
-        self._first = ("router", "recorder", *(("twins",) if config.twins else ()))
+        self._first = [one for one in started if one.row.first]
+        self._others = [one for one in started if not one.row.first]
         self._phase = "starting"
         self._ending = False
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
-        self._heard_ns = 0  # when the supervisor was heard last
+        self._silence = Silence(self._clock.now_ns())  # of the supervisor
         self._answer: Answer | None = None  # to what a key asked
         self._counted = Interrupts()
-        self._page: Child | None = None
+        self._page: PageProcess | None = None
 
     def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
@@ -99,8 +114,12 @@ class Launcher:
                 self.recording.outcome, self.recording.cause = outcome
                 return outcome
             finally:
+                if self._page is not None:
+                    self._page.end()
                 fleet.reap(self._clock, but=len(self._first))
                 fleet.reap(self._clock, last_word=self.recording.ending())
+                if self._page is not None:
+                    self._page.leave(self._clock)
                 for robot in self._config.twins:  # one that was killed has left its port
                     twin_port(self._arena, robot.id).unlink(missing_ok=True)
 
@@ -114,37 +133,48 @@ class Launcher:
             return "stopped", str(why)
 
     def _start(self, fleet: Children) -> None:
-        self._watch(self.recording, "compiling")
-        for name in self._first:  # they have no kernels
-            fleet.start(name, name)
-        controller.compile_kernels(self._config)
-        tracker.compile_kernels(self._config)
-        self._watch(self.recording, "starting")
-        fleet.wait_ready(self._clock, self._listen)
-        if self._web:
-            self._page = fleet.start("web", "web", needed=False)
-        for name in ("supervisor", "tracker"):
-            fleet.start(name, name)
-        fleet.start("controller", "controller", *(["--takeover"] if self._take_over else []))
-        ours = self._config.driven if self._config.drivers.started_by == "run" else {}
-        for name, robots in ours.items():
-            fleet.start(name, "driver", "--robots", ",".join(robots))
-        fleet.wait_ready(self._clock, self._listen)
+        for one in self._first:
+            fleet.start(one.name, *one.command)
+        if self._web is not None:
+            page = fleet.started(table.PAGE.name, (table.PAGE.name, "--host", self._web.host))
+            self._page = PageProcess(page, self._web, self._terminal)
+
+        def wait() -> None:
+            self._listen()
+            self._terminal.compiling = compiling = fleet.compiling()
+            words = ". ".join(progress.words() for progress in compiling) or "Starting the processes."
+            self._show("compiling" if compiling else "starting", words)
+
+        fleet.wait_ready(self._clock, wait)
+        for one in self._others:
+            taking = ["--takeover"] if self._take_over and one.row is table.CONTROLLER else []
+            fleet.start(one.name, *one.command, *taking)
+        fleet.wait_ready(self._clock, wait)  # controller and tracker compile their kernels at the same time
+
+    def _show(self, phase: str, words: str) -> None:
+        """Show what the launcher does before the supervisor speaks, on the page too."""
+        if self._page is not None:
+            self._page.tell(words)
+        self._phase = phase
+        self._watch(self.recording, phase)
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         held.callback(bus.close)  # after the router has ended: leaving one that is stopped takes many seconds
         self._bus, self._fleet = bus, fleet
+        self._watch(self.recording, READY)  # who loads something for the run to come does it now
+        self.began = True
         self._faults = ChildFaults(self._config, self._clock, fleet)
         self._terminal.emergency = self._stop_now
         held.callback(setattr, self._terminal, "emergency", lambda: None)
         try:
             self._stream = bus.stream(*keys(self._config), capacity=_STREAM)
-            self._heard_ns = self._clock.now_ns()
+            held.callback(self._silence.close)
+            self._silence.heard(self._clock.now_ns())
             try:
                 return self._ended(*self._follow())
             except InterruptedRunError as why:
-                return self._ended("stopped", str(why))
+                return self._ended("stopped", f"{why}{self._held()}")
         except EmergencyError as why:
             return self._emergency(str(why))
 
@@ -157,7 +187,7 @@ class Launcher:
         if not waits:
             self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        phases, began_ns = {Phase.IDLE: self._phase, **_PHASES}, 0
+        phases, began_ns, over = {Phase.IDLE: self._phase, **_PHASES}, 0, False
         before = (Phase.IDLE, Phase.ARMED) if waits else (Phase.IDLE,)  # who waits for a start may stop the checks
         try:
             while (state := self._polled()) is None or state.phase in phases:
@@ -169,10 +199,16 @@ class Launcher:
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
                     tick = self._newest(self._tick_key, TICK_RECORD)
-                    if tick is not None and tick.run_tick >= last_tick:
-                        return "completed", None
+                    if tick is not None and tick.run_tick >= last_tick and not over:
+                        if self._config.run.end != "park":
+                            return "completed", None
+                        over = True
+                        self._ask(b"park")
+                over = over or (state is not None and state.cause == Event.OFF_TO_PARK)
         finally:
             self.recording.elapsed_s = (self._clock.now_ns() - began_ns) / S if began_ns else 0.0
+        if state.cause == Event.ACCOMPLISHED or (over and state.cause == Event.PARKED):
+            return "completed", None
         return self._outcome(state)
 
     def _enter(self, phase: str) -> None:
@@ -180,7 +216,7 @@ class Launcher:
             self._phase, self._terminal.note = phase, ""
 
     def _outcome(self, state: RunState) -> Outcome:
-        cause = advised(run_cause(state, self._robots), state.cause)
+        cause = busy_machine.told(state, self._load_behind(state), self._robots)
         if state.phase == Phase.ESTOP:
             self._listen()  # it may be our own operator's
             raise EmergencyError(cause)
@@ -189,6 +225,23 @@ class Launcher:
         if state.cause == Event.ARMED_TOO_LONG:
             cause = f"{cause}: {missing(self.recording)}"
         return ("stopped" if state.phase == Phase.IDLE else "fault"), cause
+
+    def _held(self) -> str:
+        """Return why the fleet stands on hold; an empty string where it does not."""
+        state = self._newest(self._state_key, RUN_STATE)
+        held = state is not None and state.phase == Phase.HOLD
+        busy = self._newest(self._busy_key, BUSY_MACHINE)
+        return f"; the fleet was on hold: {busy_machine.told(state, busy, self._robots, advice=False)}" if held else ""
+
+    def _load_behind(self, state: RunState) -> BusyMachine | None:
+        """Return what is known of the machine's load; where that may explain how the run ended, it may come late."""
+        deadline_ns = self._clock.now_ns() + _LOAD_WITHIN_NS
+        while True:
+            busy: BusyMachine | None = self._newest(self._busy_key, BUSY_MACHINE)
+            explained = busy is None or state.cause not in SPOILT or busy.cause == state.cause
+            if explained or self._clock.now_ns() > deadline_ns:
+                return busy
+            self._polled()
 
     def _ended(self, outcome: str, cause: str | None) -> Outcome:
         """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
@@ -219,7 +272,7 @@ class Launcher:
 
     def _ask(self, what: bytes) -> None:
         try:
-            answer = asked(self._bus, self._clock, "supervisor", what, self._polled)
+            answer = asked(self._bus, self._clock, "supervisor", what, self._polled, within_ns=_ANSWER_WITHIN_NS)
         except TimeoutError as error:
             raise RunError(str(error)) from error
         if not answer.startswith(b"ok"):
@@ -236,23 +289,35 @@ class Launcher:
             self._ask_by_key(keys)
             self._heed()
             self._attend()
+        heard_ns = 0
         for at_ns, full, payload in self._stream.drain():
             if full != self._picture_key:
                 self.recording.add(full, payload)
             if full == self._state_key:
-                self._heard_ns = at_ns
+                heard_ns = at_ns
+        if heard_ns:
+            self._silence.heard(heard_ns)
         self.recording.keep_newest(_SHOWN)
         self._faults.step()
         self._fleet.check()
         if self._page is not None:
-            gone = "the page is gone, the run goes on: `robofleet web` opens another one"
-            self._terminal.page = gone if self._page.died else f"the operator's page: {self._page.said}"
-        if self._clock.now_ns() - self._heard_ns > _SILENT_NS:
-            silent = f"the supervisor went silent: see {self._folder}/log/supervisor.log"
-            raise EmergencyError(f"at the gates; {silent}") if self._stopped_at_gates() else RunError(silent)
+            self._page.look()
+        self._hear_of_silence()
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)
         return state
+
+    def _hear_of_silence(self) -> None:
+        """Raise that the supervisor is silent; a simulated run waits longer where the machine's load explains it."""
+        now_ns = self._clock.now_ns()
+        if (lasts_ns := self._silence.lasts_ns(now_ns)) <= _SILENT_NS:
+            return
+        load = self._silence.load(now_ns)
+        if load and self._config.simulated and lasts_ns <= GONE_NS:
+            return
+        why = f" (this machine was busy: {load})" if load else ""
+        silent = f"the supervisor went silent{why}: see {self._folder}/log/supervisor.log"
+        raise EmergencyError(f"at the gates; {silent}") if self._stopped_at_gates() else RunError(silent)
 
     def _heed(self) -> None:
         """Raise what the terminal's signals ask for."""
@@ -272,9 +337,10 @@ class Launcher:
             raise InterruptedRunError("the operator ended it")
 
     def _listen(self) -> None:
-        """Raise what signals and keys ask for, where the run waits for something else."""
+        """Raise what signals and keys ask for, where the run waits for something else; show what there is to show."""
         self._heed()
         self._obey(self._terminal.keys(self._clock, self._clock.now_ns()))
+        self._watch(self.recording, self._phase)
 
     def _stop_now(self) -> None:
         """Stop every robot, from the thread that hears the keys: the run's own one hears of it when it can."""

@@ -1,28 +1,35 @@
 """What the supervisor says, drawn for the live view: the checks while arming, a hold, an emergency stop."""
 
 from rich.box import HEAVY
+from rich.console import Group
 from rich.panel import Panel
+from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from robofleet.comms.messages import RunState
+from robofleet.comms.messages import BusyMachine, RunState
+from robofleet.processes.compiling import Progress
 from robofleet.processes.terminal import Terminal
-from robofleet.recording.causes import run_cause
-from robofleet.safety.advice import advised
+from robofleet.recording import busy_machine
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Phase
 from robofleet.safety.wiggle import STROKES
 
 _STAGES = {
-    Stage.CHECKS: "is everything there, fresh and at rest?",
+    Stage.CHECKS: "does every robot answer, is it seen, and is it at rest?",
     Stage.DRILL: "trying the emergency stop",
     Stage.WIGGLE: "trying the wheels",
     Stage.DONE: "every check is passed",
 }
 _KEYS = (("e", "emergency stop"), ("h", "hold"), ("r", "resume"), ("q", "end the run"))
 _FIRST_KEYS = (("e", "emergency stop"), ("a", "arm"), ("s", "start"), ("q", "end the run"))
+READY = "ready"  # every process is, and the run has not begun
 WAITING = {
     "waiting": "everything is there: start it with key s, on the operator's page or by `robofleet start`",
     "armed": "every check is passed: start it with key s, on the operator's page or by `robofleet start`",
+}
+UNDER_WAY = {
+    "positioning": "every robot drives to its start",
+    "parking": "every robot drives to where it is parked",
 }
 
 
@@ -42,9 +49,13 @@ def _stroke(index: int) -> str:
     return f"{wheels} {'forwards' if max(left, right) > 0.0 else 'backwards'}" if wheels else "it must stand"
 
 
-def banner(state: RunState, robots: tuple[str, ...], *, by_key: bool) -> Panel | None:
-    """Return what must be seen: why the fleet stands, and what to do."""
-    cause = advised(run_cause(state, robots), state.cause)
+def banner(state: RunState, busy: BusyMachine | None, robots: tuple[str, ...], *, by_key: bool) -> Panel | None:
+    """Return what must be seen: why the fleet stands, and what to do; ``busy``: what is known of the machine's load."""
+    cause = busy_machine.told(state, busy, robots)
+    if busy_machine.goes_on(state, busy):
+        return _panel(
+            "HOLD", cause, "Every robot stands. Everything is simulated: the run goes on by itself.", "yellow"
+        )
     if state.phase == Phase.HOLD:
         how = "press r and the run goes on; q ends it" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
         return _panel("HOLD", cause, f"Every robot stands. Look, mend it, then {how}.", "yellow")
@@ -55,6 +66,11 @@ def banner(state: RunState, robots: tuple[str, ...], *, by_key: bool) -> Panel |
     if state.phase == Phase.FAULT:
         return _panel("FAULT", cause, "Every robot stands.", "red")
     return None
+
+
+def compiling_line(progress: Progress) -> Group:
+    """Return what is compiled, how far it is, and for how long still."""
+    return Group(Text(progress.words(), "cyan"), ProgressBar(1.0, progress.share, width=50))
 
 
 def keys(terminal: Terminal, phase: str) -> Text:

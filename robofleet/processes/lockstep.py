@@ -17,15 +17,13 @@ from robofleet.comms.keys import REQUEST, STATE, TICK, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
-from robofleet.processes.controller import Controller, compile_kernels
-from robofleet.processes.driver import DriverProcess
+from robofleet.processes import table
+from robofleet.processes.compiling import on_stderr
 from robofleet.processes.event_queue import SECOND_CONTROLLER, EventQueue, ProcessFaults, Slot
 from robofleet.processes.gated_robot import Witness
-from robofleet.processes.keeping import FaultyKeeping, Keeping, MemoryKeeping
+from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.node import Node
 from robofleet.processes.readiness import why
-from robofleet.processes.supervisor import Supervisor
-from robofleet.processes.tracker import Tracker
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
@@ -34,8 +32,11 @@ from robofleet.simulation.faulty_bus import FaultyBus
 
 _ANSWER_WITHIN_NS = S  # to the request for a start
 _ARMED_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
-_PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
+_TIMED = table.CONTROLLER, table.TRACKER
 _REST_NS = S  # after the stop: wheels come to rest
+
+
+_UNDER_WAY = {Phase.POSITIONING: "positioning", Phase.PARKING: "parking"}
 
 
 class Lockstep:
@@ -46,7 +47,6 @@ class Lockstep:
 
     def __init__(self, config: Config, witness: Witness | None = None, log: RunLog | None = None) -> None:
         """Build every process; ``witness`` is told what each gate decides, ``log`` keeps what is said."""
-        compile_kernels(config)
         self._config = config
         self.clock = SimulatedClock()
         self.clock.advance_to(S)  # 0 means "never" in many fields
@@ -59,6 +59,7 @@ class Lockstep:
         self.faults = Schedule(config, self.clock) if config.faults else None
         self._queue = EventQueue(self.clock)
         self._witness, self._log = witness, log
+        self._progress = on_stderr()
         self._add_processes()
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
@@ -67,39 +68,25 @@ class Lockstep:
     def _add_processes(self) -> None:
         config, queue, faults = self._config, self._queue, self.faults
         if faults is not None:
-            queue.add("faults", lambda _: ProcessFaults(faults, queue, self.bus))
-        for name, robots in config.driven.items():
-            queue.add(name, partial(self._driver, robots))
-        queue.add("tracker", self._made_tracker).timed = True
-        queue.add("supervisor", self._made_supervisor)
-        queue.add("controller", self._made_controller).timed = True
+            names = table.injectable(config)
+            queue.add("faults", lambda _: ProcessFaults(faults, queue, self.bus, names))
+        for one in table.in_lockstep(config):
+            queue.add(one.name, partial(self._made, one)).timed = one.row in _TIMED
         if faults is not None and faults.of("second_controller"):
-            queue.add(SECOND_CONTROLLER, self._made_controller).kill()
+            second = table.Process(SECOND_CONTROLLER, table.CONTROLLER, ())
+            queue.add(SECOND_CONTROLLER, partial(self._made, second)).kill()
 
-    def _driver(self, robots: tuple[str, ...], slot: Slot) -> DriverProcess:
-        keeping: Keeping = self.keeping if self.faults is None else FaultyKeeping(self.keeping, self.faults)
-        rng = self._rng(slot, "driver", *robots)
+    def _made(self, process: table.Process, slot: Slot) -> Node:
+        """Put a process together, between edges that take no real time."""
+        make = process.row.make
+        assert make is not None
         bus, clock = self._edges(slot)
-        return DriverProcess(
-            self._config, robots, bus, clock, slot, rng, keeping, witness=self._witness, faults=self.faults
-        )
-
-    def _made_tracker(self, slot: Slot) -> Tracker:
-        charge_ns = round(self._config.lockstep.tracker_delay_s * S)
-        bus, clock = self._edges(slot)
-        return Tracker(self._config, bus, clock, slot, self._rng(slot), charge_ns=charge_ns, faults=self.faults)
-
-    def _made_supervisor(self, slot: Slot) -> Supervisor:
-        def free_bytes() -> int:
-            return 0 if self.faults is not None and self.faults.disk_is_full() else _PLENTY
-
-        bus, clock = self._edges(slot)
-        return Supervisor(
-            self._config, bus, clock, slot, self._rng(slot), free_bytes=free_bytes, attended=False, say=lambda _: None
-        )
-
-    def _made_controller(self, slot: Slot) -> Controller:
-        return Controller(self._config, *self._edges(slot), self._rng(slot))
+        return make(
+            table.Edges(
+                self._config, bus, clock, slot, self._rng(slot, process), self.keeping, self._progress,
+                process.robots, self.faults, witness=self._witness,
+            )
+        )  # fmt: skip
 
     def _edges(self, slot: Slot) -> tuple[Bus, Clock]:
         """Return a process's bus and clock."""
@@ -111,10 +98,11 @@ class Lockstep:
         slot.bus = FaultyBus(self.bus, self.faults, slot.name, clock, simulated_router=True)
         return slot.bus, clock
 
-    def _rng(self, slot: Slot, *key: str) -> np.random.Generator:
+    def _rng(self, slot: Slot, process: table.Process) -> np.random.Generator:
         """Return a process's randomness: another one for every start."""
         again = (f"start-{slot.starts}",) if slot.starts else ()
-        return generator(self._config.run.seed, *(key or (slot.name,)), *again)
+        named = ("driver", *process.robots) if process.robots else (slot.name,)
+        return generator(self._config.run.seed, *named, *again)
 
     @property
     def nodes(self) -> dict[str, Node]:
@@ -166,14 +154,30 @@ class Lockstep:
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        if self.status.phase is not Phase.RUNNING:
+        if self.status.phase not in (Phase.RUNNING, Phase.POSITIONING):
             return "fault", why(self.recording, self.status)
+        if not self._under_way(Phase.POSITIONING, watch):
+            return "fault", self.status.describe(self._config.ids)
         while self._run_tick < last_tick:
             self._run_until(lambda: self.status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
             watch(self.recording, "running")
             if self.status.phase is not Phase.RUNNING:
-                return "fault", self.status.describe(self._config.ids)
+                break
+        else:
+            if self._config.run.end == "park":
+                self.request(b"park")
+                self._run_until(lambda: self.status.phase is not Phase.RUNNING, _ANSWER_WITHIN_NS)
+        done = self._under_way(Phase.PARKING, watch) and self.status.cause in (Event.ACCOMPLISHED, Event.PARKED)
+        if not done and self.status.phase is not Phase.RUNNING:
+            return "fault", self.status.describe(self._config.ids)
         return "completed", None
+
+    def _under_way(self, phase: Phase, watch: Watch) -> bool:
+        """Let the robots come to their start, or to the park; returns whether nothing held them."""
+        while self.status.phase is phase:
+            self._run_until(lambda: self.status.phase is not phase, S)
+            watch(self.recording, _UNDER_WAY[phase])
+        return self.status.phase in (Phase.RUNNING, Phase.IDLE)
 
     def _run_until(self, done: Callable[[], bool], within_ns: int) -> bool:
         """Step whatever is due next, until something is true or simulated time has passed; returns which."""

@@ -7,12 +7,15 @@ import signal
 import socket
 import sys
 import threading
-from contextlib import closing, suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from importlib.metadata import version
 from typing import Protocol
 
 from robofleet.clock import MS, Clock, S
 
-_NICE = -10
+NICE = -10
+HIGHEST_PRIORITY = 20  # real-time, of the processes of a run: the controller's
 _EXIT_WITHIN_S = 0.8  # of the parent's pipe closing; then the process is ended as it is
 
 
@@ -62,8 +65,11 @@ class Lifeline:
     Without a parent (a process started by hand or by systemd) Ctrl-C ends it too.
     """
 
-    def __init__(self, descriptor: int | None) -> None:
+    def __init__(self, descriptor: int | None, *, exit_within_s: float = _EXIT_WITHIN_S) -> None:
         self.cut = False
+        self.by_signal = False
+        self._exit_within_s = exit_within_s
+        self.why = "an error"  # this process ends
         self.last_word = b""  # what the parent said before it closed its end
         self._socket = None if descriptor is None else socket.socket(fileno=descriptor)
         if self._socket is None:  # until it is ready: Python's handlers do not run while Zenoh waits for its router
@@ -77,14 +83,47 @@ class Lifeline:
         signal.signal(signal.SIGTERM, self._cut_by_signal)
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup's wish
             signal.signal(signal.SIGHUP, self._cut_by_signal)  # a lost terminal must not leave wheels turning
-        if self._socket is not None:
-            self._socket.sendall(message.encode() + b"\n")
-        else:
+        self.say(message)
+        if self._socket is None:
             signal.signal(signal.SIGINT, self._cut_by_signal)
             print(message, file=sys.stderr)
 
-    def _cut_by_signal(self, _number: int, _frame: object) -> None:
-        self.cut = True
+    @contextmanager
+    def logged(self, what: str, arena: str) -> Iterator[None]:
+        """Let the log of a run's process say that it began, and why it ended: no message points to an empty log.
+
+        A process that was started by hand has no log: its terminal shows as much.
+        """
+        if self._socket is None:
+            yield
+            return
+        self._log(f"{what} of {arena}: started, robofleet {version('robofleet')}, process {os.getpid()}")
+        try:
+            yield
+        except BaseException as error:
+            self._log(f"{what}: ended by {type(error).__name__}")
+            raise
+        self._log(f"{what}: ended: {self.why}")
+
+    @staticmethod
+    def _log(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    def _cut_by_signal(self, number: int, _frame: object) -> None:
+        self.why = signal.Signals(number).name
+        self.cut = self.by_signal = True
+
+    @property
+    def newest_line(self) -> str:
+        """What the parent said last, while it lives."""
+        lines = self.last_word.rpartition(b"\n")[0].splitlines()
+        return lines[-1].decode(errors="replace") if lines else ""
+
+    def say(self, message: str) -> None:
+        """Tell the parent something, if it is still there."""
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.sendall(message.encode() + b"\n")
 
     def _watch(self) -> None:
         assert self._socket is not None
@@ -93,8 +132,9 @@ class Lifeline:
                 self.last_word += said
         except OSError:
             pass
+        self.why = "its run ended it"
         self.cut = True
-        threading.Event().wait(_EXIT_WITHIN_S)
+        threading.Event().wait(self._exit_within_s)
         os._exit(1)
 
 
@@ -141,7 +181,7 @@ def run(node: Node, clock: Clock, lifeline: Lifeline, waker: Waker, *, precise: 
 def ahead_of_others() -> None:
     """Let this process, with Zenoh's threads that it starts later, go before what else the machine has to do."""
     try:
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
     except PermissionError as error:
         print(f"no higher priority ({error}): messages may be late when the machine is busy", file=sys.stderr)
 

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from robofleet.clock import MS, WallClock
+from robofleet.comms.joining import joined
 from robofleet.comms.keys import STATE, STATUS, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
 from robofleet.comms.requests import asked
@@ -26,7 +26,7 @@ from robofleet.safety.supervisor import Phase
 _CONNECT_WITHIN_S = 1.0
 _LISTEN_NS = 300 * MS
 _POLL_NS = 2 * MS
-_SILENT = "nobody grants the robots to move: end the run with Ctrl-C in its terminal, and see its supervisor's log"
+_SILENT = "the robots get no permission to move: end the run with Ctrl-C in its terminal, and see its supervisor's log"
 _BETWEEN_NS = 100 * MS  # two signals at once are one
 
 
@@ -58,7 +58,7 @@ def named_runs(name: str | None) -> list[ArenaFile]:
     """Return all users' runs, or those of an arena; NoArenaError if there is none. What is in the way is said."""
     runs, places, troubles = found()
     for trouble in troubles:
-        print(f"not all runs may be found: {trouble}", file=sys.stderr)
+        print(f"some runs may not be listed: {trouble}", file=sys.stderr)
     if not runs:
         where = " or ".join(places) or "any place"
         raise NoArenaError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
@@ -174,18 +174,14 @@ def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_n
 
 @contextmanager
 def _reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
-    """Join a run's bus; Zenoh itself would wait for ever for a router that is stopped."""
-    joined: list[ZenohBus] = []
-    joining = threading.Thread(
-        target=lambda: joined.append(ZenohBus(there.arena, there.endpoint, "operator", clock)), daemon=True
-    )
-    joining.start()
-    joining.join(_CONNECT_WITHIN_S)
-    if not joined:
+    """Join a run's bus; UnreachableError where it does not answer."""
+    try:
+        bus = joined(there.arena, there.endpoint, "operator", clock, _CONNECT_WITHIN_S)
+    except TimeoutError as error:
         raise UnreachableError(
             f"the bus of {there.arena} at {there.endpoint} does not answer: end the run with `kill {there.pid}`"
-        )
+        ) from error
     try:
-        yield joined[0]
+        yield bus
     finally:
-        joined[0].close()
+        bus.close()

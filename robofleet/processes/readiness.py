@@ -18,7 +18,7 @@ def why(recording: Recording, status: RunStatus) -> str:
 
 def missing(recording: Recording) -> str:
     """Say who is not ready, and what to look at."""
-    robots = recording.config.platoon
+    robots = recording.config.members
     tick = _newest(recording, TICK, TICK_RECORD)
     if tick is None:
         return "no tick of the controller came"

@@ -7,23 +7,27 @@ What a controller believes depends on all its ticks. So it is known from a begin
 is missing. A beginning is its first tick, or one that had taken nothing yet: as after another had these robots.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.behaviours import described
+from robofleet.behaviours.interface import Decision
 from robofleet.clock import S, SimulatedClock, TickGrid
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
 from robofleet.comms.layouts import ListLayout
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, WHEEL_COMMAND, RobotTick
-from robofleet.config import slices
+from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import Recording
+from robofleet.safety.supervisor import Event
 
 Rows = NDArray[Any]
 Array = NDArray[np.float64]
@@ -99,18 +103,19 @@ def replay(recording: Recording, within: float) -> Verdict:
     Raises:
         RecordingError: if no controller said anything.
     """
-    arena, verdict = recording.config.arena.name, Verdict(len(recording.config.platoon), within)
-    dtype = TICK_RECORD.dtype(len(recording.config.platoon))
+    arena, verdict = recording.config.arena.name, Verdict(len(recording.config.members), within)
+    dtype = TICK_RECORD.dtype(len(recording.config.members), described.size(recording.groups))
     payloads = recording.messages.get(key(arena, TICK), ())
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
     if not len(ticks):
         raise RecordingError("no tick of a controller was recorded: there is nothing to replay")
+    names = described.names(recording.groups)
     takings = _Takings(recording, STATE, "", RUN_STATE), _Takings(recording, POSES, CAMERA, FLEET_POSES)
     for epoch in dict.fromkeys(ticks["epoch"].tolist()):
         _, once = np.unique(ticks["tick"][(of_it := np.flatnonzero(ticks["epoch"] == epoch))], return_index=True)
         recorded = ticks[of_it[once]]
         known, now = _driven(recording.config, recorded, takings, verdict.holes)
-        _compare_ticks(recording.config, recorded[known], now, verdict)
+        _compare_ticks(recording.config, names, recorded[known], now, verdict)
         _compare_commands(recording, recorded, known, now, verdict)
     verdict.differences.sort(key=lambda difference: difference.tick)
     return verdict
@@ -141,14 +146,23 @@ class _Player:
         self._said = bus.newest(TICK)
         self._give = [(its, bus.publisher(its.topic, its.name)) for its in takings]
         self._given = [NO_NAME] * len(takings)
-        self._controller = Controller(config, bus, self._clock, slices.generator(config.run.seed, "replay"))
+        self._late: frozenset[int] = frozenset()
+        rng = slices.generator(config.run.seed, "replay")
+        self._controller = Controller(config, bus, self._clock, rng, judge=self._judged)
 
-    def tick(self, index: int, taken: tuple[Name, ...]) -> bytes | None:
+    def _judged(self, group: int, decide: Callable[[], Decision]) -> tuple[Decision, bool]:
+        """Call a behaviour; whether it was late is what the record says."""
+        return decide(), group in self._late
+
+    def tick(self, index: int, taken: tuple[Name, ...], late: frozenset[int]) -> bytes | None:
         """Return the record of a tick that takes these messages; None where one of them was not recorded.
+
+        ``late``: the groups whose behaviours took too long.
 
         One that the controller had already changes nothing, however often it came.
         """
         self._clock.advance_to(self._grid.instant(index))
+        self._late = late
         for k, (its, publish) in enumerate(self._give):
             if taken[k] != self._given[k]:
                 payload = its.of(taken[k])
@@ -167,7 +181,10 @@ def _driven(
     period_ns = round(config.controller.tick_s * S)
     said: list[bytes | None] = []
     player, before, why = None, 0, ""
-    for row in recorded[["tick", "overruns", "stamp_ns", "state_epoch", "state_seq", "poses_epoch", "poses_seq"]]:
+    head = ["tick", "overruns", "stamp_ns", "state_epoch", "state_seq", "poses_epoch", "poses_seq"]
+    firsts = [own.start for own in groups.rows(config.groups)]
+    failed = recorded["items"]["failed"][:, firsts] == Event.BEHAVIOUR_LATE
+    for row, late in zip(recorded[head], failed, strict=True):
         tick, overruns, stamp_ns, *names = row.item()
         done, taken = tick - overruns, ((names[0], names[1]), (names[2], names[3]))
         if done != before + 1 or player is None:
@@ -180,7 +197,7 @@ def _driven(
                     f"{missing} record{'s' * (missing > 1)} before them {'are' if missing > 1 else 'is'} missing",
                 )
         before = done
-        payload = None if player is None else player.tick(tick, taken)
+        payload = None if player is None else player.tick(tick, taken, frozenset(np.flatnonzero(late).tolist()))
         if payload is None and player is not None:
             player, why = None, "a message that the first of them took is missing"
         if payload is None and (not said or said[-1] is not None or holes[-1].why != why):
@@ -192,16 +209,21 @@ def _driven(
     return known, np.frombuffer(b"".join(payload for payload in said if payload is not None), dtype=recorded.dtype)
 
 
-def _compare_ticks(config: Config, recorded: Rows, now: Rows, verdict: Verdict) -> None:
+def _compare_ticks(config: Config, names: list[str], recorded: Rows, now: Rows, verdict: Verdict) -> None:
     verdict.ticks += len(recorded)
     for name in _HEAD:
         for k in np.flatnonzero(recorded[name] != now[name]):
             verdict.differences.append(Difference(int(now["tick"][k]), name, int(recorded[name][k]), int(now[name][k])))
     old, new = _columns(recorded), _columns(now)
     for k, row, column in np.argwhere(_different(old, new, verdict.tolerance)):
-        what = f"{config.platoon[row].id}: {RobotTick._fields[column]}"
+        what = f"{config.members[row].id}: {RobotTick._fields[column]}"
         values = float(old[k, row, column]), float(new[k, row, column])
         verdict.differences.append(Difference(int(now["tick"][k]), what, *values))
+    old, new = np.ascontiguousarray(recorded["figures"]), np.ascontiguousarray(now["figures"])
+    unknown = np.isnan(old) & np.isnan(new)
+    for k, column in np.argwhere(_different(old, new, verdict.tolerance) & ~unknown):
+        values = float(old[k, column]), float(new[k, column])
+        verdict.differences.append(Difference(int(now["tick"][k]), names[column], *values))
 
 
 def _compare_commands(
@@ -213,9 +235,9 @@ def _compare_commands(
     """
     done = recorded["tick"] - recorded["overruns"]
     closed = np.append(done[1:] == done[:-1] + 1, [False])
-    wheels = np.full((len(recorded), len(recording.config.platoon), 2), np.nan)
+    wheels = np.full((len(recorded), len(recording.config.members), 2), np.nan)
     wheels[known] = _columns(now)[..., _WHEELS]
-    for row, robot in enumerate(recording.config.platoon):
+    for row, robot in enumerate(recording.config.members):
         given = recording.rows(key(recording.config.arena.name, COMMAND, robot.id), WHEEL_COMMAND)
         given = given[given["session"] >> 32 == recorded["epoch"][0]]
         given = given[np.argsort(given["seq"], kind="stable")]

@@ -4,11 +4,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from robofleet.clock import WallClock
+from robofleet.clock import WallClock, utc_now
 from robofleet.config.tree import Config
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.live import LiveView
-from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.page_process import PageWanted
 from robofleet.processes.refusal import RefusedError
 from robofleet.processes.terminal import Terminal, hangup_interrupts
 from robofleet.recording.log import FILE, RunLog
@@ -20,6 +20,9 @@ from robofleet.vehicles.interface import DriverError
 
 def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict[str, Any]:
     """Run on a simulated clock and return the summary."""
+    from robofleet.processes.lockstep import Lockstep  # noqa: PLC0415 - it loads all that its processes need
+
+    began = _now()
     view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
     with hangup_interrupts(), view_of as view, RunLog(folder / FILE, config) as log:
         try:
@@ -33,7 +36,12 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
             run.recording.outcome, run.recording.cause = outcome, cause
         log.end(run.recording.ending())
         run.recording.dropped = log.dropped
-    return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause)
+    return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
+
+
+def _now() -> str:
+    """Return the date, UTC, for the summary: no message and no file of a run in lockstep depends on it."""
+    return f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _first(raised: BaseException) -> str:
@@ -44,15 +52,16 @@ def _first(raised: BaseException) -> str:
 
 
 def in_real_time(
-    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: bool
+    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None
 ) -> dict[str, Any]:
     """Run with real processes and return the summary."""
+    began = _now()
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
         run = Launcher(config, folder, view, terminal, reset=reset, take_over=take_over, web=web)
         outcome, cause = run.run()
-    recording = _recorded(config, folder)
+    recording = _recorded(config, folder) if run.began or outcome != "stopped" else Recording(config)
     recording.elapsed_s = run.recording.elapsed_s
-    return summary(recording, name=name, mode="realtime", outcome=outcome, cause=cause)
+    return summary(recording, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
 
 
 def _recorded(config: Config, folder: Path) -> Recording:

@@ -3,18 +3,23 @@
 import errno
 import gc
 import os
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from robofleet.clock import S, stopwatch_ns
 from robofleet.config.yamlfile import printable
-from robofleet.processes.refusal import RefusedError, bad_input
+from robofleet.files import write_bytes
+from robofleet.processes.refusal import RefusedError, bad_input, new_file, new_place
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
 
 app = typer.Typer()
 _NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
@@ -24,7 +29,7 @@ RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder
 
 @app.command()
 def replay(run: RunFolder) -> None:
-    """Let today's controller take what a recorded one took, tick by tick, and compare all that it says.
+    """Give today's controller a recording's inputs, tick by tick, and compare each command.
 
     Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
     different, or could not be compared.
@@ -38,6 +43,7 @@ def replay(run: RunFolder) -> None:
     times_ns = [stopwatch_ns()]
     with _readable():
         recording = read(run)
+        _load_behaviours(run, recording.config)
         times_ns.append(stopwatch_ns())
         compile_kernels(recording.config)
         times_ns.append(stopwatch_ns())
@@ -53,9 +59,23 @@ def replay(run: RunFolder) -> None:
         raise typer.Exit(1)
 
 
+def _load_behaviours(run: Path, config: "Config") -> None:
+    """Load the recording's behaviours; RefusedError where one is not here: a module may stand where one works."""
+    from robofleet.config import groups  # noqa: PLC0415
+    from robofleet.plugins import PluginError, reach  # noqa: PLC0415
+
+    for group in config.groups:
+        try:
+            reach(Path.cwd(), group.behaviour)
+            groups.kind(group)
+        except PluginError as error:
+            place = "start `robofleet replay` in the folder of its module" if ":" in group.behaviour else ""
+            raise RefusedError("; or ".join(filter(None, (f"{run}: {error}", place)))) from error
+
+
 @app.command()
 def repair(run: RunFolder) -> None:
-    """Mend the recording of a run that was killed: all that was written stays, and gets its index.
+    """Complete the recording of a run that was killed: all that was written stays, and gets an index.
 
     $ robofleet repair runs/20260102T030405Z-platoon
     """
@@ -73,7 +93,7 @@ def repair(run: RunFolder) -> None:
     if done.trouble is None:
         print(printable(f"{done.file}: needs no repair: {there}"))
         return
-    lost = f"; {done.lost} bytes behind them are lost" if done.lost else ""
+    lost = f"; {done.lost} bytes after them are lost" if done.lost else ""
     print(printable(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}"))
     if done.kept is not None:
         print(printable(f"The damaged file is kept: {done.kept}"))
@@ -82,31 +102,100 @@ def repair(run: RunFolder) -> None:
 @app.command()
 def report(
     run: RunFolder,
-    other: Annotated[Path | None, typer.Argument(metavar="RUN", help="Another one, to set beside it.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Of two: default RUN/compare-<other>.html.")] = None,
+    other: Annotated[
+        Path | None, typer.Argument(metavar="RUN", help="A second run, to compare with the first.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The page of two runs; default: RUN/compare-<other>.html.")
+    ] = None,
+    figures: Annotated[Path | None, typer.Option(metavar="DIR", help="Each figure as SVG and as PDF.")] = None,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
 ) -> None:
     """Write RUN/report.html and RUN/metrics.csv; of two runs, a page with both side by side.
 
     Exit 1 if the run did not meet one of its bounds.
 
     $ robofleet report runs/20260102T030405Z-platoon
+
+    $ robofleet report runs/20260102T030405Z-platoon --figures paper/figures --junit bounds.xml
     """
     with _keeping_garbage(), _readable():
-        from robofleet.recording import after  # noqa: PLC0415
-
-        if out is not None and other is None:
-            raise RefusedError("--out: one run's report stands in its folder; name two runs to compare them")
-        if out is not None and os.path.lexists(out) and (out.is_symlink() or not out.is_file()):
-            raise RefusedError(f"--out: {out} is there already and no file: name another one")
+        _refuse_misplaced(other, out, figures, junit)
         try:
-            page, missed = after.report(run) if other is None else after.compare(run, other, out)
+            page, lines = _made(run, figures, junit) if other is None else (_compared(run, other, out), [])
         except OSError as error:
             raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
     print(printable(str(page)))
-    for line in missed:
-        print(f"bound not met: {line}", file=sys.stderr)
-    if missed:
+    for line in lines:
+        print(line, file=sys.stderr)
+    if lines:
         raise typer.Exit(1)
+
+
+@app.command()
+def layout(
+    viewer: Annotated[str, typer.Argument(metavar="VIEWER", help="foxglove, lichtblick, plotjuggler or rerun.")],
+    run: RunFolder,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: in the run's folder.")] = None,
+) -> None:
+    """Write a viewer's layout for a run: the groups' own figures, wheels, poses and latency, robot by robot.
+
+    $ robofleet layout foxglove runs/20260102T030405Z-platoon
+    """
+    with _readable():
+        from robofleet.recording.reading import about, file_of  # noqa: PLC0415
+        from robofleet.recording.viewers.layouts import VIEWERS  # noqa: PLC0415
+
+        if viewer not in VIEWERS:
+            raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
+        chosen, file = VIEWERS[viewer], file_of(run)
+        recording = about(run)
+        try:
+            written = chosen.make(recording, file)
+        except ModuleNotFoundError as error:
+            if not (error.name or "").startswith("rerun"):
+                raise
+            raise RefusedError("rerun: its package is missing, or too old: pip install 'rerun-sdk>=0.37'") from error
+        place = out or file.with_name(chosen.file)
+        try:
+            write_bytes(place, written)
+        except OSError as error:
+            raise RefusedError(f"{place}: cannot be written: {error.strerror}: name another file with --out") from error
+    print(printable(str(place)))
+    for line in chosen.opening:
+        print("Next:", printable(line.format(run=shlex.quote(str(file)), layout=shlex.quote(str(place)))))
+
+
+def _refuse_misplaced(other: Path | None, out: Path | None, figures: Path | None, junit: Path | None) -> None:
+    if out is not None and other is None:
+        raise RefusedError("--out: one run's report stands in its folder; name two runs to compare them")
+    if out is not None and os.path.lexists(out) and (out.is_symlink() or not out.is_file()):
+        raise RefusedError(f"--out: {out} exists already and is not a file: name another one")
+    for option, value in (("--figures", figures), ("--junit", junit)):
+        if value is not None and other is not None:
+            raise RefusedError(f"{option}: it is made of one run: name one run")
+    if figures is not None:
+        new_place("--figures", figures)
+    if junit is not None:
+        new_file("--junit", junit)
+
+
+def _made(run: Path, figures: Path | None, junit: Path | None) -> tuple[Path, list[str]]:
+    """Write a run's report; returns the page, and a line for every bound that was not met."""
+    from robofleet.recording import after  # noqa: PLC0415
+    from robofleet.recording import junit as xml  # noqa: PLC0415
+    from robofleet.recording.bounds import complaints  # noqa: PLC0415
+
+    made = after.report(run, figures)
+    if junit is not None:
+        xml.write(made.summary, [] if made.trouble is None else [f"{run}: {made.trouble}"], junit)
+    return made.page, complaints(made.summary)
+
+
+def _compared(run: Path, other: Path, out: Path | None) -> Path:
+    from robofleet.recording import after  # noqa: PLC0415
+
+    return after.compare(run, other, out)
 
 
 @contextmanager

@@ -6,20 +6,21 @@ import numpy as np
 
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Request, Wake
-from robofleet.comms.keys import ENABLE, REQUEST, STATE
+from robofleet.comms.keys import BUSY, ENABLE, REQUEST, STATE
+from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, Enable, RobotState, RunState
 from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import RUN_STATE, Enable, RobotState, RunState
 from robofleet.comms.statuses import HURRY_NS
-from robofleet.config import slices
+from robofleet.config import groups, slices
 from robofleet.config.tree import Config
+from robofleet.processes.busy_news import BusyNews
 from robofleet.processes.fleet_view import FleetListener
-from robofleet.safety import arming, monitor, supervisor
+from robofleet.safety import arming, busy, monitor
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
-from robofleet.safety.supervisor import Event, Happening, Phase, RunStatus, describe
-from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus, describe
+from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
 
 _PERIOD_NS = 40 * MS
@@ -35,15 +36,17 @@ _REQUESTS = {
     b"resume": Event.RESUME_REQUESTED,
     b"estop": Event.ESTOP_REQUESTED,
     b"reset": Event.RESET,
+    b"park": Event.PARK_REQUESTED,
 }
 
 
 class Supervisor:
     """Requests of the operator and what is seen of the fleet drive one transition table.
 
-    ``free_bytes`` returns the room left where the run is recorded, ``attended`` asks for signs of the operator's life,
-    and ``say`` is given a line for each change of the run and for each robot that is stopped. A disk or a reader that
-    takes no line delays no stop: what a step decides is published before anything is said or answered.
+    ``free_bytes`` returns the room left where the run is recorded, ``machine`` how busy the computer is at an instant,
+    ``attended`` asks for signs of the operator's life, and ``say`` is given a line for each change of the run and for
+    each robot that is stopped. A disk or a reader that takes no line delays no stop: what a step decides is published
+    before anything is said or answered.
     """
 
     def __init__(
@@ -57,8 +60,9 @@ class Supervisor:
         free_bytes: Callable[[], int],
         attended: bool,
         say: Callable[[str], None],
+        machine: Callable[[int], Machine | None] = lambda _: None,
     ) -> None:
-        robots, driven = config.bodies, len(config.platoon)
+        robots, driven = config.bodies, len(config.members)
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
         speeds = tuple(drive.max_speed for drive in drives)
@@ -69,18 +73,30 @@ class Supervisor:
         self._limits = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
         self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
         self._arming = ArmingSettings(
-            build, tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives), radii, arena
+            build,
+            tuple(d.wheel_radius for d in drives),
+            tuple(d.wheel_base for d in drives),
+            radii,
+            arena,
+            groups.jam_of(config),
         )
         self._say = say
         self._lines: list[str] = []  # of this step
         self._replies: list[tuple[Request, str]] = []
-        self._listener = FleetListener(config, bus, free_bytes)
+        self._listener = FleetListener(config, bus, free_bytes, machine)
         self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
         self._publish_state = bus.publisher(STATE)
         self._request = bus.serve(REQUEST, "supervisor", wake)
         self._status = RunStatus()
         self._view = FleetView(clock.now_ns(), tuple(RobotView(driven=row < driven) for row in range(len(robots))))
         self._memory = Memory()
+        self._simulated = config.simulated
+        self._instead = {Event.PROVED: Event.SET_OUT} if config.run.begin == "go_to_start" else {}
+        self._instead |= {Event.ACCOMPLISHED: Event.OFF_TO_PARK} if config.run.end == "park" else {}
+        self._parks = all(robot.park is not None for robot in config.members)
+        self._busy = busy.Memory()
+        self._busy_news = BusyNews(self._epoch, self._ids)
+        self._publish_busy = bus.publisher(BUSY)
         self._standing: tuple[Happening, ...] = ()  # of the newest view
         self._checks: ArmingState | None = None  # while ARMED
         self._start = False  # is asked for, while ARMED
@@ -110,6 +126,7 @@ class Supervisor:
         self._memory, self._standing = monitor.watch(
             self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved
         )
+        self._busy = busy.watch(self._busy, self._status.phase, self._view)
         for happening in self._standing:
             self._happen(happening)
         served = 0
@@ -118,9 +135,11 @@ class Supervisor:
             served += 1
             request = self._request() if served < _MOST_REQUESTS else None
         self._arm()
+        self._go_on()
         self._finish_resets()
         self._judge_robots()
         if now_ns >= self._next_ns or (self._status, self._checks, self._robots, self._clear) != before:
+            self._tell_busy()
             self._publish()
         self._speak()
         if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
@@ -143,13 +162,37 @@ class Supervisor:
         """Nothing to bring to rest: the gates close when enables cease."""
 
     def _happen(self, happening: Happening) -> None:
-        before, self._status = self._status, supervisor.step(self._status, happening)
+        happening = happening._replace(event=self._instead.get(happening.event, happening.event))
+        before, then, now_ns = self._status, self._busy, self._view.now_ns
+        self._busy, self._status = busy.step(then, before, happening, now_ns, simulated=self._simulated)
+        if self._status.phase is Phase.ARMED is before.phase and self._busy.checks_ns != then.checks_ns:
+            self._check_again(happening, said=self._busy.attempts > then.attempts)
         if self._status.phase is not before.phase:
+            self._busy_news.stopped(self._busy, self._status, now_ns)
             self._lines.append(f"{before.phase.name} -> {self._status.phase.name}: {self._status.describe(self._ids)}")
             self._checks, self._start = None, False
             self._naming_ns = None
             if self._status.phase is Phase.ESTOP:
                 self._naming_ns = self._view.now_ns + _ACKNOWLEDGED_WITHIN_NS
+
+    def _check_again(self, happening: Happening, *, said: bool) -> None:
+        """Begin the checks before a start anew: a busy machine has spoilt them."""
+        self._checks = arming.begin(self._view.now_ns)
+        self._memory = self._memory._replace(since_ns=self._view.now_ns)
+        if said:
+            self._lines.append(f"the checks begin anew, this machine is busy: {describe(happening, self._ids)}")
+
+    def _go_on(self) -> None:
+        """Resume a run that nothing but a busy machine holds."""
+        self._busy, happening = busy.go_on(self._busy, self._status, self._view, self._standing)
+        if happening is not None:
+            self._happen(happening)
+
+    def _tell_busy(self) -> None:
+        news = self._busy_news.due(self._busy, self._view)
+        if news is not None:
+            self._publish_busy(BUSY_MACHINE.encode(news))
+            self._lines += self._busy_news.line(self._busy, news)
 
     @property
     def _proved(self) -> bool:
@@ -188,6 +231,8 @@ class Supervisor:
             self._replies.append((request, answer))
 
     def _refusal(self, event: Event) -> str | None:
+        if event is Event.PARK_REQUESTED and not self._parks:
+            return "not every robot has a place to park: write robots[].park into the configuration"
         unready = arming.unready(self._arming, self._view) if self._proved else None
         return refusal(event, self._status, self._standing, self._view, self._ids, unready)
 
@@ -242,7 +287,7 @@ class Supervisor:
             for row, seen in enumerate(self._view.robots)
         )
         for row, (old, new) in enumerate(zip(before, self._robots, strict=True)):
-            if new.cause not in (old.cause, Event.NOTHING) and self._status.phase is Phase.RUNNING:
+            if new.cause not in (old.cause, Event.NOTHING) and self._status.phase in MOVING:
                 self._lines.append(f"stands: {describe(causes[row], self._ids)}")
         if self._naming_ns is not None and self._view.now_ns >= self._naming_ns:
             self._naming_ns = None
@@ -251,7 +296,7 @@ class Supervisor:
 
     def _limit(self, row: int) -> float:
         """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""
-        if self._status.phase is Phase.RUNNING:
+        if self._status.phase in MOVING:
             return self._limits[row]
         if self._checks is not None and self._checks.probed == row:
             return min(PROBE_RAD_S, self._limits[row])
@@ -259,7 +304,7 @@ class Supervisor:
 
     def _publish(self) -> None:
         self._seq += 1
-        phase, cause, robot, detail = self._status
+        phase, cause, robot, detail, _ = self._status
         checks = self._checks or ArmingState()
         state = RunState(
             self._epoch,

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from robofleet.clock import Clock, S
+from robofleet.processes.compiling import Progress
 
 EMERGENCY_KEYS = frozenset("e ")
 _MOST = 64  # keys at once
@@ -25,13 +26,15 @@ _INPUT = 0  # place of the input modes in what termios returns
 class Terminal:
     """Keys without Enter while this is open; the terminal is given back as it was, whatever happens.
 
-    Where stdin is no terminal, or belongs to another command's foreground, there are no keys. Ctrl-S stops nothing.
+    Where stdin is not a terminal, or belongs to another command's foreground, there are no keys. Ctrl-S stops nothing.
     """
 
     def __init__(self) -> None:
         self.lost = False  # it was closed
         self.note = ""  # what the operator should read
+        self.compiling: tuple[Progress, ...] = ()  # what each process compiles, before the run begins
         self.page = ""  # where the operator's page is, or that it is gone
+        self.code = ""  # its address, where a phone can use it: shown once as a QR code
         self.emergency: Callable[[], object] = lambda: None  # called at once, by the thread that hears the keys
         self._before: list[Any] | None = None
         self._descriptor = -1

@@ -1,17 +1,18 @@
 """Reports from the files that runs left."""
 
 import os
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, Field, ValidationError
 
+from robofleet.clock import S
 from robofleet.files import read_plain
 from robofleet.recording import comparison, metrics
 from robofleet.recording import report as pages
-from robofleet.recording.bounds import failures
 from robofleet.recording.reading import read
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Recording, Run
 
 Summary = dict[str, Any]
 
@@ -26,34 +27,59 @@ class _Told(BaseModel):
     cause: Annotated[str, Field(max_length=10_000)] | None = None
     mode: Annotated[str, Field(max_length=100)] = "unknown"
     config: Annotated[str, Field(max_length=300)] | None = None
+    began: Annotated[str, Field(pattern=r"^\d{4}(-\d\d){2}T\d\d(:\d\d){2}Z$")] | None = None
 
 
-def report(run: Path) -> tuple[Path, list[str]]:
-    """Write a run's page and columns again; returns the page, and a line for every bound that was not met."""
-    recording, summary = _looked_at(run)
-    return pages.write(recording, summary, _folder(run)), failures(summary)
+class Report(NamedTuple):
+    """A run's report."""
+
+    page: Path
+    summary: Summary
+    trouble: str | None  # what is wrong with the recording
 
 
-def compare(first: Path, second: Path, out: Path | None) -> tuple[Path, list[str]]:
-    """Write the page about two runs; returns it, and no line: nothing is asked of a difference."""
+def report(run: Path, figures: Path | None = None) -> Report:
+    """Write a run's page and columns again, and its figures as files where a folder for them is given."""
+    columns, recording, summary = _looked_at(run)
+    page = pages.write(recording, summary, _folder(run), figures, columns)
+    return Report(page, summary, recording.trouble)
+
+
+def compare(first: Path, second: Path, out: Path | None) -> Path:
+    """Write the page about two runs and return it."""
     page = out or _folder(first) / f"compare-{_name(second)}.html"
     comparison.write(_side(first), _side(second), page)
-    return page, []
+    return page
 
 
 def _side(run: Path) -> comparison.Side:
-    recording, summary = _looked_at(run)
-    return comparison.Side(_name(run), pages.view_of(recording, summary), summary)
+    columns, recording, summary = _looked_at(run)
+    return comparison.Side(_name(run), pages.view_of(recording, summary, columns), summary)
 
 
-def _looked_at(run: Path) -> tuple[Recording, Summary]:
-    """Return a recording and its figures, worked out anew; what the file does not say of the run, its summary may."""
+def _looked_at(run: Path) -> tuple[Run, Recording, Summary]:
+    """Return a run in columns, its recording, and its figures, worked out anew.
+
+    What the file does not say of the run, its summary may.
+    """
     recording = read(run)
     told = _told(_folder(run) / SUMMARY)
     outcome, cause = recording.outcome or told.outcome, recording.cause or told.cause
     mode = recording.provenance.mode if recording.provenance else told.mode
     name = _name(run) if told.config is None else told.config
-    return recording, metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause)
+    columns = Run(recording)
+    began = told.began or _began(recording, columns)
+    summary = metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns)
+    return columns, recording, summary
+
+
+def _began(recording: Recording, run: Run) -> str | None:
+    """Return the date of a recording's first tick; None where its times are no dates."""
+    made, ticks = recording.provenance, run.all_ticks
+    if made is None or not made.epoch_ns or not len(ticks):
+        return None
+    date = datetime.fromtimestamp((made.epoch_ns + int(ticks["stamp_ns"][0])) // S, UTC)
+    return f"{date:%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _told(file: Path) -> _Told:

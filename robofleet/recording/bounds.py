@@ -1,6 +1,9 @@
-"""What a run is judged by: figures of its summary against the bounds of its configuration."""
+"""What a run is judged by: figures of its summary against the bounds of its configuration.
 
-from collections.abc import Callable
+A figure that several groups have is judged by the largest.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from robofleet.config.tree import Bounds
@@ -15,6 +18,12 @@ class Judged(NamedTuple):
     unit: str
     of: Callable[[Figures], float | None]  # the summary's value; None: not measured
     at_least: bool = False
+    own: bool = False  # whether it is a group's own, which not every behaviour has
+
+    @property
+    def title(self) -> str:
+        """Its label and unit in words."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
 def part(*keys: str) -> Callable[[Figures], float | None]:
@@ -29,23 +38,47 @@ def part(*keys: str) -> Callable[[Figures], float | None]:
     return value
 
 
-def _leaders_timed(figures: Figures) -> float | None:
-    timed = figures["timed_error_mm"]
-    leader: float | None = None if timed is None else timed["per_robot_mean"][0]
-    return leader
+def of_groups(*keys: str) -> Callable[[Figures], float | None]:
+    """Return what finds the largest figure of the groups that have it."""
+
+    def value(figures: Figures) -> float | None:
+        found = [_within(own, keys) for own in figures["groups"].values()]
+        return max((number for number in found if number is not None), default=None)
+
+    return value
+
+
+def _within(found: Any, keys: Sequence[str]) -> float | None:
+    """Return a number below keys of a group's figures, which may be of any kind; of a list the first."""
+    for key in keys:
+        found = found.get(key) if isinstance(found, dict) else None
+    if isinstance(found, list):
+        found = found[0] if found else None
+    return found if isinstance(found, int | float) and not isinstance(found, bool) else None
+
+
+def _own_stops(figures: Figures) -> int | None:
+    return sum(not stop["by_operator"] for stop in figures["stops"]) if figures["ticks"] else None
 
 
 JUDGED = {  # by the keys of run.bounds
-    "control_error_mean_mm": Judged("control error, mean", "mm", part("control_error_mm", "mean")),
-    "timed_error_mean_mm": Judged("leader's timed error, mean", "mm", _leaders_timed),
-    "path_error_mean_mm": Judged("path error, mean", "mm", part("path_error_mm", "mean")),
-    "spacing_max_deviation_mm": Judged("largest spacing error", "mm", part("spacing_m", "max_deviation_mm")),
+    "control_error_mean_mm": Judged("control error, mean", "mm", of_groups("control_error_mm", "mean"), own=True),
+    "timed_error_mean_mm": Judged(
+        "leader's timed error, mean", "mm", of_groups("timed_error_mm", "per_robot_mean"), own=True
+    ),
+    "path_error_mean_mm": Judged("path error, mean", "mm", of_groups("path_error_mm", "mean"), own=True),
+    "spacing_max_deviation_mm": Judged(
+        "largest spacing error", "mm", of_groups("spacing_m", "max_deviation_mm"), own=True
+    ),
     "min_gap_mm": Judged("smallest gap of bodies", "mm", part("min_gap_mm"), at_least=True),
     "pose_error_rms_mm": Judged("pose error, rms", "mm", part("pose_error", "rms_mm")),
     "overruns": Judged("ticks overrun", "", part("tick", "overruns")),
     "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", part("latency_ms", "exposure_to_wheel", "p99")),
-    "stops": Judged("stops of a robot", "", lambda figures: len(figures["stops"]) if figures["ticks"] else None),
+    "stops": Judged("stops of a robot by itself", "", _own_stops),
 }
+
+
+JUDGED_KEYS = "control_error_mm", "timed_error_mm", "path_error_mm", "spacing_m"  # of groups' figures
 
 
 def judged(figures: Figures, bounds: Bounds) -> list[Figures]:
@@ -59,13 +92,38 @@ def judged(figures: Figures, bounds: Bounds) -> list[Figures]:
     return verdicts
 
 
+def is_judged(figures: Figures, bound: Figures) -> bool:
+    """Return whether a bound says something of a run: not where the run ended before its figure was measured."""
+    return bound["value"] is not None or figures["outcome"] == "completed"
+
+
 def failures(figures: Figures) -> list[str]:
-    """Return a line for every bound of a summary that was not met."""
-    return [f"{JUDGED[bound['figure']].label}: {shown(bound)}" for bound in figures["bounds"] if not bound["pass"]]
+    """Return a line for every bound of a summary that was judged and not met."""
+    missed = [bound for bound in figures["bounds"] if not bound["pass"] and is_judged(figures, bound)]
+    return [f"{JUDGED[bound['figure']].label}: {shown(bound)}" for bound in missed]
+
+
+def unjudged(figures: Figures) -> str:
+    """Return how many bounds were not judged; an empty string where all were."""
+    bounds = figures["bounds"]
+    many = sum(not is_judged(figures, bound) for bound in bounds)
+    return f"{many} of {len(bounds)} bounds were not judged: the run ended too early" if many else ""
+
+
+def complaints(figures: Figures) -> list[str]:
+    """Return what a command says about the bounds of a run; nothing where every one was met."""
+    rest = unjudged(figures)
+    return [*(f"bound not met: {line}" for line in failures(figures)), *([rest] if rest else [])]
 
 
 def shown(bound: Figures) -> str:
     """Return a verdict's value and limit in words."""
+    unit = JUDGED[bound["figure"]].unit
+    value = "not measured" if bound["value"] is None else f"{bound['value']:.4g} {unit}".strip()
+    return f"{value}, {limit(bound)} asked for"
+
+
+def limit(bound: Figures) -> str:
+    """Return what a bound asks for, in words."""
     figure = JUDGED[bound["figure"]]
-    value = "not measured" if bound["value"] is None else f"{bound['value']:.4g} {figure.unit}".strip()
-    return f"{value}, {'at least' if figure.at_least else 'at most'} {bound['limit']:g} asked for"
+    return f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}".strip()

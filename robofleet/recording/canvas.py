@@ -29,6 +29,8 @@ _PHASES = {
     Phase.RUNNING: "#d8ebdb",
     Phase.HOLD: "#f7e3b5",
     Phase.FAULT: "#f0c4b8",
+    Phase.POSITIONING: "#cfe3ea",
+    Phase.PARKING: "#dcdcec",
     Phase.ESTOP: "#e59a88",
 }
 ALARM = "#b3261e"

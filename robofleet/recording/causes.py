@@ -2,8 +2,8 @@
 
 from enum import IntEnum
 
-from robofleet.comms.messages import RunState
-from robofleet.safety.supervisor import Event, Happening, describe
+from robofleet.comms.messages import RobotTick, RunState
+from robofleet.safety.supervisor import NOBODY, Event, Happening, describe
 
 
 def named(kind: type[IntEnum], value: int) -> str:
@@ -31,3 +31,10 @@ def halt_cause(state: RunState, row: int) -> str:
     """Return why one robot alone stands still; an empty string where it does not."""
     own = state.robots[row].cause if row < len(state.robots) else 0
     return cause(own, len(state.robots), 0.0, ()) if own else ""
+
+
+def own_halt(state: RunState | None, row: int, item: RobotTick | None) -> str:
+    """Return why a robot alone, or its group alone, stands still; an empty string where neither does."""
+    halted = "" if state is None else halt_cause(state, row)
+    failed = 0 if item is None else int(item.failed)
+    return halted or (cause(failed, NOBODY, 0.0, ()) if failed else "")

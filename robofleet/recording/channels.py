@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from robofleet.comms.keys import (
+    BUSY,
     CAMERA,
     COMMAND,
     ENABLE,
@@ -22,9 +23,7 @@ from robofleet.comms.keys import (
 )
 from robofleet.comms.layouts import VERSION, BlobLayout, Layout, ListLayout
 from robofleet.comms.messages import (
-    ENABLE as ENABLE_LAYOUT,
-)
-from robofleet.comms.messages import (
+    BUSY_MACHINE,
     FLEET_POSES,
     LEASE_REQUEST,
     RECORDER_STATUS,
@@ -33,6 +32,9 @@ from robofleet.comms.messages import (
     TICK_RECORD,
     TRACKER_NEWS,
     WHEEL_COMMAND,
+)
+from robofleet.comms.messages import (
+    ENABLE as ENABLE_LAYOUT,
 )
 from robofleet.comms.messages import (
     PICTURE as PICTURE_LAYOUT,
@@ -55,10 +57,11 @@ _LAYOUTS: dict[Topic, Layout[Any] | ListLayout[Any] | BlobLayout[Any]] = {
     PICTURE: PICTURE_LAYOUT,
     TICK: TICK_RECORD,
     STATE: RUN_STATE,
+    BUSY: BUSY_MACHINE,
     RECORDER: RECORDER_STATUS,
     TRUTH: TRUTH_LAYOUT,
 }
-_ABOUT_ALL, _ABOUT_CAMERA = (TICK, STATE, RECORDER), (POSES, NEWS, PICTURE)
+_ABOUT_ALL, _ABOUT_CAMERA = (TICK, STATE, RECORDER, BUSY), (POSES, NEWS, PICTURE)
 _ABOUT_ROBOTS = COMMAND, STATUS, ENABLE, LEASE, TRUTH
 _OTHER = "Bytes", {"fields": [], "rest": "bytes"}  # text of requests, and what is not known
 

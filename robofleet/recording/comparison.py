@@ -12,10 +12,11 @@ from robofleet.figures import COLOURS, STYLE
 from robofleet.pages import Marked, Page
 from robofleet.recording.bounds import JUDGED, Judged, part
 from robofleet.recording.canvas import View, lines, logarithmic, sheet
+from robofleet.recording.gauge import Curve
+from robofleet.recording.group_plots import wide
 from robofleet.recording.overview import floor, trail
-from robofleet.recording.plots import LOWEST_MM
+from robofleet.recording.own_figures import own_figures
 from robofleet.recording.run import Array
-from robofleet.recording.series import Series
 
 Summary = dict[str, Any]
 
@@ -23,11 +24,9 @@ _SAME = 0.01  # a difference of a figure that is no difference, relative to the 
 _AS_BEFORE = "the same"
 _SHOWN = 60  # keys
 _COLOURS = COLOURS[:2]
+_MEANS_JUDGED = "control_error_mm", "path_error_mm", "spacing_m"  # by a bound
 
 _ALSO = (
-    Judged("control error, largest", "mm", part("control_error_mm", "max")),
-    Judged("timed error, mean", "mm", part("timed_error_mm", "mean")),
-    Judged("centre off the path, mean", "mm", part("centre_error_mm", "mean")),
     Judged("heading error, rms", "deg", part("pose_error", "heading_rms_deg")),
     Judged("tags found", "of all", part("tracker", "measured_fraction"), at_least=True),
 )
@@ -52,7 +51,8 @@ class Side(NamedTuple):
 def write(first: Side, second: Side, file: Path) -> None:
     """Write the page about two runs; OSError if it cannot be."""
     sides = first, second
-    page = Page(f"{first.name} and {second.name}", "Two runs side by side: the second one is judged against the first")
+    title = f"{first.name} and {second.name}"
+    page = Page(title, "Two runs side by side: the second one is judged against the first")
     rows = list(_rows(*sides))
     counts = [sum(row[-1].good is good for row in rows) for good in (True, False)]
     same = sum(row[-1].text == _AS_BEFORE for row in rows)
@@ -66,9 +66,8 @@ def write(first: Side, second: Side, file: Path) -> None:
     with mpl.rc_context(STYLE):
         if all(len(side.view.series.t) for side in sides):
             page.figure(_paths(sides), "The dashed line is the first one's path.", title="Paths", legend=legend)
-        for overlay in OVERLAYS:
-            figure = _overlaid(sides, overlay)
-            if figure is not None:
+        for overlay in overlays(sides):
+            if (figure := _overlaid(sides, overlay)) is not None:
                 page.figure(figure, overlay.caption, title=overlay.title, legend=legend, long=True)
     page.write(file)
 
@@ -82,14 +81,40 @@ def _ended(summary: Summary) -> str:
 
 
 def _rows(first: Side, second: Side) -> Iterator[tuple[str, float | None, float | None, str, Marked]]:
-    for figure in (*JUDGED.values(), *_ALSO, *_NOT_JUDGED):
+    for figure in (*JUDGED.values(), *_ALSO, *_own(first.summary, second.summary), *_NOT_JUDGED):
         one, other = figure.of(first.summary), figure.of(second.summary)
-        label = f"{figure.label}, {figure.unit}" if figure.unit else figure.label
+        label = figure.title
+        if figure.own and one is None and other is None:
+            continue
         if one is None or other is None:
             yield label, one, other, "", Marked("not measured in both", None)
         else:
-            verdict = Marked("", None) if figure in _NOT_JUDGED else _verdict(one, other, more=figure.at_least)
+            judged = figure in JUDGED.values() or figure in _ALSO or "error" in figure.label
+            verdict = _verdict(one, other, more=figure.at_least) if judged else Marked("", None)
             yield label, one, other, f"{other - one:+.3g}", verdict
+
+
+def _own(first: Summary, second: Summary) -> Iterator[Judged]:
+    """Yield the groups' own figures beside those that bounds judge; of an error less is better."""
+    groups = first["groups"] | second["groups"]
+    for name, group in groups.items():
+        of = f" of {name}" if len(groups) > 1 else ""
+        for figure in own_figures(group):
+            for words, what in (("mean", "mean"), ("largest", "largest")) if figure.each else (("", "mean"),):
+                if words != "mean" or figure.key not in _MEANS_JUDGED:
+                    label = ", ".join(filter(None, (f"{figure.label}{of}", words)))
+                    yield Judged(label, figure.unit, _found(name, figure.key, what), own=True)
+
+
+def _found(name: str, key: str, what: str) -> Callable[[Summary], float | None]:
+    """Return what finds a group's own figure in a summary."""
+
+    def value(summary: Summary) -> float | None:
+        figures = own_figures(summary["groups"][name]) if name in summary["groups"] else ()
+        found: float | None = next((getattr(figure, what) for figure in figures if figure.key == key), None)
+        return found
+
+    return value
 
 
 def _verdict(one: float, other: float, *, more: bool) -> Marked:
@@ -105,7 +130,7 @@ def _keys(page: Page, first: Side, second: Side) -> None:
     one, other = (_flat(side.view.config.model_dump(mode="json")) for side in (first, second))
     missing = object()
     differing = [key for key in one | other if one.get(key, missing) != other.get(key, missing)]
-    page.section("Configuration", "" if differing else "Both have the same, key by key.")
+    page.section("Configuration", "" if differing else "Both runs have the same configuration, key by key.")
     if differing:
         page.table(
             ("key", first.name, second.name), [(key, one.get(key), other.get(key)) for key in differing[:_SHOWN]]
@@ -135,8 +160,36 @@ class Overlay(NamedTuple):
 
     title: str
     label: str
-    of: Callable[[Series], Array | None]  # (K,)
+    columns: tuple[Array | None, Array | None]  # (K,)
     caption: str
+
+
+def overlays(sides: tuple[Side, Side]) -> Iterator[Overlay]:
+    """Yield what the runs' groups have, then the filter's errors."""
+    first, second = (
+        {(p.said.name, c.key): c for p in side.view.series.run.parts for c in p.curves if c.live} for side in sides
+    )
+    several = any(len(side.view.series.run.parts) > 1 for side in sides)
+    for (name, key), curve in (first | second).items():
+        of = f" of {name}" if several else ""
+        off = curve.asked is not None
+        yield Overlay(
+            f"{curve.title}{of}", f"off by, {curve.unit}" if off else curve.unit or curve.label,
+            (_shown(first.get((name, key))), _shown(second.get((name, key)))),
+            "The one that is furthest from what was asked." if off else f"Mean, at every tick: {curve.meaning}.",
+        )  # fmt: skip
+    yield Overlay(
+        "Pose error", "mm", (_mean(sides[0].view.series.pose_mm), _mean(sides[1].view.series.pose_mm)),
+        "Mean of the robots, the filter against the truth.",
+    )  # fmt: skip
+
+
+def _shown(curve: Curve | None) -> Array | None:
+    if curve is None or not curve.values.shape[1]:
+        return None
+    if curve.asked is None:
+        return _mean(curve.values)
+    return np.asarray(np.fmax.reduce(np.abs(curve.values - curve.asked), axis=1))
 
 
 def _mean(values: Array | None) -> Array | None:
@@ -147,33 +200,19 @@ def _mean(values: Array | None) -> Array | None:
         return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
 
 
-def _leader(values: Array | None) -> Array | None:
-    return None if values is None or np.isnan(values[:, 0]).all() else values[:, 0]
-
-
-def _off(series: Series) -> Array | None:
-    asked_mm = series.run.config.groups[0].spacing_m * 1e3
-    return np.fmax.reduce(np.abs(series.spacing_mm - asked_mm), axis=1) if series.spacing_mm.shape[1] else None
-
-
-OVERLAYS = (
-    Overlay("Control error", "mm", lambda s: _mean(s.control_mm), "Mean of the robots, at every tick."),
-    Overlay("Spacing", "off by, mm", _off, "The pair that is furthest from its distance."),
-    Overlay("Path error", "mm", lambda s: _mean(s.path_mm), "Mean of the robots' true distances from the path."),
-    Overlay("Leader's timed error", "mm", lambda s: _leader(s.timed_mm), "From where the leader should be now."),
-    Overlay("Pose error", "mm", lambda s: _mean(s.pose_mm), "Mean of the robots, the filter against the truth."),
-)
-
-
 def _overlaid(sides: tuple[Side, Side], overlay: Overlay) -> Figure | None:
-    columns = [overlay.of(side.view.series) for side in sides]
-    if all(column is None or not len(column) for column in columns):
+    known = [column[np.isfinite(column)] if column is not None else np.empty(0) for column in overlay.columns]
+    every = np.concatenate(known)
+    if not every.size:
         return None
     figure, (axes,) = sheet(2.4)
     span = 0.0, max(side.view.span[1] for side in sides)
-    for side, column, colour in zip(sides, columns, _COLOURS, strict=True):
+    lowest = wide(every, every)
+    for side, column, colour in zip(sides, overlay.columns, _COLOURS, strict=True):
         if column is not None and len(column):
-            lines(axes, side.view.series.t, np.maximum(column, LOWEST_MM)[:, None], span, [colour])
-    logarithmic(axes, LOWEST_MM)
+            shown = column if lowest is None else np.maximum(column, lowest)
+            lines(axes, side.view.series.t, shown[:, None], span, [colour])
+    if lowest is not None:
+        logarithmic(axes, lowest)
     axes.set(xlabel="time since the start, s", ylabel=overlay.label, xlim=span)
     return figure

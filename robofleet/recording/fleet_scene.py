@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
@@ -11,6 +12,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from robofleet.behaviours import described
 from robofleet.clock import S
 from robofleet.comms.messages import FLEET_POSES, TICK_RECORD, TRUTH, RobotTick, RunState
 from robofleet.config.tree import Config
@@ -41,8 +43,10 @@ class FleetScene:
     where an image showed them.
     """
 
-    def __init__(self, config: Config) -> None:
-        self._config, self._robots, self._driven = config, config.bodies, len(config.platoon)
+    def __init__(self, config: Config, said: Sequence[described.Group]) -> None:
+        self._said = said
+        self._config, self._robots, self._driven = config, config.bodies, len(config.members)
+        self._sizes = self._driven, described.size(said)  # of a tick
         self._parked = {robot.tag: self._driven + k for k, robot in enumerate(config.bystanders)}
         self._image: tuple[int, bytes] | None = None  # the newest one, where there are bystanders, and its date
         self.state: RunState | None = None  # as the supervisor said it last
@@ -89,7 +93,7 @@ class FleetScene:
         frames: list[FrameTransform] = []
         (date_ns, payload), self._ticked = self._ticked or (0, b""), None
         tick = TICK_RECORD.decode(payload)
-        if tick is None or len(tick.robots) != self._driven:
+        if tick is None or (len(tick.robots), len(tick.figures)) != self._sizes:
             return said, frames
         self._items, at = tick.robots, stamp(date_ns)
         self._seen.update(row for row, item in enumerate(self._items) if not item.lost)
@@ -99,10 +103,17 @@ class FleetScene:
             frames.append(_frame(robot, at, item.x_m, item.y_m, item.psi_rad))
             pose = Pose(position=Vector3(x=item.x_m, y=item.y_m), orientation=shapes.turned(item.psi_rad))
             said.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
-        referring = [row for row in driven if tick.phase == Phase.RUNNING and self._permitted(row)]
+        told = described.told(self._said, np.array([tick.figures]))
+        there = np.concatenate([of.references[0] for of in told])
+        referring = [
+            row
+            for row in (driven if tick.phase == Phase.RUNNING else ())
+            if self._permitted(row) and np.isfinite(there[row]).all()
+        ]
         if referring or self._references:
-            shape = shapes.references({row: self._items[row] for row in referring}, at)
-            said.append(("/references", SceneUpdate(entities=[shape])))
+            here = [(self._items[row].point_x_m, self._items[row].point_y_m) for row in referring]
+            points = np.hstack([np.reshape(here, (-1, 2)), there[referring]])
+            said.append(("/references", SceneUpdate(entities=[shapes.references(referring, points, at)])))
         self._references = referring
         return said, frames
 

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from enum import IntEnum
 from typing import NamedTuple
 
-from robofleet.comms.messages import RunState, TrackerNews
+from robofleet.comms.messages import BusyMachine, RunState, TrackerNews
+from robofleet.recording import busy_machine
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
@@ -56,3 +57,8 @@ def news_line(news: TrackerNews) -> Line:
     """Return what happened to the camera or to a tag."""
     level = Level.INFO if news.event in _GOOD_NEWS else Level.WARNING
     return Line(level, "tracker", describe(news.event, news.tag, news.value))
+
+
+def busy_line(message: BusyMachine, robots: tuple[str, ...]) -> Line:
+    """Return that the machine is too busy for the run: the first message says so."""
+    return Line(Level.WARNING, "supervisor", busy_machine.notice(message, robots))

@@ -1,7 +1,7 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -15,16 +15,19 @@ from robofleet.clock import MS
 from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, key
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
+from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, keys, schema
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
+from robofleet.recording.robot_ticks import RobotTicks
 from robofleet.recording.scene import Scene
+from robofleet.valid_json import dumps
 
 FILE = "run.mcap"
 PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: robofleet's version, the messages'
-CONFIG, ENDING = "config.yaml", "ending.json"  # the attachments
+CONFIG, GROUPS, ENDING = "config.yaml", "groups.json", "ending.json"  # the attachments
 PROVENANCE, DROPPED = "provenance", "dropped"  # the metadata
 COUNT = "messages"  # how many were dropped since the record before
 _CHUNK = 64 * 1024  # [bytes]
@@ -57,14 +60,19 @@ class RunLog:
         self._kept: list[Attachment | Metadata] = []  # until they are in the file
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
-        self._scene = Scene(config, epoch_ns=epoch_ns)
+        said = groups.descriptions(config)
+        self._scene = Scene(config, said, epoch_ns=epoch_ns)
         for topic, name, descriptor in self._scene.channels:
             self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
+        self._robot_ticks = RobotTicks(config, said)
+        for topic, of in self._robot_ticks.channels:
+            self._channels[topic] = self._channel(topic, "protobuf", of.name, "protobuf", of.descriptor)
         self._flushed_ns = 0
         self.messages = 0  # that came
         self.dropped = 0  # that are not in the file
         self.failed: str | None = None  # why the newest write did not succeed
         self._attach(CONFIG, "application/yaml", resolved_yaml(config).encode())
+        self._attach(GROUPS, "application/json", dumps([group.plain() for group in said]).encode())
         provenance = Provenance.here(config, "realtime" if epoch_ns else "lockstep", epoch_ns)
         self._kept.append(Metadata(PROVENANCE, provenance.metadata()))
         self._write()
@@ -78,6 +86,7 @@ class RunLog:
         self._container.add_message(channel, self.messages & 0xFFFFFFFF, log_ns, payload)
         for topic, drawn in self._scene.update(full, payload, at_ns):
             self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
+        self._add_robot_ticks(self._robot_ticks.update(full, payload, log_ns))
         if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
             self._write()
 
@@ -102,6 +111,7 @@ class RunLog:
         """End the file with its index. Idempotent."""
         if self._file.closed:
             return
+        self._add_robot_ticks(self._robot_ticks.rest())
         self._write()
         try:
             if self.failed is None:
@@ -120,6 +130,10 @@ class RunLog:
     ) -> None:
         """End the file."""
         self.close()
+
+    def _add_robot_ticks(self, told: Sequence[tuple[str, int, bytes]]) -> None:
+        for topic, log_ns, row in told:
+            self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, row)
 
     def _register(self, full: str) -> int:
         name, description = schema(full)

@@ -1,7 +1,6 @@
 """What a run was worth: ``summary.json`` from the messages of the run.
 
-Control error after ``run.settle_s``; what is measured on the truth after ``run.spacing_settle_s``. A figure that was
-not measured is None.
+What is each group's own its behaviour measures (``gauge.py``). A figure that was not measured is None.
 """
 
 import math
@@ -10,44 +9,61 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.comms.keys import BUSY, key
+from robofleet.recording import busy_machine
 from robofleet.recording.bounds import judged
 from robofleet.recording.causes import named
-from robofleet.recording.measures import (
-    compute_us,
-    delays_ms,
-    pose_errors,
-    spacings,
-    true_errors,
-)
+from robofleet.recording.measures import compute_us, delays_ms, pose_errors
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.stops import stops
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 Figures = dict[str, Any]
 
+# Figures of a group that stand beside those of the whole run, where one group alone has them, and what is in them.
+_HOISTED = {
+    "control_error_mm": {"mean", "max", "per_robot_mean"},
+    "timed_error_mm": {"mean", "max", "per_robot_mean"},
+    "path_error_mm": {"mean", "max", "per_robot_mean"},
+    "centre_error_mm": {"mean", "max", "per_robot_mean"},
+    "spacing_m": {"mean", "max_deviation_mm"},
+}
 
-def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None) -> Figures:
-    """Return the figures of a run as ``summary.json`` has them."""
-    run, config = Run(recording), recording.config
+
+def summary(
+    recording: Recording,
+    *,
+    name: str,
+    mode: str,
+    outcome: str,
+    cause: str | None,
+    began: str | None = None,
+    run: Run | None = None,
+) -> Figures:
+    """Return the figures of a run as ``summary.json`` has them.
+
+    ``began``: when, UTC, ISO 8601; ``run``: the recording in columns, where somebody has it.
+    """
+    run, config = run or Run(recording), recording.config
     duration_s = float(run.t[-1]) if len(run.t) else 0.0
-    settled, spaced = run.after(config.run.settle_s), run.after(config.run.spacing_settle_s)
+    groups = _groups(run)
     figures = {
         "version": 1,
         "config": name,
         "seed": config.run.seed,
         "mode": mode,
+        "began": began,
         "outcome": outcome,
         "cause": cause,
         "duration_s": duration_s,
         "ticks": len(run.t),
         "real_time_factor": _rounded(duration_s / recording.elapsed_s) if recording.elapsed_s else None,
         "trace_hash": recording.trace_hash,
-        "robots": [robot.id for robot in config.platoon],
+        "robots": [robot.id for robot in config.members],
         "bystanders": [robot.id for robot in config.bystanders],
-        "estimated": [r.id for r, known in zip(config.platoon, run.known, strict=True) if len(run.t) and not known],
-        "control_error_mm": _errors(run.items["control_error_m"][settled]),
-        **_true_errors(run, spaced),
-        "spacing_m": _spacing(run, spaced),
+        "estimated": [r.id for r, known in zip(config.members, run.known, strict=True) if len(run.t) and not known],
+        **_hoisted(groups),
+        "groups": groups,
         **_distances(run),
         "pose_error": _pose_error(run),
         "tracker": _tracker(run, recording),
@@ -57,41 +73,30 @@ def summary(recording: Recording, *, name: str, mode: str, outcome: str, cause: 
         "filtered_fraction": _rounded((run.items["filtered"] > 0).mean()) if len(run.t) else None,
         "recording": {"messages": recording.count, "dropped": recording.dropped},
         "stops": stops(run),
+        "busy_machine": busy_machine.figures(recording.messages.get(key(config.arena.name, BUSY), ()), config.ids),
         "rejected": {
-            robot.id: _rejected(run, status) for robot, status in zip(config.platoon, run.statuses, strict=True)
+            robot.id: _rejected(run, status) for robot, status in zip(config.members, run.statuses, strict=True)
         },
     }
     return figures | {"bounds": judged(figures, config.run.bounds)}
 
 
-def _errors(metres: Array) -> Figures | None:
-    """Mean, largest and per-robot mean of errors (K, N) [m], in mm, without those that are not known."""
-    mm = metres * 1e3
-    known = mm[np.isfinite(mm)]
-    if not known.size:
-        return None
-    each = [_mean(column) for column in mm.T]
-    return {"mean": _rounded(known.mean()), "max": _rounded(known.max()), "per_robot_mean": each}
-
-
-def _true_errors(run: Run, counted: NDArray[np.bool_]) -> Figures:
-    names = "timed_error_mm", "path_error_mm", "centre_error_mm"
-    errors = true_errors(run, counted)
-    return dict.fromkeys(names) if errors is None else dict(zip(names, map(_errors, errors), strict=True))
-
-
-def _spacing(run: Run, counted: NDArray[np.bool_]) -> Figures | None:
-    points = run.points()
-    if points is None or not counted.any() or points.shape[1] < 2:
-        return None
-    gaps = spacings(points[counted])
-    if np.isnan(gaps).all():
-        return None
-    deviation = np.abs(gaps - run.config.groups[0].spacing_m)
+def _groups(run: Run) -> Figures:
+    """Each group's own figures; ``asked``: what a measure should be, where the behaviour says so."""
     return {
-        "mean": [_mean(column, 5) for column in gaps.T],
-        "max_deviation_mm": _rounded(np.nanmax(deviation) * 1e3),
+        part.said.name: part.summary()
+        | {"behaviour": part.said.behaviour, "robots": list(part.said.robots), "asked": part.gauge.asked}
+        for part in run.parts
     }
+
+
+def _hoisted(groups: Figures) -> Figures:
+    found: Figures = {}
+    for name, parts in _HOISTED.items():
+        told = [own.get(name) for own in groups.values()]
+        have = [own for own in told if isinstance(own, dict) and parts <= own.keys()]
+        found[name] = have[0] if len(have) == 1 else None
+    return found
 
 
 def _distances(run: Run) -> Figures:
@@ -132,8 +137,8 @@ def _pose_error(run: Run) -> Figures | None:
 
 
 def _tracker(run: Run, recording: Recording) -> Figures:
-    frames, n = run.frames, len(run.config.platoon)
-    tags, fleet = ({robot.tag for robot in robots} for robots in (run.config.platoon, run.config.robots))
+    frames, n = run.frames, len(run.config.members)
+    tags, fleet = ({robot.tag for robot in robots} for robots in (run.config.members, run.config.robots))
     seen = sum(pose.tag in tags and pose.coasted_ns == 0 for frame in frames for pose in frame.poses)
     if recording.tracker_durations_ns is not None:
         durations = sorted(recording.tracker_durations_ns)[-len(frames) :]  # the other steps had no image

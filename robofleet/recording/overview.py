@@ -5,8 +5,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
+from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config.robots import Robot
-from robofleet.figures import INK, QUIET
+from robofleet.figures import INK, QUIET, robot_colours
 from robofleet.recording.canvas import ALARM, WIDTH, View, phase_colour, sheet
 from robofleet.recording.run import Array
 from robofleet.recording.timeline import CONTROLLER, FAULTS, TRACKER, Entry
@@ -21,10 +22,15 @@ _FEW = 12  # faults, and robots that have a row whatever happened to them
 def paths(view: View) -> Figure:
     """Draw every point's trail over the arena, the bodies at the end, and where a robot was stopped."""
     figure, axes = floor(view)
-    points, last = view.series.points, len(view.series.robots) - 1
+    points = view.series.points
+    ranks = [
+        1 - k / max(len(group.robots) - 1, 1) for group in view.series.run.groups for k in range(len(group.robots))
+    ]
+    references = view.series.run.references
     for row, colour in enumerate(view.colours):
         walked = trail(points[:, row])
-        axes.plot(*walked.T, color=colour, lw=1.2 + 4.5 * (1 - row / max(last, 1)))  # each shows beside the next one's
+        axes.plot(*trail(references[:, row]).T, color=colour, lw=0.6, ls=(0, (1, 3)), zorder=2.4)
+        axes.plot(*walked.T, color=colour, lw=1.2 + 4.5 * ranks[row])  # each shows beside the next one's
         axes.plot(*walked[0], "o", ms=4, mfc="white", mec=colour)
     _bodies(axes, view)
     for entry in view.timeline.entries:
@@ -35,7 +41,7 @@ def paths(view: View) -> Figure:
 
 
 def floor(view: View) -> tuple[Figure, Axes]:
-    """Draw the arena and the path alone."""
+    """Draw the arena, and what the groups' behaviours have on its floor."""
     width, height = view.config.arena.size_m
     x, y = width / 2 + _AROUND_M, height / 2 + _AROUND_M
     figure = Figure(figsize=(WIDTH, WIDTH * y / x))
@@ -43,17 +49,32 @@ def floor(view: View) -> tuple[Figure, Axes]:
     axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
     axes.axis("off")
     axes.add_patch(Rectangle((-width / 2, -height / 2), width, height, fc="none", ec=QUIET, lw=1.0))
-    path = view.series.run.path
-    axes.plot(*path.position(np.linspace(0.0, path.sides, 400)).T, color=INK, lw=0.8, ls=(0, (4, 4)), zorder=2.5)
+    for group in view.series.run.groups:
+        for shape in group.shapes:
+            _shape(axes, shape, dict(zip(view.series.robots, view.colours, strict=True)))
     below = -height / 2 - _AROUND_M / 2
     axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
     axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
     return figure, axes
 
 
+def _shape(axes: Axes, shape: Shape, robots: dict[str, str]) -> None:
+    """Draw a shape; ``robots``: the colours of those whose own lines are named after them."""
+    if isinstance(shape, Dots):
+        for row, (x, y) in enumerate(shape.points):
+            axes.plot(x, y, "o", ms=3, color=robot_colours(len(shape.points))[row], zorder=2.5)
+        return
+    points = np.concatenate([shape.points, shape.points[:1]]) if shape.closed else shape.points
+    colour = robots.get(shape.name, INK)
+    axes.plot(*points.T, color=colour, lw=0.8, ls=(0, (4, 4)), zorder=2.5)
+    for k in {max(1, len(points) // 4), 3 * len(points) // 4} if shape.directed and len(points) > 1 else ():
+        look = {"arrowstyle": "-|>", "color": colour, "lw": 0.8}
+        axes.annotate("", points[k], points[k - 1], arrowprops=look, zorder=2.5)
+
+
 def _bodies(axes: Axes, view: View) -> None:
     poses = view.series.run.poses()
-    for row, (robot, colour) in enumerate(zip(view.config.platoon, view.colours, strict=True)):
+    for row, (robot, colour) in enumerate(zip(view.config.members, view.colours, strict=True)):
         _body(axes, robot, poses[-1, row], colour)
     for robot, pose in zip(view.config.bystanders, view.series.run.standing(), strict=True):
         if np.isfinite(pose).all():
@@ -87,7 +108,7 @@ def happened(view: View) -> Figure:
     rows = [name for name in (CONTROLLER, TRACKER, *robots) if name in concerned or name in robots[:_FEW]]
     figure, (axes,) = sheet(_ROW * (len(faults) + len(rows) + 1) + 0.6)
     labels = ["phase", *["fault"] * len(faults), *rows]
-    axes.set(xlim=(timeline.begin_s, max(timeline.end_s, timeline.begin_s + 0.1)), ylim=(len(labels) - 0.5, -0.5))
+    axes.set(xlim=(timeline.shown_s, max(timeline.end_s, timeline.shown_s + 0.1)), ylim=(len(labels) - 0.5, -0.5))
     axes.set(xlabel="time since the start, s", yticks=range(len(labels)), yticklabels=labels)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
@@ -117,11 +138,12 @@ def _fault(axes: Axes, entry: Entry, row: int) -> None:
 
 def _phases(axes: Axes, view: View) -> None:
     timeline = view.timeline
-    whole = max(timeline.end_s - timeline.begin_s, 0.1)
+    whole = max(timeline.end_s - timeline.shown_s, 0.1)
     for span in timeline.phases:
+        begins_s = max(span.t_s, timeline.shown_s)
         axes.broken_barh([(span.t_s, span.until_s - span.t_s)], (-0.42, 0.84), color=phase_colour(span.phase))
-        if (span.until_s - span.t_s) / whole > 0.012 * len(span.name):  # there is room for the word
-            axes.text((span.t_s + span.until_s) / 2, 0, span.name, ha="center", va="center", fontsize=8, color=INK)
+        if (span.until_s - begins_s) / whole > 0.012 * len(span.name):  # there is room for the word
+            axes.text((begins_s + span.until_s) / 2, 0, span.name, ha="center", va="center", fontsize=8, color=INK)
 
 
 def _entry(axes: Axes, entry: Entry, row: int, colour: str) -> None:

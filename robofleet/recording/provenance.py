@@ -8,9 +8,9 @@ from pathlib import Path
 
 from robofleet.comms.layouts import VERSION
 from robofleet.config.load import resolved_yaml
-from robofleet.config.model import Model
 from robofleet.config.slices import build
 from robofleet.config.tree import Config
+from robofleet.settings import Model
 
 _PACKAGES = {
     "robofleet": "robofleet",

@@ -15,12 +15,14 @@ from robofleet.config.faults import cross_checks
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Source, parse_bytes
 from robofleet.files import open_plain
+from robofleet.plugins import PluginError
 from robofleet.recording.channels import ENCODING
 from robofleet.recording.chunks import Content, Message
-from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, LIBRARY, PROFILE, PROVENANCE
+from robofleet.recording.groups_said import said
+from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, GROUPS, LIBRARY, PROFILE, PROVENANCE
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Recording
-from robofleet.recording.scanning import Scan
+from robofleet.recording.scanning import NO_MCAP, Scan
 
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
 _SHOWN = 80  # characters of what a file says of itself
@@ -39,7 +41,35 @@ def read(run: Path) -> Recording:
         recording = _recording(scan, file)
     if recording is None or not recording.messages:
         raise nothing(scan, file)
+    _know_groups(recording, file)
     recording.trouble = scan.trouble
+    return recording
+
+
+def about(run: Path) -> Recording:
+    """Return what the file of a run says before its first message, be the run still going on, and no message.
+
+    Raises:
+        RecordingError: if nothing can be read.
+    """
+    file = file_of(run)
+    with opened(file) as stream:
+        scan, made_by = scanned(stream), ""
+        recording: Recording | None = None
+        for item in scan.items():
+            if isinstance(item, Header):
+                made_by = check_maker(item, file)
+            elif isinstance(item, Attachment) and item.name == CONFIG:
+                recording = Recording(_config(item.data, made_by, file))
+            elif recording is not None and isinstance(item, Attachment) and item.name == GROUPS:
+                with suppress(KeyError, TypeError, ValueError):
+                    _note(recording, item)
+                break
+            elif recording is not None and isinstance(item, list):
+                break
+    if recording is None:
+        raise nothing(scan, file)
+    _know_groups(recording, file)
     return recording
 
 
@@ -54,11 +84,11 @@ def opened(file: Path) -> Iterator[BinaryIO]:
     try:
         stream = open_plain(file)
     except FileNotFoundError as error:
-        raise RecordingError(f"{file}: there is no such recording: name a folder of robofleet run's") from error
+        raise RecordingError(f"{file}: there is no such recording: name a run's folder") from error
     except OSError as error:
         raise RecordingError(f"{file}: cannot be read: {error.strerror}") from error
     except ValueError as error:
-        raise RecordingError(f"{file}: is no name of a file") from error
+        raise RecordingError(f"{file}: is not a file name") from error
     with stream:
         yield stream
 
@@ -71,8 +101,10 @@ def scanned(stream: BinaryIO) -> Scan:
 def nothing(scan: Scan, file: Path) -> RecordingError:
     """Return the refusal of a file without a message."""
     if scan.trouble is None:
-        return RecordingError(f"{file}: there is no message in it: the run ended before anything was said")
-    return RecordingError(f"{file}: no recording: it {scan.trouble}, and no message comes before that")
+        return RecordingError(f"{file}: holds no message: the run ended before its first message: name another run")
+    if scan.trouble == NO_MCAP:
+        return RecordingError(f"{file}: is not a recording: name a run's folder, or the run.mcap in it")
+    return RecordingError(f"{file}: is not a recording: the file {scan.trouble}")
 
 
 def check_maker(header: Header, file: Path) -> str:
@@ -80,7 +112,7 @@ def check_maker(header: Header, file: Path) -> str:
     made_by = _MADE_BY.fullmatch(header.library) if header.profile == PROFILE else None
     if made_by is None:
         raise RecordingError(
-            f"{file}: no recording of robofleet's: it was made by {header.library[:_SHOWN] or 'somebody else'}"
+            f"{file}: is not a recording of robofleet: it was made by {header.library[:_SHOWN] or 'somebody else'}"
         )
     robofleet, wire = made_by.groups()
     if int(wire) != VERSION:
@@ -113,7 +145,7 @@ def _recording(scan: Scan, file: Path) -> Recording | None:
         elif recording is None:
             continue
         elif isinstance(item, Attachment | Metadata):
-            with suppress(KeyError, ValueError):  # metadata have no CRC; another version may say less
+            with suppress(KeyError, TypeError, ValueError):  # metadata have no CRC; another version may say less
                 _note(recording, item)
         elif isinstance(item, list):
             for full, message in own(item, channels):
@@ -125,12 +157,22 @@ def _note(recording: Recording, told: Attachment | Metadata) -> None:
     if isinstance(told, Attachment):
         if told.name == ENDING:
             recording.end(told.data)
+        elif told.name == GROUPS:
+            recording.said = said(told.data, recording.config)
     elif told.name == PROVENANCE:
         recording.provenance = Provenance.of(told.metadata)
     elif told.name == DROPPED:
         if not 0 <= (dropped := int(told.metadata[COUNT])) < _MOST_DROPPED:
             raise ValueError("no count")
         recording.dropped += dropped
+
+
+def _know_groups(recording: Recording, file: Path) -> None:
+    """Find out which figures the groups have; RecordingError where neither the file says it nor a behaviour."""
+    try:
+        _ = recording.groups
+    except (PluginError, ValueError) as error:
+        raise RecordingError(f"{file}: it does not say which figures its groups have: {error}") from error
 
 
 def _config(text: bytes, made_by: str, file: Path) -> Config:
@@ -146,5 +188,5 @@ def _config(text: bytes, made_by: str, file: Path) -> Config:
             f"{file}: its configuration is of another version ({place}: {fault['msg']}): install {made_by}"
         ) from error
     for place, message in cross_checks(config):
-        raise RecordingError(f"{file}: its configuration cannot be: {place}: {message}")
+        raise RecordingError(f"{file}: its configuration is not valid: {place}: {message}")
     return config

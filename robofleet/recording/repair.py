@@ -85,7 +85,9 @@ def _copy(scan: Scan, new: FileIO, file: Path) -> None:
         else:
             for content in item:
                 if not _add(container, content):
-                    raise RecordingError(f"{file}: no recording of robofleet's: its channels are not in their order")
+                    raise RecordingError(
+                        f"{file}: is not a recording of robofleet: its channels are not in their order"
+                    )
             container.write()
     container.finish()
 

@@ -1,34 +1,46 @@
 """What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
 
 import shlex
-from datetime import UTC, datetime
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 
-from robofleet.clock import S
 from robofleet.config.load import resolved_yaml
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
-from robofleet.recording.bounds import JUDGED, failures
+from robofleet.recording.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.recording.canvas import View
-from robofleet.recording.plots import SECTIONS
+from robofleet.recording.columns import CSV, write_csv
+from robofleet.recording.own_figures import own_figures
+from robofleet.recording.paper_figures import FigureFiles
+from robofleet.recording.plots import HAPPENED, sections
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.series import CSV, series, write_csv
+from robofleet.recording.series import series
+from robofleet.recording.stops import together
 from robofleet.recording.timeline import Timeline
 
 Summary = dict[str, Any]
 
 PAGE = "report.html"
 _ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
+_WHO = {True: "the operator", False: "-"}
+_OWN_TILES = 6  # of a group
 _SHOWN = 80  # entries of a table; a run that is worse shows its first ones
 
 
-def write(recording: Recording, summary: Summary, folder: Path) -> Path:
-    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be."""
-    view = view_of(recording, summary)
-    page = Page(summary["config"], _subtitle(recording, summary))
+def write(
+    recording: Recording, summary: Summary, folder: Path, figures: Path | None = None, run: Run | None = None
+) -> Path:
+    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be.
+
+    ``figures``: a folder for every plot as a file of its own, which the page links. ``run``: the recording in columns,
+    where somebody has it.
+    """
+    view = view_of(recording, summary, run)
+    page = Page(summary["config"], _subtitle(summary))
     _verdict(page, recording, summary)
     if summary["ticks"]:
         page.tiles(_tiles(summary))
@@ -38,54 +50,62 @@ def write(recording: Recording, summary: Summary, folder: Path) -> Path:
             )
         _bounds(page, summary)
     with mpl.rc_context(STYLE):
-        _plots(page, view)
+        _plots(page, view, None if figures is None else FigureFiles(figures, folder / PAGE))
     _stops(page, summary)
     _entries(page, view.timeline)
     _robots(page, summary)
-    _origin(page, recording, folder)
+    _origin(page, recording, folder, linked=figures is not None)
     write_csv(view.series, folder / CSV)
     page.write(folder / PAGE)
     return folder / PAGE
 
 
-def view_of(recording: Recording, summary: Summary) -> View:
+def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> View:
     """Return what there is to draw of a run."""
-    run = Run(recording)
+    run = run or Run(recording)
     return View(recording, series(run), Timeline(run, summary["stops"]))
 
 
-def _subtitle(recording: Recording, summary: Summary) -> str:
+def _subtitle(summary: Summary) -> str:
     mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
     robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
     said = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
-    made, ticks = recording.provenance, Run(recording).all_ticks
-    if made is None or not made.epoch_ns or not len(ticks):
-        return said
-    began = datetime.fromtimestamp((made.epoch_ns + int(ticks["stamp_ns"][0])) // S, UTC)
-    return f"{began:%Y-%m-%d %H:%M:%S} UTC; {said}"
+    began = summary["began"]
+    return said if began is None else f"{began.removesuffix('Z').replace('T', ' ')} UTC; {said}"
 
 
 def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
     """Say what became of the run, and why."""
-    missed, cause, stops = failures(summary), summary["cause"], len(summary["stops"])
+    missed = failures(summary)
     good: bool | None = not missed and summary["outcome"] == "completed"
     if summary["outcome"] == "completed":
         of = len(summary["bounds"])
         said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
         said += ", every bound met" if of and not missed else ""
     else:
-        ended = _ENDS.get(summary["outcome"], "Nobody came to say how it ended")
+        ended = _ENDS.get(summary["outcome"], "How it ended was not recorded")
         said = ended if summary["ticks"] else "Did not start"
-        said += f": {cause}" if cause else ""
-    if missed and not summary["ticks"]:
-        missed = ["Nothing was measured."]
-    lines = missed or ([] if summary["bounds"] else ["No bounds are configured: nothing was judged."])
-    lines = [f"{stops} stop{'s' * (stops > 1)} of a robot on the way.", *lines] if stops else lines
+        said += f": {summary['cause']}" if summary["cause"] else ""
+    lines = list(_stopped(summary)) if summary["ticks"] else ["Nothing was measured."]
+    lines += missed
+    if summary["ticks"] and (rest := unjudged(summary)):
+        lines.append(f"{rest}.")
+    if not summary["bounds"]:
+        lines.append("No bounds are configured: nothing was judged.")
+    if (busy := summary["busy_machine"]) is not None:
+        lines.append(busy["words"])
     if recording.trouble:
         lines.append(f"The recording is not whole: the file {recording.trouble}.")
     if recording.dropped:
-        lines.append(f"The recorder did not get {recording.dropped:,} messages: figures lack what they said.")
-    page.verdict(said, good=good, detail="\n".join(lines) or "No robot was stopped on the way.")
+        lines.append(f"The recorder did not get {recording.dropped:,} messages: the figures lack them.")
+    page.verdict(said, good=good, detail="\n".join(lines))
+
+
+def _stopped(summary: Summary) -> Iterator[str]:
+    """Yield who stopped on the way, and whom the operator stopped."""
+    own = sum(not stop["by_operator"] for stop in summary["stops"])
+    yield f"{own} stop{'s' * (own > 1)} of a robot by itself." if own else "No robot stopped by itself."
+    yield from (f"The operator stopped {line}." for line in together(summary["stops"]))
 
 
 def _tiles(summary: Summary) -> list[Tile]:
@@ -93,13 +113,26 @@ def _tiles(summary: Summary) -> list[Tile]:
     tiles = []
     for name, figure in JUDGED.items():
         value, bound = figure.of(summary), verdicts.get(name)
+        if figure.own and value is None and bound is None:
+            continue
         note = Marked("no bound", None)
         if bound is not None:
-            limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
-            note = Marked(f"✓ {limit}" if bound["pass"] else f"✗ {limit}", bound["pass"])
+            asked = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
+            good = bound["pass"] if is_judged(summary, bound) else None
+            note = Marked({True: "✓ ", False: "✗ ", None: ""}[good] + asked, good)
         shown = "–" if value is None else _short(value)
         tiles.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
-    return tiles
+    return [*tiles, *_own_tiles(summary)]
+
+
+def _own_tiles(summary: Summary) -> Iterator[Tile]:
+    """Yield the groups' own figures that no bound judges."""
+    for name, group in summary["groups"].items():
+        of = f" of {name}" if len(summary["groups"]) > 1 else ""
+        shown = [own for own in own_figures(group) if own.mean is not None and own.key not in JUDGED_KEYS]
+        for own in shown[:_OWN_TILES]:
+            words = f"{own.label}, mean{of}" if own.each else f"{own.label}{of}"
+            yield Tile(words, _short(own.mean or 0), own.unit, Marked("no bound", None))
 
 
 def _short(value: float) -> str:
@@ -113,26 +146,30 @@ def _bounds(page: Page, summary: Summary) -> None:
         page.note("To have runs judged, write bounds into the configuration, e.g.")
         page.listing("run:\n  bounds: {control_error_mean_mm: 1.0, spacing_max_deviation_mm: 12, stops: 0}")
         return
-    page.section("Bounds", "What run.bounds asks for. A figure that was not measured has not met its bound.")
+    completed = summary["outcome"] == "completed"
+    rest = "has not met its bound" if completed else "was not judged: the run ended too early"
+    page.section("Bounds", f"What run.bounds asks for. A figure that was not measured {rest}.")
     rows = []
     for bound in summary["bounds"]:
-        figure = JUDGED[bound["figure"]]
-        limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}"
         verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)
-        rows.append((figure.label, verdict, bound["value"], limit, f"run.bounds.{bound['figure']}"))
-    page.table(("figure", "", "value", "bound", "key"), rows)
+        verdict = verdict if is_judged(summary, bound) else Marked("not judged", None)
+        label = JUDGED[bound["figure"]].label
+        rows.append((label, verdict, bound["value"], limit(bound), f"run.bounds.{bound['figure']}"))
+    page.table(("figure", "verdict", "value", "bound", "key"), rows)
 
 
-def _plots(page: Page, view: View) -> None:
+def _plots(page: Page, view: View, files: FigureFiles | None) -> None:
     ran = len(view.series.t) > 0
-    for section, plots in SECTIONS.items():
+    for section, plots in (sections(view) if ran else HAPPENED).items():
         page.section(section)
         for plot in plots if ran else plots[:1]:
             figure = plot.draw(view)
             if figure is None:
                 page.note(f"{plot.title}. {plot.missing}")
             else:
-                page.figure(figure, plot.caption, title=plot.title, legend=plot.legend(view), long=plot.long)
+                legend = plot.legend(view)
+                kept = tuple if files is None else partial(files.write, plot.title, figure, legend)
+                page.figure(figure, plot.caption, title=plot.title, legend=legend, long=plot.long, files=kept)
         if not ran:
             page.note("The fleet was never running: there is nothing more to show.")
             return
@@ -142,10 +179,10 @@ def _stops(page: Page, summary: Summary) -> None:
     if summary["stops"]:
         page.section("Stops", "Times after the stop: from the newest word heard to a target, and to an output of zero.")
         rows = [
-            (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"])
+            (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"], _WHO[s["by_operator"]])
             for s in summary["stops"][:_SHOWN]
         ]
-        page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms"), rows)
+        page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms", "asked for by"), rows)
 
 
 def _entries(page: Page, timeline: Timeline) -> None:
@@ -157,24 +194,25 @@ def _entries(page: Page, timeline: Timeline) -> None:
 
 
 def _robots(page: Page, summary: Summary) -> None:
-    page.section("Robots", "Means over the time that counts; spacing from the robot before.")
-    errors = [
-        summary[name]["per_robot_mean"] if summary[name] else [None] * len(summary["robots"])
-        for name in ("control_error_mm", "timed_error_mm", "path_error_mm", "centre_error_mm")
-    ]
-    gaps = [None, *(summary["spacing_m"]["mean"] if summary["spacing_m"] else [None] * (len(summary["robots"]) - 1))]
-    stops = [sum(stop["robot"] == robot for stop in summary["stops"]) for robot in summary["robots"]]
-    rows = [
-        (robot, *(error[k] for error in errors), gaps[k], stops[k], summary["rejected"][robot])
-        for k, robot in enumerate(summary["robots"])
-    ]
-    units = "control error, mm", "timed error, mm", "off the path, mm", "centre off, mm", "spacing, m"
-    page.table(("robot", *units, "stops", "messages refused"), rows)
+    page.section("Robots", "Means over the time that counts.")
+    own = [stop["robot"] for stop in summary["stops"] if not stop["by_operator"]]
+    for name, group in summary["groups"].items():
+        columns = {figure.title: figure.each for figure in own_figures(group) if figure.each}
+        rows = [
+            (robot, *(values[k] for values in columns.values()), own.count(robot), summary["rejected"][robot])
+            for k, robot in enumerate(group["robots"])
+        ]
+        if len(summary["groups"]) > 1:
+            page.note(f"{name}: {group['behaviour']}")
+        page.table(("robot", *columns, "stops by itself", "messages refused"), rows)
 
 
-def _origin(page: Page, recording: Recording, folder: Path) -> None:
+def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:
     page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
     page.listing(f"robofleet replay {shlex.quote(str(folder))}")
+    if not linked:
+        page.note("To have every figure as SVG and as PDF, for a paper:")
+        page.listing(f"robofleet report {shlex.quote(str(folder))} --figures figures")
     made = recording.provenance
     if made is not None:
         rows = [("processor", made.processor), ("architecture", made.architecture), *made.versions.items()]

@@ -2,8 +2,9 @@
 
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import compress
 from typing import Annotated, Any
 
@@ -11,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from robofleet.behaviours import described
+from robofleet.behaviours.interface import Past
 from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.layouts import Layout
 from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RunState
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.config import slices
+from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.control.path import Path
+from robofleet.recording.gauge import Curve, Figures, Gauge, gauges
 from robofleet.recording.provenance import Provenance
 from robofleet.valid_json import dumps
 
@@ -56,8 +59,19 @@ class Recording:
     trace_hash: str | None = None
     tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
     tracker_durations_ns: list[int] | None = None
+    said: tuple[described.Group, ...] | None = None  # the groups, as the file says; None: as the configuration does
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     count: int = 0  # of all messages
+
+    @cached_property
+    def groups(self) -> tuple[described.Group, ...]:
+        """The groups: which figures their ticks have, and what is drawn for them."""
+        return groups.descriptions(self.config) if self.said is None else self.said
+
+    @cached_property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """What measures each group."""
+        return gauges(self.config, self.groups)
 
     @property
     def whole(self) -> bool:
@@ -74,7 +88,11 @@ class Recording:
         """Let go of old messages where there are more than ``most`` of a key: a run that goes on is in its file."""
         for full, messages in self.messages.items():
             if len(messages) > 2 * most:
-                del messages[:-most], self._places[full][:-most]
+                self.forget(full, len(messages) - most)
+
+    def forget(self, full: str, count: int) -> None:
+        """Let go of a key's oldest messages."""
+        del self.messages[full][:count], self._places[full][:count]
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
@@ -95,26 +113,72 @@ class Recording:
         rows = self.rows(full, layout)
         return rows[_can_be(rows)]
 
+    def places(self, full: str) -> Sequence[int]:
+        """Return the place of a key's messages in the order of all messages."""
+        return self._places.get(full, ())
+
     def placed(self, full: str) -> Iterator[tuple[int, bytes]]:
         """Yield the messages of a key, each with its place in the order of all messages."""
-        return zip(self._places.get(full, ()), self.messages.get(full, ()), strict=True)
+        return zip(self.places(full), self.messages.get(full, ()), strict=True)
 
 
 Watch = Callable[[Recording, str], None]  # called during a run with what came so far, and the phase's name
 
 
-class Run:
-    """The recording in columns: ticks of the run (K,), robots in platoon order (N,)."""
+@dataclass(frozen=True)
+class Part:
+    """One group of a run."""
 
-    def __init__(self, recording: Recording) -> None:
+    gauge: Gauge
+    rows: slice  # of the members' arrays
+    past: Past  # of the ticks while the fleet ran
+    running: NDArray[np.bool_]  # (K,) which of the run's ticks those are
+
+    @property
+    def said(self) -> described.Group:
+        """The group as others see it."""
+        return self.gauge.said
+
+    @cached_property
+    def curves(self) -> tuple[Curve, ...]:
+        """What was told and measured of it, over all ticks (K,) of the run."""
+        curves = self.gauge.curves(self.past) if len(self.past.t) else ()
+        if self.running.all():
+            return curves
+        return tuple(curve._replace(values=self._spread(curve.values)) for curve in curves)
+
+    def summary(self) -> Figures:
+        """Return its part of ``summary.json``."""
+        return self.gauge.summary(self.past)
+
+    def _spread(self, values: Array) -> Array:
+        spread = np.full((len(self.running), *values.shape[1:]), np.nan)
+        spread[self.running] = values
+        return spread
+
+
+class Run:
+    """The recording in columns: ticks of the run (K,), robots of all groups, group by group (N,).
+
+    ``every_tick``: also those in which the fleet was not running.
+    """
+
+    def __init__(self, recording: Recording, *, every_tick: bool = False) -> None:
+        self._recording = recording
         config = self.config = recording.config
-        arena, robots = config.arena.name, config.platoon
-        dtype = TICK_RECORD.dtype(len(robots))
+        arena, robots = config.arena.name, config.members
+        dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups))
         payloads = recording.messages.get(key(arena, TICK), ())
         self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
-        self.ticks = self.all_ticks[self.all_ticks["run_tick"] >= 0]
+        self._counted = (self.all_ticks["run_tick"] >= 0) | every_tick
+        self.ticks = self.all_ticks[self._counted]
+        self.running = self.ticks["run_tick"] >= 0  # (K,)
         self.t = self.ticks["run_tick"] * config.controller.tick_s
         self.items = _with_gaps(self.ticks["items"])  # NaN: a figure that nobody can have measured
+        self.groups = recording.groups
+        numbers = self.ticks["figures"]
+        numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
+        self.told = described.told(self.groups, numbers)  # of each group
         statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
         self.statuses = [status[_can_be(status)] for status in statuses]
         places = [
@@ -122,12 +186,11 @@ class Run:
             for r in robots
         ]
         self.status_places = [list(compress(own, _can_be(told))) for own, told in zip(places, statuses, strict=True)]
-        self.path = Path.hermite(*slices.knots(config.groups[0]))
         truths = [recording.measured(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in config.bodies]
-        told = np.array([len(truth) > 0 for truth in truths])
+        known = np.array([len(truth) > 0 for truth in truths])
         # (K, M, 3) of all bodies, the group's robots first; NaN: not told
-        self.bodies = self._at_ticks(truths) if told.any() and len(self.t) else None
-        self.known = told[: len(robots)]  # (N,) whose truth was told
+        self.bodies = self._at_ticks(truths) if known.any() and len(self.t) else None
+        self.known = known[: len(robots)]  # (N,) whose truth was told
         self.truth = None if self.bodies is None or not self.known.any() else self.bodies[:, : len(robots)]
         poses = recording.messages.get(key(arena, POSES, CAMERA), ())
         self.news = recording.measured(key(arena, NEWS, CAMERA), TRACKER_NEWS)
@@ -135,6 +198,35 @@ class Run:
         frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
         began = int(self.ticks["poses_seq"][0]) if len(self.ticks) else 0
         self.frames = [frame for frame in frames if frame.seq >= began]  # without those of the checks before
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """What became of each group."""
+        config, running = self.config, self.running
+        t, poses, points = self.t[running], self.poses()[running], self.points()[running]
+        settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
+        parts = []
+        for gauge, told, of in zip(self._recording.gauges, self.told, groups.rows(config.groups), strict=True):
+            figures = {name: values[running] for name, values in told.figures.items()}
+            past = Past(
+                t, poses[:, of], points[:, of], self.known[of], settled, spaced, told.references[running], figures
+            )
+            parts.append(Part(gauge, of, past, running))
+        return tuple(parts)
+
+    @cached_property
+    def references(self) -> Array:
+        """Where each robot's followed point is to be (K, N, 2) [m]; NaN: nowhere."""
+        return np.concatenate([told.references for told in self.told], axis=1)
+
+    @cached_property
+    def newest_statuses(self) -> list[NDArray[np.int64]]:
+        """For each robot the row of the newest status that came before each tick (K,); -1: there was none."""
+        if not len(self.ticks):
+            return []
+        size, placed = self.all_ticks.dtype.itemsize, self._recording.placed(key(self.config.arena.name, TICK))
+        ticks = np.array([place for place, p in placed if len(p) == size], np.uint64)[self._counted]
+        return [np.searchsorted(np.array(places, np.uint64), ticks) - 1 for places in self.status_places]
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
         """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
@@ -162,13 +254,11 @@ class Run:
             for pose in frame.poses:
                 if pose.tag in tags and pose.coasted_ns == 0:
                     places[tags[pose.tag]] = pose.x_m, pose.y_m, pose.psi_rad
-        true = None if self.bodies is None else self.bodies[-1, len(config.platoon) :]
+        true = None if self.bodies is None else self.bodies[-1, len(config.members) :]
         return places if true is None else np.where(np.isfinite(true), true, places)
 
-    def points(self) -> Array | None:
+    def points(self) -> Array:
         """Points p (K, N, 2): true ones, else as estimated."""
-        if not len(self.t):
-            return None
         estimates = np.stack([self.items["point_x_m"], self.items["point_y_m"]], axis=-1)
         if self.truth is None:
             return estimates

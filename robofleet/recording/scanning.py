@@ -31,6 +31,7 @@ _SUMMARY = (
 )
 
 Item = Header | Attachment | Metadata | list[Content]  # the list: what a chunk holds
+NO_MCAP = "is not an MCAP file"
 
 
 class Scan:
@@ -62,7 +63,7 @@ class Scan:
 
     def _items(self) -> Iterator[Item]:
         if self._take(len(MAGIC)) != MAGIC:
-            self.trouble = "is no MCAP file"
+            self.trouble = NO_MCAP
             return
         expected: tuple[Opcode, ...] = _START
         while True:

@@ -5,7 +5,7 @@ changes seldom is told when it changes. A robot's shapes lie in its own frame: v
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -19,14 +19,15 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from robofleet.behaviours import described
 from robofleet.clock import S
-from robofleet.comms.keys import CAMERA, NEWS, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TRACKER_NEWS, FleetPoses
+from robofleet.comms.keys import BUSY, CAMERA, NEWS, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.messages import BUSY_MACHINE, FLEET_POSES, ROBOT_STATUS, RUN_STATE, TRACKER_NEWS, FleetPoses
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
 from robofleet.recording import shapes
 from robofleet.recording.fleet_scene import FleetScene, Said, pose_topic, stamp
-from robofleet.recording.lines import Line, latch_line, news_line, state_lines
+from robofleet.recording.lines import Line, busy_line, latch_line, news_line, state_lines
 from robofleet.recording.overlay import Overlay
 
 _PERIOD_NS = S // 10
@@ -44,15 +45,16 @@ class Channel(NamedTuple):
 class Scene:
     """Told every message of the bus in order, it returns what viewers draw."""
 
-    def __init__(self, config: Config, *, epoch_ns: int = 0) -> None:
+    def __init__(self, config: Config, said: Sequence[described.Group], *, epoch_ns: int = 0) -> None:
         """Take what makes instants of the caller's clock dates [ns since 1970]."""
-        self._config, self._epoch_ns = config, epoch_ns
+        self._config, self._said, self._epoch_ns = config, said, epoch_ns
         self._ids = config.ids
-        self._fleet = FleetScene(config)
+        self._fleet = FleetScene(config, said)
         self._overlay = Overlay(config) if config.tracker.source == "camera" else None
         self.channels = tuple(Channel(*channel) for channel in self._described())
         self._takes = self._by_key()
         self._due_ns = 0
+        self._busy = False  # the machine, and that was told
         self._images: deque[tuple[int, bytes]] = deque(maxlen=_IMAGES)
 
     def update(self, full: str, payload: bytes, at_ns: int) -> list[tuple[str, bytes]]:
@@ -88,6 +90,7 @@ class Scene:
             key(arena, TICK): self._fleet.tick,
             key(arena, STATE): self._state,
             key(arena, NEWS, CAMERA): self._news,
+            key(arena, BUSY): self._is_busy,
         }
         if self._overlay is not None or self._config.bystanders:
             takes[key(arena, POSES, CAMERA)] = self._poses
@@ -100,7 +103,7 @@ class Scene:
 
     def _unchanging(self, date_ns: int) -> Said:
         at = stamp(date_ns)
-        said: list[tuple[str, Message]] = [("/arena", SceneUpdate(entities=shapes.arena(self._config, at)))]
+        said: list[tuple[str, Message]] = [("/arena", SceneUpdate(entities=shapes.arena(self._config, self._said, at)))]
         if self._overlay is not None:
             said.append(("/tf_static", FrameTransforms(transforms=[self._overlay.place(at)])))
             if (lens := self._overlay.calibration(at)) is not None:
@@ -124,6 +127,11 @@ class Scene:
     def _news(self, payload: bytes, date_ns: int) -> Said:
         news = TRACKER_NEWS.decode(payload)
         return () if news is None else _log([news_line(news)], date_ns)
+
+    def _is_busy(self, payload: bytes, date_ns: int) -> Said:
+        message = None if self._busy else BUSY_MACHINE.decode(payload)
+        self._busy = self._busy or message is not None
+        return () if message is None else _log([busy_line(message, self._ids)], date_ns)
 
     def _poses(self, payload: bytes, date_ns: int) -> Said:
         self._images.append((date_ns, payload))

@@ -1,10 +1,13 @@
-"""The arena, the path and the robots as Foxglove's shapes. World frame in metres, each robot in a frame of its own."""
+"""The arena, the groups' shapes and the robots as Foxglove's shapes.
+
+World frame in metres, each robot in a frame of its own.
+"""
 
 import math
+from collections.abc import Sequence
 from enum import Enum
 from functools import cache
 
-import numpy as np
 from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
@@ -19,16 +22,15 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from robofleet.comms.messages import RobotTick
-from robofleet.config import barrier, slices
+from robofleet.behaviours import described
+from robofleet.behaviours.interface import Array, Dots, Shape
+from robofleet.config import barrier
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.control.path import Path
 from robofleet.figures import COLOURS, INK, QUIET
 from robofleet.safety.barrier import apart
 
 WORLD = "world"
-_PATH_POINTS = 400
 _LINE_M, _FILM_M, _DOT_M = 0.006, 0.001, 0.03
 _TEXT_M = 0.07
 _HAZE = 0.2  # opacity of what is no body
@@ -51,15 +53,26 @@ def colour(code: str, opacity: float = 1.0) -> Color:
     return Color(r=r, g=g, b=b, a=opacity)
 
 
-def arena(config: Config, at: Timestamp) -> list[SceneEntity]:
-    """Return the arena's edge and the group's path."""
-    (length, width), path = config.arena.size_m, Path.hermite(*slices.knots(config.groups[0]))
+def arena(config: Config, said: Sequence[described.Group], at: Timestamp) -> list[SceneEntity]:
+    """Return the arena's edge, and what the groups' behaviours have on the floor."""
+    (length, width), robots = config.arena.size_m, [robot.id for robot in config.members]
     corners = [(x * length / 2, y * width / 2) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    lap = path.position(np.linspace(0.0, path.sides, _PATH_POINTS, endpoint=False)).tolist()
+    edge = _line(LinePrimitive.LINE_LOOP, corners, INK)
     return [
-        SceneEntity(timestamp=at, frame_id=WORLD, id="arena", lines=[_line(LinePrimitive.LINE_LOOP, corners, INK)]),
-        SceneEntity(timestamp=at, frame_id=WORLD, id="path", lines=[_line(LinePrimitive.LINE_LOOP, lap, QUIET)]),
+        SceneEntity(timestamp=at, frame_id=WORLD, id="arena", lines=[edge]),
+        *(_shape(f"{group.name}/{shape.name}", shape, robots, at) for group in said for shape in group.shapes),
     ]
+
+
+def _shape(name: str, shape: Shape, robots: list[str], at: Timestamp) -> SceneEntity:
+    """Return a shape; a line that has the name of a robot has its colour."""
+    points = shape.points.tolist()
+    if isinstance(shape, Dots):
+        spheres = [_dot(x, y, COLOURS[row % len(COLOURS)]) for row, (x, y) in enumerate(points)]
+        return SceneEntity(timestamp=at, frame_id=WORLD, id=name, spheres=spheres)
+    own = COLOURS[robots.index(shape.name) % len(COLOURS)] if shape.name in robots else QUIET
+    kind = LinePrimitive.LINE_LOOP if shape.closed else LinePrimitive.LINE_STRIP
+    return SceneEntity(timestamp=at, frame_id=WORLD, id=name, lines=[_line(kind, points, own)])
 
 
 def robot(config: Config, robot: Robot, look: Look, at: Timestamp) -> SceneEntity:
@@ -93,14 +106,12 @@ def robot(config: Config, robot: Robot, look: Look, at: Timestamp) -> SceneEntit
     )  # fmt: skip
 
 
-def references(items: dict[int, RobotTick], at: Timestamp) -> SceneEntity:
-    """Return where robots (by row) should be at the horizon, each with a line from its point."""
+def references(rows: Sequence[int], points: Array, at: Timestamp) -> SceneEntity:
+    """Return where robots (by row) should be at the horizon, each with a line from its point (N, 4: point, there)."""
     dots, lines = [], []
-    for row, item in items.items():
-        reference = item.reference_x_m, item.reference_y_m
-        size = Vector3(x=_DOT_M, y=_DOT_M, z=_DOT_M)
-        dots.append(SpherePrimitive(pose=_at(*reference, 0.0), size=size, color=colour(COLOURS[row % len(COLOURS)])))
-        lines += [(item.point_x_m, item.point_y_m), reference]
+    for row, (x, y, there_x, there_y) in zip(rows, points.tolist(), strict=True):
+        dots.append(_dot(there_x, there_y, COLOURS[row % len(COLOURS)]))
+        lines += [(x, y), (there_x, there_y)]
     return SceneEntity(
         timestamp=at, frame_id=WORLD, id="references", spheres=dots,
         lines=[_line(LinePrimitive.LINE_LIST, lines, QUIET)],
@@ -114,6 +125,10 @@ def turned(psi: float) -> Quaternion:
 
 def _at(x: float, y: float, z: float) -> Pose:
     return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=1.0))
+
+
+def _dot(x: float, y: float, code: str) -> SpherePrimitive:
+    return SpherePrimitive(pose=_at(x, y, 0.0), size=Vector3(x=_DOT_M, y=_DOT_M, z=_DOT_M), color=colour(code))
 
 
 def _disc(forward: float, diameter: float, height: float, color: Color) -> CylinderPrimitive:

@@ -1,7 +1,8 @@
 """Every stop of a robot while a run was on: when, why, and how long it took."""
 
 from bisect import bisect_right
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +15,24 @@ from robofleet.safety.supervisor import Event, Phase
 _WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why
 _SOON = 3  # statuses: a gate may close before the news that the run ended is here
 _ASKED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
+_BY_OPERATOR = (Event.HOLD_REQUESTED, Event.ESTOP_REQUESTED, Event.STOPPED_AT_GATE)
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
+_TOGETHER_S = 0.5  # gates that the operator closes so soon after another one belong to one stop
+
+
+class _Why(NamedTuple):
+    """Why a robot stood."""
+
+    cause: str  # in words; empty: not known
+    by_operator: bool
 
 
 def stops(run: Run) -> list[dict[str, Any]]:
     """Return the stops in order: gates that closed, and robots that the controller let stand with an open gate.
 
     ``t_s`` counts from the run's first tick. ``target_ms`` and ``output_ms``: from the issue of the newest nonce
-    echoed to a target and to an output of zero, on the driver's clock; None where that was not seen. A controlled stop
-    that ends the run is none.
+    echoed to a target and to an output of zero, on the driver's clock; None where that was not seen. ``by_operator``:
+    the operator asked for it, so the robot did not stop by itself. A controlled stop that ends the run is none.
     """
     found: list[dict[str, Any]] = []
     if not len(run.ticks):
@@ -33,21 +43,34 @@ def stops(run: Run) -> list[dict[str, Any]]:
         for k in 1 + np.flatnonzero(opened[:-1] & ~opened[1:]):
             at_ns = int(status["stamp_ns"][k])
             why = _why(run, row, int(k)) if at_ns > start_ns else None
-            if why or (why is not None and at_ns <= end_ns):
+            if why is not None and (why.cause or at_ns <= end_ns):
                 gate = named(GateStatus, int(status["gate"][k]))
-                cause = f"{gate}: {why}" if why else gate
-                found.append(_stop(run, row, at_ns - start_ns, cause) | _times(status[k:]))
+                cause = f"{gate}: {why.cause}" if why.cause else gate
+                found.append(_stop(run, row, at_ns - start_ns, _Why(cause, why.by_operator)) | _times(status[k:]))
         found += _lost(run, row, start_ns)
     return sorted(found, key=lambda stop: stop["t_s"])
 
 
-def _stop(run: Run, row: int, after_ns: int, cause: str) -> dict[str, Any]:
-    stop = {"t_s": round(after_ns / 1e9, 4), "robot": run.config.platoon[row].id, "cause": cause}
-    return stop | {"target_ms": None, "output_ms": None}
+def together(stops: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a line for every time that the operator let robots stand: when, how, and whom."""
+    lines: list[str] = []
+    asked = [stop for stop in stops if stop["by_operator"]]
+    while asked:
+        first = asked[0]
+        same = [stop for stop in asked if stop["cause"] == first["cause"] and stop["t_s"] - first["t_s"] < _TOGETHER_S]
+        asked = [stop for stop in asked if stop not in same]
+        robots = ", ".join(dict.fromkeys(stop["robot"] for stop in same))
+        lines.append(f"{robots} at {first['t_s']:.1f} s: {first['cause']}")
+    return lines
 
 
-def _why(run: Run, row: int, k: int) -> str | None:
-    """Return the cause of the run or of this robot for which a gate closed, in words; None where the run had ended."""
+def _stop(run: Run, row: int, after_ns: int, why: _Why) -> dict[str, Any]:
+    stop = {"t_s": round(after_ns / 1e9, 4), "robot": run.config.members[row].id, "cause": why.cause}
+    return stop | {"by_operator": why.by_operator, "target_ms": None, "output_ms": None}
+
+
+def _why(run: Run, row: int, k: int) -> _Why | None:
+    """Return the cause of the run or of this robot for which a gate closed; None where the run had ended."""
     status, places = run.statuses[row], run.status_places[row]
     last = int(np.searchsorted(status["stamp_ns"], int(status["stamp_ns"][k]) + _WHY_WITHIN_NS)) - 1
     soon = places[min(k + _SOON, last)]
@@ -58,9 +81,11 @@ def _why(run: Run, row: int, k: int) -> str | None:
         if state.phase == Phase.IDLE:
             return None
         own = halt_cause(state, row)
-        if own or state.phase not in _GOING_ON:
-            return own or run_cause(state, run.config.ids)
-    return ""
+        if own:
+            return _Why(own, by_operator=False)
+        if state.phase not in _GOING_ON:
+            return _Why(run_cause(state, run.config.ids), by_operator=state.cause in _BY_OPERATOR)
+    return _Why("", by_operator=False)
 
 
 def _times(closed: NDArray[Any]) -> dict[str, float | None]:
@@ -84,5 +109,5 @@ def _lost(run: Run, row: int, start_ns: int) -> list[dict[str, Any]]:
         at_ns = int(run.ticks["stamp_ns"][k])
         newest = int(np.searchsorted(status["stamp_ns"], at_ns, side="right")) - 1
         if newest < 0 or status["gate"][newest] == GateStatus.OPEN:
-            found.append(_stop(run, row, at_ns - start_ns, "not seen by the tracker"))
+            found.append(_stop(run, row, at_ns - start_ns, _Why("not seen by the tracker", by_operator=False)))
     return found

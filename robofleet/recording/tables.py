@@ -1,35 +1,66 @@
-"""What a run says to a person: the summary beside the paper's figures."""
+"""What a run says to a person: the summary, beside the paper's figures where it drives the paper's platoon."""
 
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from robofleet.behaviours.interface import scale
+from robofleet.config.tree import Config
+from robofleet.recording.fitting import Fitting
+from robofleet.recording.own_figures import asked, own_figures
+from robofleet.recording.paper import CONTROL_ERROR_MM, is_papers
+from robofleet.recording.stops import together
+
 Summary = dict[str, Any]
 
-PAPER_CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
-PAPER_SPACING_M = 0.25  # IV-C: d
 _SHOWN = 4  # stops
+_PAPER, _EACH = "the paper", "each robot"
+_WHAT = 16  # columns, at least, for what was proved
+_MM = 5  # columns of a robot's figure
+_ENDS = {"fault": "ended by a fault", "stopped": "stopped"}
 
 
-def summary_table(summary: Summary) -> Table:
-    """Return the table that ends a run."""
-    cause = f" ({summary['cause']})" if summary["cause"] else ""
-    table = Table(
-        title=Text(f"{summary['config']}: {summary['outcome']}{cause}", "bold"),
-        title_justify="left",
-        caption=Text(_caption(summary)),
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    table.add_column("\nfigure", no_wrap=True)
-    table.add_column(f"this run\n({_mode(summary)})", justify="right")
-    table.add_column("the paper\n(hardware)", justify="right")
-    table.add_column("each robot\n" + " ".join(f"{robot:>5}" for robot in summary["robots"]))
-    for row in (*_errors(summary), *_health(summary)):
-        table.add_row(*map(Text, row))  # no text of a run is markup
+class _Row(NamedTuple):
+    """A figure of the run."""
+
+    label: str
+    value: str
+    paper: str = "-"
+    each: str = ""
+
+
+def summary_table(summary: Summary, config: Config) -> Group:
+    """Return what ends a run: the table, and the stops."""
+    rows = [*_errors(summary, config), *_health(summary)]
+    papers = is_papers(config)
+
+    def make(left_out: Sequence[str]) -> Table:
+        columns = ["figure", "this run", *([_PAPER] if papers else []), _EACH]
+        return _summary_table(summary, rows, [column for column in columns if column not in left_out])
+
+    said = [Text(line) for line in (*_caption(summary), *_stops(summary["stops"]))]
+    return Group(Fitting(make, (_PAPER, _EACH) if papers else (_EACH,)), *said)
+
+
+def _summary_table(summary: Summary, rows: Sequence[_Row], columns: Sequence[str]) -> Table:
+    ended = _ENDS.get(summary["outcome"], summary["outcome"])
+    title = f"{summary['config']}: {ended} after {summary['duration_s']:.1f} s"
+    table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    heads = {
+        "figure": "\nfigure",
+        "this run": f"this run\n({_mode(summary)})",
+        _PAPER: f"{_PAPER}\n(hardware)",
+        _EACH: f"{_EACH}\n" + (_ids(summary["robots"]) if len(summary["groups"]) == 1 else ""),
+    }
+    for column in columns:
+        table.add_column(heads[column], justify="right" if column in ("this run", _PAPER) else "left", no_wrap=True)
+    for row in rows:
+        cells = dict(zip(heads, row, strict=True))
+        table.add_row(*(Text(cells[column]) for column in columns))  # no text of a run is markup
     return table
 
 
@@ -38,66 +69,102 @@ def _mode(s: Summary) -> str:
     return "simulation" if not s["estimated"] else "real" if len(s["estimated"]) == len(s["robots"]) else "mixed"
 
 
-def _caption(s: Summary) -> str:
-    control = "the control error is of x + T u, of x + T (u + w) with a disturbance w"
-    if not s["estimated"]:
-        return f"errors and deviations: mean (max), on the true poses; times: p50, p99\n{control}"
-    estimated = f"estimated: no truth is known of {', '.join(s['estimated'])}"
-    return f"errors and deviations: mean (max); times: p50, p99\n{control}\n{estimated}"
+def _caption(s: Summary) -> Iterator[str]:
+    truth = "" if s["estimated"] else ", on the true poses"
+    yield f"errors and deviations: mean (max){truth}; times: p50, p99"
+    if s["control_error_mm"] is not None:
+        yield "the control error is of x + T u, of x + T (u + w) with a disturbance w"
+    if s["estimated"]:
+        yield f"estimated: no truth is known of {', '.join(s['estimated'])}"
+    if s["busy_machine"] is not None:
+        yield s["busy_machine"]["words"]
 
 
-def _errors(s: Summary) -> list[tuple[str, str, str, str]]:
-    rows = []
-    for name, label, paper in (
-        ("control_error_mm", "control error, mm", f"about {PAPER_CONTROL_ERROR_MM:g}"),
-        ("timed_error_mm", "timed error, mm", "-"),
-        ("path_error_mm", "point off the path, mm", "-"),
-        ("centre_error_mm", "centre off the path, mm", "-"),
-    ):
-        figure = s[name]
-        if figure is None:
-            rows.append((label, "not measured", paper, ""))
-        else:
-            each = " ".join("    -" if value is None else f"{value:5.2f}" for value in figure["per_robot_mean"])
-            rows.append((label, f"{figure['mean']:.2f} ({figure['max']:.1f})", paper, each))
-    spacing = s["spacing_m"]
-    if spacing is not None:
-        each = " " * 6 + " ".join("    -" if value is None else f"{value * 1e3:5.1f}" for value in spacing["mean"])
-        known = [value for value in spacing["mean"] if value is not None]
-        mean = f"{1e3 * sum(known) / len(known):.1f}"
-        rows.append(("spacing, mm", mean, f"target {PAPER_SPACING_M * 1e3:g}", each))
-        rows.append(("spacing's deviation, mm", f"({spacing['max_deviation_mm']:.1f})", "-", ""))
-    return rows
+def _errors(s: Summary, config: Config) -> Iterator[_Row]:
+    """Yield the groups' own figures."""
+    papers = f"about {CONTROL_ERROR_MM:g}"
+    for name, group in s["groups"].items():
+        if len(s["groups"]) > 1:
+            yield _Row(f"{name}: {group['behaviour']}", "", "", _ids(group["robots"]))
+        for figure in own_figures(group):
+            paper = papers if figure.key == "control_error_mm" else "-"
+            should = asked(group, figure)
+            if figure.mean is None:
+                yield _Row(figure.title, "not measured", paper)
+            elif should is None:
+                largest = "" if figure.largest is None else f" ({figure.largest:.1f})"
+                yield _Row(figure.title, f"{figure.mean:.2f}{largest}", paper, _each(figure.each, 2))
+            else:
+                value, unit = should
+                factor = scale(figure.unit, unit)
+                each = _each([v if v is None else v * factor for v in figure.each], 1)
+                label = f"{figure.label}, {unit} (of {value:g})"
+                largest = "" if figure.largest is None else f" ({figure.largest * factor:.1f})"
+                yield _Row(label, f"{figure.mean * factor:.1f}{largest}", "-", each)
+            if figure.deviation is not None:
+                off, unit = figure.deviation
+                yield _Row(f"{figure.label}'s deviation, {unit}", f"({off:.1f})")
 
 
-def _health(s: Summary) -> list[tuple[str, str, str, str]]:
-    rows = []
+def _each(values: Sequence[float | None], digits: int) -> str:
+    return " ".join(f"{'-':>{_MM}}" if value is None else f"{value:{_MM}.{digits}f}" for value in values)
+
+
+def _ids(robots: Sequence[str]) -> str:
+    return " ".join(f"{robot:>{_MM}}" for robot in robots)
+
+
+def _health(s: Summary) -> Iterator[_Row]:
     if s["min_gap_mm"] is not None:
-        rows.append(("smallest body gap, mm", f"{s['min_gap_mm']:.0f}", "-", ""))
+        yield _Row("smallest body gap, mm", f"{s['min_gap_mm']:.0f}")
     if s["pose_error"] is not None:
         p = s["pose_error"]
-        rows.append(("pose, rms, mm and deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}", "-", ""))
+        yield _Row("pose, rms, mm and deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}")
     tracker, tick = s["tracker"], s["tick"]
     if tracker["frames"]:
         note = f"{tracker['frames']} images, {tracker['frame_ms']['p50']:.1f} ms each"
-        rows.append(("tags found, %", f"{100 * tracker['measured_fraction']:.1f}", "-", note))
+        yield _Row("tags found, %", f"{100 * tracker['measured_fraction']:.1f}", each=note)
     if tick["compute_us"] is not None:
         value = f"{tick['compute_us']['p50']:.0f}, {tick['compute_us']['p99']:.0f}"
-        rows.append(("computing a tick, us", value, "-", f"of {tick['period_ms'] * 1e3:g}"))
+        yield _Row("computing a tick, us", value, each=f"of {tick['period_ms'] * 1e3:g}")
     if tick["overruns"] is not None:
-        rows.append(("overruns", str(tick["overruns"]), "-", f"of {s['ticks']} ticks"))
+        yield _Row("overruns", str(tick["overruns"]), each=f"of {s['ticks']} ticks")
     if s["latency_ms"] is not None:
         latency = s["latency_ms"]["exposure_to_wheel"]
-        rows.append(("exposure to wheel, ms", f"{latency['p50']:.1f}, {latency['p99']:.1f}", "-", ""))
-    if s["stops"]:
-        stops = "\n".join(map(_stop, s["stops"][:_SHOWN]))
-        rows.append(("robots stopped on the way", str(len(s["stops"])), "-", stops))
-    return rows
+        yield _Row("exposure to wheel, ms", f"{latency['p50']:.1f}, {latency['p99']:.1f}")
+
+
+def _stops(stops: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield who stopped by itself, and whom the operator stopped."""
+    own = [stop for stop in stops if not stop["by_operator"]]
+    if own:
+        yield f"stops of a robot by itself: {len(own)}"
+        yield from (f"    {_stop(stop)}" for stop in own[:_SHOWN])
+        if len(own) > _SHOWN:
+            yield f"    and {len(own) - _SHOWN} more: the report has them all"
+    yield from (f"the operator stopped {line}" for line in together(stops))
 
 
 def _stop(stop: dict[str, Any]) -> str:
     took = "" if stop["output_ms"] is None else f" (still after {stop['output_ms']:.0f} ms)"
     return f"{stop['robot']} at {stop['t_s']:.1f} s: {stop['cause']}{took}"
+
+
+def proofs_table(title: str, rows: Sequence[tuple[str, ...]]) -> Fitting:
+    """Return what was proved before a run: (what, value, limit, how much of it is used)."""
+    columns = ("", "value", "limit", "used")
+
+    def make(left_out: Sequence[str]) -> Table:
+        table = Table(title=Text(title, "italic"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        kept = [column for column in columns if column not in left_out]
+        for column in kept:
+            table.add_column(column, justify="right" if column else "left", no_wrap=bool(column))
+        table.columns[0].min_width = min(_WHAT, max(len(row[0]) for row in rows))
+        for row in rows:
+            table.add_row(*(Text(cell) for name, cell in zip(columns, row, strict=True) if name in kept))
+        return table
+
+    return Fitting(make, ("used",))
 
 
 def status_table(status: dict[str, Any]) -> Table:

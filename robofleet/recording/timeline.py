@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
 from robofleet.recording.causes import named, run_cause
 from robofleet.recording.run import Run
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import NO_TAG, describe
 
 RUN, TRACKER, CONTROLLER, FAULTS = "run", "tracker", "controller", "faults"
+_IDLE_SHOWN_S = 3.0  # before the checks of a start
 _TOGETHER_S = 0.5  # what happens again so soon is one entry
 
 
@@ -51,6 +52,8 @@ class Timeline:
         self.begin_s = min(0.0, self._seconds(self._stamps[:1]).min(initial=0.0))
         self.end_s = max([0.0, *map(float, lasts)])
         self.phases = list(self._spans())
+        awake = next((span.t_s for span in self.phases if span.phase != Phase.IDLE), self.begin_s)
+        self.shown_s = max(self.begin_s, awake - _IDLE_SHOWN_S)  # kernels may have been compiled for a minute before
         said = [Entry(s.t_s, s.t_s, RUN, f"{s.name}: {s.cause}" if s.cause else s.name) for s in self.phases]
         halts = [Entry(s["t_s"], s["t_s"], s["robot"], s["cause"], stop=True) for s in stops]
         found = *said, *halts, *self._news(), *self._overruns(), *self._barrier(), *self._faults()
@@ -92,7 +95,7 @@ class Timeline:
 
     def _barrier(self) -> Iterator[Entry]:
         t = self._seconds(self._run.ticks["stamp_ns"])
-        for row, robot in enumerate(self._run.config.platoon):
+        for row, robot in enumerate(self._run.config.members):
             for first, last in _episodes(t, self._run.items["filtered"][:, row] > 0):
                 took = t[last] - t[first] + self._run.config.controller.tick_s
                 what = f"the barrier changed its command for {took:.2f} s"
@@ -106,7 +109,7 @@ class Timeline:
                 yield Entry(begin, min(until, self.end_s), FAULTS, _in_words(fault))
 
 
-def _in_words(fault: Fault) -> str:
+def _in_words(fault: InjectedFault) -> str:
     given = fault.model_dump(exclude={"kind", "at_s", "duration_s"}, exclude_none=True, exclude_defaults=True)
     values = (
         f"{key} {', '.join(map(str, value)) if isinstance(value, tuple | list) else value}"

@@ -3,7 +3,9 @@
 from robofleet.safety.supervisor import Event
 
 _SEE_LOG = "its log is in the run's folder"
-_BUSY = "end what else keeps this machine busy"
+_BUSY = "end other programs that keep this machine busy"
+_ONCE_MORE = "a resume asks it once more"
+_MEND = f"mend the behaviour and start again; {_ONCE_MORE}"
 _ADVICE = {
     Event.SUPERVISOR_STALLED: _BUSY,
     Event.TICKS_OVERRUN: _BUSY,
@@ -28,11 +30,11 @@ _ADVICE = {
     Event.OVERCURRENT: "free its wheels, then `robofleet run --reset`",
     Event.CHARGING: "take it off its charger, then `robofleet run --reset`",
     Event.UNREACHABLE: "plug it in, switch it on, then `robofleet run --reset`; its driver's log says more",
-    Event.RUNAWAY: "switch off its power; mended, it drives after `robofleet run --reset`",
+    Event.RUNAWAY: "switch off its power and repair it, then `robofleet run --reset`",
     Event.BATTERY_LOW: "charge it",
     Event.TAG_LOST: "clear the view of its tag, light it, or put the robot back",
     Event.TAG_TWICE: "take one of the two away",
-    Event.POSE_JUMPED: "put it where it may start",
+    Event.POSE_JUMPED: "put it back at its start",
     Event.OUTSIDE_ARENA: "put it back",
     Event.TOO_CLOSE: "move them apart",
     Event.FILTER_INFEASIBLE: "move it clear of the others and of the edge",
@@ -46,12 +48,22 @@ _ADVICE = {
     Event.LEFT_REVERSED: "reverse that motor",
     Event.RIGHT_REVERSED: "reverse that motor",
     Event.BOTH_REVERSED: "turn its tag, or reverse both motors",
+    Event.WRONG_ORDER: "exchange the two, or write groups[].robots in the order in which they stand",
+    Event.WAYS_CROSS: "put it at its place on the path, behind the robot that it follows",
     Event.ENCODER_WRONG: "look at that encoder",
+    Event.UNDER_WAY_TOO_LONG: "see who stands in whose way, move it, then resume",
+    Event.BEHAVIOUR_RAISED: f"read it, {_MEND}",
+    Event.BEHAVIOUR_NOT_FINITE: _MEND,
+    Event.BEHAVIOUR_SHAPE: f"it must be one velocity (x, y) for each robot: {_MEND}",
+    Event.BEHAVIOUR_LATE: f"make it faster, or raise controller.tick_s; {_ONCE_MORE}",
     Event.HELD_TOO_LONG: "start again",
 }
 
 
-def advised(words: str, cause: int) -> str:
-    """Return an event's words with what to do about it; as they are where they say it, or nothing is to be done."""
-    advice = next((advice for event, advice in _ADVICE.items() if event == cause), None)
+def advised(words: str, cause: int, *, busy: bool = False) -> str:
+    """Return an event's words with what to do about it; as they are where they say it, or nothing is to be done.
+
+    ``busy``: the machine's load made it.
+    """
+    advice = _BUSY if busy else next((advice for event, advice in _ADVICE.items() if event == cause), None)
     return words if advice is None else f"{words}: {advice}"

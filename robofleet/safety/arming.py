@@ -5,6 +5,7 @@ A fleet that is proved waits for its start, and not for long: what was proved mu
 """
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 from itertools import combinations
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from typing import NamedTuple
 from robofleet.safety import wiggle
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import faults_told
+from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.safety.wiggle import Wiggle
@@ -57,6 +59,9 @@ class ArmingState(NamedTuple):
         return self.wiggle.stroke
 
 
+Jam = Callable[[tuple[tuple[float, float, float], ...]], Reason | None]
+
+
 class ArmingSettings(NamedTuple):
     """What the checks need to know of the fleet: the group's robots in its order, then the bystanders."""
 
@@ -65,6 +70,7 @@ class ArmingSettings(NamedTuple):
     wheel_base: tuple[float, ...]  # [m]
     body_radius: tuple[float, ...]  # [m]
     arena: tuple[float, float]  # [m]
+    jam: Jam = lambda _: None  # who of the members, at these poses, would not get past whom; None: everybody would
 
 
 def free_m(wheel_radius: float) -> float:
@@ -103,7 +109,7 @@ def step(
 
 def unready(settings: ArmingSettings, view: FleetView) -> Happening | None:
     """Return what keeps a fleet that waits for its start from starting now."""
-    return _missing(view) or _cramped(settings, view)
+    return missing(view) or _cramped(settings, view) or _jammed(settings, view)
 
 
 def _wrong(settings: ArmingSettings, view: FleetView) -> Happening | None:
@@ -134,19 +140,19 @@ def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
 
 
 def _check(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
-    missing = _missing(view)
-    if missing is not None:
+    absent = missing(view)
+    if absent is not None:
         drilled = any(robot.latch for robot in view.robots)  # by a start that was broken off
         waited = view.now_ns - state.since_ns >= _PATIENCE_NS
-        return state._replace(clear=drilled), missing if waited else None
-    cramped = _cramped(settings, view)
-    if cramped is not None:
-        return state, cramped
+        return state._replace(clear=drilled), absent if waited else None
+    misplaced = _cramped(settings, view) or _jammed(settings, view)
+    if misplaced is not None:
+        return state, misplaced
     return ArmingState(Stage.DRILL, view.now_ns, Latch.DRILL), None
 
 
-def _missing(view: FleetView) -> Happening | None:
-    """Return what may still come, the gravest first."""
+def missing(view: FleetView) -> Happening | None:
+    """Return who is not heard, not seen, not ours, latched or not at rest: what may still come, the gravest first."""
     now_ns = view.now_ns
     if _silent(now_ns, view.controller_ns):
         return Happening(Event.CONTROLLER_SILENT)
@@ -185,6 +191,16 @@ def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
         if one < driven and gap < max(free[one], free[other]):
             return Happening(Event.TOO_CLOSE, one, other)
     return None
+
+
+def _jammed(settings: ArmingSettings, view: FleetView) -> Happening | None:
+    """Return who would not get past whom on the way to their places."""
+    why = settings.jam(tuple(robot.pose for robot in view.robots[: view.driven]))
+    if why is None:
+        return None
+    if why.order is None:
+        return Happening(Event.WAYS_CROSS, why.other, why.one)
+    return Happening(Event.WRONG_ORDER, why.one, why.other)
 
 
 def _drill(state: ArmingState, view: FleetView) -> tuple[ArmingState, Happening | None]:

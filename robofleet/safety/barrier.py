@@ -1,4 +1,6 @@
-"""The barrier: what every robot was asked for, changed as little as keeps bodies apart and inside the arena.
+"""The barrier, a control barrier function (CBF) for each pair of robots; the right-hand rule resolves their deadlocks.
+
+It changes what every robot was asked for as little as keeps bodies apart and inside the arena.
 
 A robot is held by where it would stand if it were stopped now. Its wheels follow with a first-order lag, so that pose
 is an arc of what the wheels still turn; it does not move while the robot is asked to stop, and its velocity is linear
@@ -10,8 +12,17 @@ all directions. With Delta = q_i - q_j, n its direction, and h = |Delta| - D_ij,
 Half of the approach is each one's own, so a robot that stands still by mistake is as safe as one that obeys, and what
 is left is a problem of two unknowns for each robot. The arena's edges are rows of the same kind, the robot's alone;
 the wheels' limits are rows too. Within D_ij a robot must withdraw; where it cannot from all, it must not come nearer,
-and standing is always an answer. A robot that others have held for a while asks for something else: to pass them on
-the right.
+and standing is always an answer.
+
+The turn (right-hand rule) changes only what is asked for, and every row is kept. A robot that was held for half a
+second asks for the same speed 80 degrees to the right. All who press each other do so: they form a roundabout. If it
+does not get on for half a second, it asks for the straight way again. But if one of those who hold it stands (it is
+asked for nothing, or it stalls: it moves less than a fifth of what it was commanded), it first turns by 110 and then by
+140 degrees, to go round that one.
+
+A robot is blocked that stands for three seconds, or turns and goes round for nine without getting on, because of
+somebody who does not wait: one that stands, or stalls. Robots that press each other and all wait are blocked, too,
+where they stay in one place for twenty seconds.
 
 A bystander, a robot that nobody drives, keeps nothing: it stands, or a hand pushes it with a velocity w that was seen.
 Each robot i keeps its own half, and beside it all that the bystander j comes nearer by:
@@ -21,8 +32,14 @@ Each robot i keeps its own half, and beside it all that the bystander j comes ne
 So h' >= -gamma h / 2 as long as i can withdraw so fast, and the other half is what a hand may do before it is seen.
 
 Bodies are |Delta| - 2 ahead - radii apart at least. D_ij adds the gap that is asked for, both poses' errors, and how
-far a robot is believed to have gone that in truth stands: its top speed for the age of the newest image, the delay of
-a command, and the lag. A robot that is not seen for longer grows by its top speed until it is made to stand.
+far a robot is believed to have gone that in truth stands: the fastest that it was lately asked for, for the age of the
+newest image, the delay of a command, and the lag. So robots that are slow, or stand, may be nearer; and a robot that is
+near another is no faster than their distance allows. Its speed of this tick counts in the next, when h has shrunk to
+(1 - gamma tick) h at least: with b = |Delta| - D_ij without what is believed, and e believed so far,
+
+    |v| (age + delay + lag) <= (1 - gamma tick) b + gamma tick e
+
+keeps h >= 0. A robot that is not seen for longer grows by its top speed until it is made to stand.
 """
 
 import math
@@ -46,10 +63,21 @@ _CHECKED = 1e-6  # of the answer [m/s]
 _INSIDE = 1.0 - 1e-9  # a wheel stays inside its limit whatever is rounded later
 _WANTED = 0.5  # of its top speed: who asks for less waits, as behind a robot that stalls, and is not held
 _GRANTED = 0.1  # of what was wanted; with less a robot does not get on
+_ASKS = 0.05  # of its top speed: who asks for less stands
+_CREEPING = 0.075  # of its top speed: so fast a robot may be at any distance
 _WITHDRAWING = 0.5  # of its top speed, at most
-_AROUND_S = 0.5  # held for so long, a robot turns aside
-_COS, _SIN = math.cos(math.radians(80.0)), math.sin(math.radians(80.0))  # by so much; less does not pass a crowd
+_TURNS = tuple(
+    (math.cos(a), math.sin(a)) for a in map(math.radians, (80.0, 110.0, 140.0))
+)  # 80: less does not pass a crowd
+_AROUND_S = 0.5  # held for so long, a robot turns; in vain for so long, it turns further, or asks for the straight way
+_CLEAR_S = 0.16  # not held for so long, it asks for the straight way
+_WAITED_S = 2.0  # who was held within this time waits
 _BLOCKED_S = 3.0
+_STAYED_S, _STAYED_M = 20.0, 0.15  # held so long within this distance, a robot is blocked, whoever waits for whom
+_STALL_S, _STALL_M, _STALL_MOVED = 1.0, 0.04, 0.2  # told to go so far in this time, and moved less than this share
+_ROUND = 3  # a tick that a robot stands counts as so many in which it goes round without getting on
+# of a robot's memory: ticks; _TURN: which of _TURNS, from 1; _STALLS and _PRESSING: 0 or 1
+_HELD, _TURN, _VAIN, _CLEAR, _BLOCKED, _WAITED, _STALLS, _WATCHED, _PRESSING, _STAYED = range(10)
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
 
 _arc = kernel(differential_drive.arc)
@@ -81,9 +109,19 @@ class Body(NamedTuple):
 
 
 def apart(keepout: Keepout, one: Body, other: Body) -> float:
-    """Return D: the least distance of two robots' points q [m]."""
-    believed = max(b.drive.max_speed * (keepout.age + b.delay + b.drive.motor_lag) for b in (one, other))
-    return one.radius + other.radius + keepout.gap + 2 * (keepout.ahead + keepout.pose_error) + believed
+    """Return D: the least distance of two robots' points q, one of which has its top speed [m]."""
+    believed = max(b.drive.max_speed * _believed_for(keepout, b) for b in (one, other))
+    return apart_at_rest(keepout, one, other) + believed
+
+
+def apart_at_rest(keepout: Keepout, one: Body, other: Body) -> float:
+    """Return the least distance of the points q of two robots that stand [m]."""
+    return one.radius + other.radius + keepout.gap + 2 * (keepout.ahead + keepout.pose_error)
+
+
+def _believed_for(keepout: Keepout, body: Body) -> float:
+    """Return for how long a robot is believed to drive that in truth stands [s]."""
+    return keepout.age + body.delay + body.drive.motor_lag
 
 
 def from_edge(keepout: Keepout, body: Body) -> float:
@@ -99,7 +137,7 @@ def _fastest(keepout: Keepout, body: Body) -> float:
 
 
 class Barrier:
-    """The barrier of a group of N robots among M >= N bodies. It remembers for how long it has held each robot.
+    """The barrier of a group of N robots among M >= N bodies. It remembers how long it has held each.
 
     ``bodies``: the robots first, then the bystanders.
     """
@@ -109,16 +147,24 @@ class Barrier:
         self._bodies = np.array(
             [
                 (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
-                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b))
+                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), _believed_for(keepout, b))
                 for b in bodies
             ]
         )  # fmt: skip
-        self._apart = np.array([[apart(keepout, one, other) for other in bodies] for one in bodies])
+        self._apart = np.array([[apart_at_rest(keepout, one, other) for other in bodies] for one in bodies])
+        longest = max(_believed_for(keepout, body) for body in bodies)
+        fastest = [[body.drive.max_speed] for body in bodies]  # as long as nothing is known of their commands
+        self._lately = np.repeat(np.array(fastest), math.ceil(longest / keepout.tick) + 1, axis=1)  # speeds asked for
         self._half = np.array(keepout.arena) / 2
         self._still = np.zeros((len(bodies), 2))
-        self._held = np.zeros(len(bodies), dtype=np.int64)  # ticks in a row
-        self._around_ticks = round(_AROUND_S / keepout.tick)
-        self._blocked_ticks = round(_BLOCKED_S / keepout.tick)
+        self._memory = np.zeros((len(bodies), 10), dtype=np.int64)
+        self._told = np.zeros((len(bodies), 7))  # pose at a window's start, what was commanded since; where it stayed
+        around, clear, waited, stall = (round(s / keepout.tick) for s in (_AROUND_S, _CLEAR_S, _WAITED_S, _STALL_S))
+        self._times = (around, clear, waited, stall)
+        self._blocked_ticks, self._stayed_ticks = (
+            _ROUND * round(_BLOCKED_S / keepout.tick),
+            round(_STAYED_S / keepout.tick),
+        )
 
     def filter(
         self,
@@ -137,52 +183,55 @@ class Barrier:
         pushed (M, 2): velocity of each bystander [m/s; world], 0 of a robot, whose wheels tell it; None: all stand.
         driving (N,): the others stand, whatever is near. wheels (N, 2) [rad/s] and u (N, 2) [m/s; world]: the commands,
         and the velocity of the points p that they are. Returns for each robot LEFT_ALONE, CHANGED or NO_ANSWER (it
-        stands); and whether it has been held for so long that it will not get on by itself.
+        stands); and whether it is blocked: it will not get on by itself.
         """
         k = self._keepout
         how = np.zeros(len(wheels), dtype=np.int64)
         pushed = self._still if pushed is None else pushed
         _filter(
             poses, turning, unseen, pushed, driving, self._bodies, self._apart, self._half, k.ahead, k.rate,
-            k.point_ahead, k.age, k.lost_after, wheels, u, self._around_ticks, how, self._held,
+            k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times, how, self._memory,
+            self._lately, self._told,
         )  # fmt: skip
-        return how, self._held[: len(wheels)] >= self._blocked_ticks
+        its = self._memory[: len(wheels)]
+        return how, (its[:, _BLOCKED] >= self._blocked_ticks) | (its[:, _STAYED] >= self._stayed_ticks)
 
 
 @kernel
 def _filter(
     poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_], bodies: Array,
-    apart: Array, half: Array, ahead: float, rate: float, l: float, age: float, lost_after: float,
-    wheels: Array, u: Array, around: int, how: Instants, held: Instants,
+    apart: Array, half: Array, ahead: float, rate: float, l: float, age: float, lost_after: float, tick: float,
+    wheels: Array, u: Array, times: tuple[int, int, int, int], how: Instants, memory: Instants, lately: Array,
+    told: Array,
 ) -> None:  # fmt: skip
     n = len(poses)
-    stops, grown = np.empty((n, 6)), np.empty(n)
+    stops, grown, believed = np.empty((n, 6)), np.empty(n), np.empty(n)
     for i in range(n):
         _stop(poses[i], turning[i], bodies[i], ahead, l, stops[i])
         grown[i] = bodies[i, 4] * min(max(unseen[i] - age, 0.0), lost_after)
-    rows = np.empty((10 + n, 3))
+        v, _ = _body_from_wheels(turning[i, 0], turning[i, 1], bodies[i, 0], bodies[i, 1])
+        believed[i] = bodies[i, 7] * max(abs(v), lately[i].max())
+    asks = _asking(wheels, driving, bodies, l, n, memory)
+    rows, whose = np.empty((10 + n, 3)), np.empty(10 + n, dtype=np.int64)
     for i in range(len(wheels)):
         if not driving[i]:
-            held[i] = 0
+            memory[i] = 0
             continue
-        back = -_WITHDRAWING * bodies[i, 4]
-        first = _edges(rows, _limits(rows, bodies[i], l), stops[i], half, bodies[i, 5] + grown[i], rate, back)
-        count = first
+        back, fastest = -_WITHDRAWING * bodies[i, 4], bodies[i, 4]
         for j in range(n):
             if j != i and unseen[j] < np.inf:
                 near = apart[i, j] + grown[i] + grown[j]
+                share = min(1.0, rate * tick)
+                fastest = min(fastest, _speed(stops[i], stops[j], near, believed[i], believed[j], share, bodies[i]))
+        first = _edges(rows, _limits(rows, bodies[i], l, fastest), stops[i], half, bodies[i, 5] + grown[i], rate, back)
+        count = first
+        for j in range(n):
+            if j != i and unseen[j] < np.inf:
+                near = apart[i, j] + grown[i] + grown[j] + max(believed[i], believed[j])
+                whose[count] = j
                 count = _pair(rows, count, stops[i], stops[j], pushed[j], near, rate, bodies[i], back)
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
-        x, y = v, l * omega
-        met = _excess(x, y, rows[first:count]) > _TOLERANCE
-        if met and held[i] >= around:
-            x, y = _COS * x + _SIN * y, _COS * y - _SIN * x
-        along, across = _nearest(x, y, rows[:count])
-        wanted, granted = v * v + l * omega * l * omega, v * along + l * omega * across
-        if not met:
-            held[i] = max(0, held[i] - 1)
-        elif wanted > (_WANTED * bodies[i, 4]) ** 2 and granted < _GRANTED * wanted:
-            held[i] += 1
+        along, across = _answer(v, l * omega, rows[:count], first, whose, bodies[i, 4], asks, times, i, memory)
         if along != v or across != l * omega:
             how[i] = CHANGED
             if not np.isfinite(along + across):
@@ -190,6 +239,112 @@ def _filter(
             wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             u[i, 0], u[i, 1] = c * along - s * across, s * along + c * across
+    lately[: len(wheels), :-1] = lately[: len(wheels), 1:].copy()
+    for i in range(len(wheels)):
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
+        lately[i, -1] = abs(v)
+        _watch(poses[i], v * tick, l * omega * tick, l, times[3], told[i], memory[i])
+
+
+@kernel
+def _watch(pose: Array, along: float, across: float, l: float, window: int, told: Array, mine: Instants) -> None:
+    """Remember whether a robot stalls: over a window, it moves far less than it was commanded to (along, across); and
+    for how long it was held near one place."""
+    if mine[_WATCHED] == 0:
+        told[0], told[1], told[2], told[3], told[4] = pose[0], pose[1], pose[2], 0.0, 0.0
+    elif mine[_WATCHED] >= window:
+        turned = l * ((pose[2] - told[2] + np.pi) % (2.0 * np.pi) - np.pi)
+        moved = np.hypot(np.hypot(pose[0] - told[0], pose[1] - told[1]), turned)
+        commanded = np.hypot(told[3], told[4])
+        if moved >= _STALL_MOVED * _STALL_M:
+            mine[_STALLS] = 0
+        if commanded >= _STALL_M and moved < _STALL_MOVED * commanded:
+            mine[_STALLS] = 1
+        mine[_WATCHED] = -1
+    if np.hypot(pose[0] - told[5], pose[1] - told[6]) > _STAYED_M:
+        told[5], told[6], mine[_STAYED] = pose[0], pose[1], 0
+    mine[_STAYED] = mine[_STAYED] + 1 if mine[_PRESSING] else max(0, mine[_STAYED] - 1)
+    told[3] += along
+    told[4] += across
+    mine[_WATCHED] += 1
+
+
+@kernel
+def _speed(stop: Array, other: Array, near: float, own: float, others: float, share: float, body: Array) -> float:
+    """Return how fast a robot may be beside another [m/s]: what is believed of the other counts anyway."""
+    if body[7] == 0.0:
+        return float(body[4])
+    left = np.hypot(other[0] - stop[0], other[1] - stop[1]) - near
+    allowed = (1.0 - share) * left + share * max(own, others)
+    return float(max(_CREEPING * body[4], max(others, allowed) / body[7]))
+
+
+@kernel
+def _asking(
+    wheels: Array, driving: NDArray[np.bool_], bodies: Array, l: float, n: int, memory: Instants
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Return which bodies are asked to go somewhere and do not stall; the others stand."""
+    asks = np.zeros(n, dtype=np.bool_)
+    for i in range(len(wheels)):
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
+        wants = np.hypot(v, l * omega) > _ASKS * bodies[i, 4]
+        asks[i] = driving[i] and wants and memory[i, _STALLS] == 0
+    return asks
+
+
+@kernel
+def _answer(
+    x: float, y: float, rows: Array, first: int, whose: Instants, top: float, asks: NDArray[np.bool_],
+    times: tuple[int, int, int, int], i: int, memory: Instants,
+) -> tuple[float, float]:  # fmt: skip
+    """Return what robot i gets for (x, y), and remember whether it gets on; rows from ``first`` on are the others'."""
+    mine, (met, stands, idle) = memory[i], _held_by(x, y, rows, first, whose, asks, memory)
+    wanted = np.hypot(x, y)
+    pressing = met and wanted > _WANTED * top
+    mine[_CLEAR] = 0 if met else mine[_CLEAR] + 1
+    if mine[_CLEAR] >= times[1]:
+        mine[_TURN] = 0
+    if pressing and mine[_TURN] == 0 and mine[_HELD] >= times[0]:
+        mine[_TURN], mine[_HELD], mine[_VAIN] = 1, 0, 0
+    turned, turn_x, turn_y = pressing and mine[_TURN] > 0, x, y
+    if turned:
+        c, s = _TURNS[mine[_TURN] - 1]
+        turn_x, turn_y = c * x + s * y, c * y - s * x
+    along, across = _nearest(turn_x, turn_y, rows)
+    stuck = met and np.hypot(along, across) < _GRANTED * wanted
+    gets_on = x * along + y * across >= _GRANTED * wanted * wanted
+    if turned:
+        mine[_VAIN] = mine[_VAIN] + 1 if stuck else max(0, mine[_VAIN] - 1)
+        if mine[_VAIN] >= times[0]:
+            mine[_VAIN], mine[_TURN] = 0, mine[_TURN] + 1 if stands and mine[_TURN] < len(_TURNS) else 0
+    elif not met:
+        mine[_HELD] = max(0, mine[_HELD] - 1)
+    elif pressing and not gets_on:
+        mine[_HELD] += 1
+    if not pressing or gets_on:
+        mine[_BLOCKED] = max(0, mine[_BLOCKED] - _ROUND)
+    elif idle:
+        mine[_BLOCKED] += _ROUND if stuck else 1
+    mine[_PRESSING] = int(pressing)
+    if not asks[i]:
+        mine[_WAITED] = 0
+    else:
+        mine[_WAITED] = max(0, mine[_WAITED] - 1) if not met or gets_on else times[2]
+    return along, across
+
+
+@kernel
+def _held_by(
+    x: float, y: float, rows: Array, first: int, whose: Instants, asks: NDArray[np.bool_], memory: Instants
+) -> tuple[bool, bool, bool]:  # fmt: skip
+    """Return whether others hold a robot that asks for (x, y); one of them stands; one of them has not waited."""
+    met, stands, idle = False, False, False
+    for k in range(first, len(rows)):
+        if rows[k, 0] * x + rows[k, 1] * y > rows[k, 2] + _TOLERANCE:
+            j, met = whose[k], True
+            stands |= not asks[j]
+            idle |= memory[j, _WAITED] == 0
+    return met, stands, idle
 
 
 @kernel
@@ -211,13 +366,13 @@ def _stop(pose: Array, turning: Array, body: Array, ahead: float, l: float, stop
 
 
 @kernel
-def _limits(rows: Array, body: Array, l: float) -> int:
-    """Write the rows of the wheels and of the body: what the robot can do."""
+def _limits(rows: Array, body: Array, l: float, speed: float) -> int:
+    """Write the rows of the wheels, and of the body's speed: what the robot can do, and may."""
     turn, fastest, count = body[1] / (2.0 * l), body[0] * body[3] * _INSIDE, 0
     for sign in (1.0, -1.0):
         count = _add(rows, count, sign, sign * turn, fastest)
         count = _add(rows, count, sign, -sign * turn, fastest)
-        count = _add(rows, count, sign, 0.0, body[4] * _INSIDE)
+        count = _add(rows, count, sign, 0.0, speed * _INSIDE)
     return count
 
 
@@ -311,3 +466,6 @@ def _project(x0: float, y0: float, rows: Array) -> tuple[float, float]:
         shift = min(max(0.0, low), high)
         x, y = x - shift * b, y + shift * a
     return x, y
+
+
+KERNELS = (_filter,)  # that are called from Python

@@ -2,8 +2,8 @@
 
 Freshness without comparing clocks: a driver's status carries a nonce (its own clock's reading, opaque to everybody
 else) and the boot id that it drew when it started. Commands and enables echo both. What is accepted is valid until
-its nonce is 120 ms old, whenever it arrived: a network that stops and resumes delivers nothing old. A refused
-message changes a counter and feeds no watchdog.
+its nonce is 120 ms old, whenever it arrived: a network that stops and resumes delivers nothing old. So commands
+and enables are the heartbeat that keeps a robot driving. A refused message changes a counter and feeds no watchdog.
 
 The target is what is allowed now: the command, or zero. The output, which is what the wheels are given, follows it
 with limited acceleration, along the straight line between the two: towards zero both wheels fall by one ratio, so a

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from robofleet.safety import runaway
 from robofleet.safety.gate import Latch
 from robofleet.safety.runaway import Rolling
-from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import RobotFault
 
@@ -22,6 +22,12 @@ _S = 1_000_000_000
 SILENT_NS = 500 * _MS  # 25 statuses or 15 ticks: a process or its network; the gates closed after 120 ms
 TRACKER_SILENT_NS = 250 * _MS  # 7 images: every robot is driven by its wheels' word alone, some 50 mm by now
 STALE_TICKS = 15  # an image that knows no newer tick was held back: the controller does not use it
+_ARRIVALS = {
+    Phase.POSITIONING: Event.AT_START,
+    Phase.PARKING: Event.PARKED,
+    Phase.RUNNING: Event.ACCOMPLISHED,
+}
+UNDER_WAY_NS = 300 * _S  # a robot crosses any shipped arena in 20 s; many of them wait for each other
 OVERRUNS = 3  # in a row: 132 ms without a command, more than a gate waits; so the wheels did stop
 LATE_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
@@ -74,13 +80,13 @@ def watch(
     """
     now_ns, before = view.now_ns, memory.view or view
     radii = settings.body_radius
-    running, checking = phase is Phase.RUNNING, phase is Phase.ARMED and not proved
+    running, checking = phase in MOVING, phase is Phase.ARMED and not proved
     since = memory.infeasible_ns or (NEVER,) * len(view.robots)
     infeasible_ns = tuple(
         (at_ns or now_ns) if running and robot.filtered == 2 else NEVER
         for at_ns, robot in zip(since, view.robots, strict=True)
     )
-    started = phase in (Phase.RUNNING, Phase.HOLD)
+    started = phase in (Phase.HOLD, *MOVING)
     sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
     rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * len(view.robots), view.robots, radii))
     since_ns = memory.since_ns if phase is memory.phase else now_ns
@@ -103,6 +109,8 @@ def watch(
             happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
         if running and robot.blocked:
             happenings.append(Happening(Event.DEADLOCKED, row))
+        if running and robot.failed:
+            happenings.append(Happening(Event(robot.failed), row))
     return memory, (*happenings, *_neighbours(settings, view))
 
 
@@ -121,6 +129,10 @@ def _host(
         yield Happening(Event.ARMED_TOO_LONG)
     if memory.phase is Phase.HOLD and lasted_ns > HELD_NS:
         yield Happening(Event.HELD_TOO_LONG)
+    if memory.phase in _ARRIVALS and view.arrived == memory.phase:
+        yield Happening(_ARRIVALS[memory.phase])
+    elif memory.phase in (Phase.POSITIONING, Phase.PARKING) and lasted_ns > UNDER_WAY_NS:
+        yield Happening(Event.UNDER_WAY_TOO_LONG)
 
 
 def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view: FleetView) -> Iterator[Happening]:
@@ -133,7 +145,7 @@ def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view
     if view.controller_build != settings.build:
         yield Happening(Event.OTHER_BUILD)
     # Two single ones cannot be taken for three in a row: a view lies between them.
-    if phase is Phase.RUNNING and view.overruns - before.overruns >= OVERRUNS:
+    if phase in MOVING and view.overruns - before.overruns >= OVERRUNS:
         yield Happening(Event.TICKS_OVERRUN, NOBODY, view.overruns - before.overruns)
 
 

@@ -2,7 +2,7 @@
 
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import SILENT_NS
-from robofleet.safety.supervisor import TRANSITIONS, Event, Happening, Phase, RunStatus, describe
+from robofleet.safety.supervisor import MOVING, TRANSITIONS, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import RobotFault
 
@@ -10,10 +10,11 @@ from robofleet.vehicles.interface import RobotFault
 # checks are under way for, or waiting for.
 _MET = {
     Event.ARM_REQUESTED: (Phase.ARMED,),
-    Event.START_REQUESTED: (Phase.ARMED, Phase.RUNNING),
+    Event.START_REQUESTED: (Phase.ARMED, Phase.POSITIONING, Phase.RUNNING),
     Event.STOP_REQUESTED: (Phase.IDLE,),
     Event.HOLD_REQUESTED: (Phase.HOLD,),
-    Event.RESUME_REQUESTED: (Phase.RUNNING,),
+    Event.RESUME_REQUESTED: MOVING,
+    Event.PARK_REQUESTED: (Phase.PARKING,),
     Event.ESTOP_REQUESTED: (Phase.ESTOP,),
     Event.RESET: (Phase.IDLE,),
 }
@@ -21,6 +22,8 @@ WAY_OUT: dict[int, str] = {  # by phase
     Phase.IDLE: "nothing runs: start it",
     Phase.ARMED: "the fleet is being armed: start it once the checks are passed, or stop",
     Phase.RUNNING: "the run goes on: hold it, or stop it",
+    Phase.POSITIONING: "the robots go to their start: hold them, or stop",
+    Phase.PARKING: "the robots are being parked: hold them, or stop",
     Phase.HOLD: "the run is held: resume it, or stop it",
     Phase.FAULT: "the run ended by a fault: mend it, then reset",
     Phase.ESTOP: "the emergency stop is latched: look at the robots, then reset",
@@ -60,7 +63,7 @@ def refusal(
 def _unsettled(robot: str, seen: RobotView, phase: Phase) -> str | None:
     """Return why a robot keeps a reset from being granted."""
     if seen.faults & RobotFault.UNREACHABLE:
-        return f"{robot}: its driver has lost it: plug it in, switch it on, then reset"
+        return f"{robot}: its driver has lost the connection to it: plug it in, switch it on, then reset"
     if not seen.at_rest and seen.latch == Latch.RUNAWAY:
         return f"{robot}: a wheel turns by itself: switch off its power, then reset"
     if not seen.at_rest:

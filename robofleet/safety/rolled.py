@@ -17,7 +17,7 @@ from robofleet.safety.supervisor import Event
 
 Pose = tuple[float, float, float]  # x, y [m], psi [rad]; world
 Wheels = tuple[float, float]  # left, right
-Fault = tuple[Event, float]  # and its detail
+Diagnosis = tuple[Event, float]  # and its detail
 
 _MEAN_GAIN, _WHEEL_GAIN = 0.12, 0.13
 _UNCOUNTED_GAIN = 0.15  # without encoders, from what was asked, which is known to a few percent
@@ -46,7 +46,7 @@ def mean_of(forth: Leg, back: Leg) -> Leg:
     return Leg(*(((f[0] - b[0]) / 2.0, (f[1] - b[1]) / 2.0) for f, b in zip(forth, back, strict=True)))
 
 
-def wiring_fault(leg: Leg) -> Fault | None:
+def wiring_fault(leg: Leg) -> Diagnosis | None:
     """Return the fault between the driver and the floor that explains best what was rolled."""
     l, r = leg.asked
     explanations = (
@@ -68,7 +68,7 @@ def wiring_fault(leg: Leg) -> Fault | None:
     return (Event.ENCODER_WRONG, ratio) if any(leg.counted) and abs(ratio - 1.0) > _ENCODER_GAIN else None
 
 
-def gain_fault(leg: Leg) -> Fault | None:
+def gain_fault(leg: Leg) -> Diagnosis | None:
     """Return that the robot, or one of its wheels, rolls another distance than believed."""
     counts = any(leg.counted)
     expected = leg.counted if counts else leg.asked

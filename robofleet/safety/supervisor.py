@@ -1,11 +1,13 @@
 """The run's state machine: one transition table, no I/O.
 
-Wheels may move in RUNNING, and in ARMED those of the one robot that is being tried. HOLD keeps the run and waits for
-the operator; FAULT and ESTOP end it and wait for a reset, which moves nothing.
+Wheels may move in RUNNING, before it in POSITIONING, after it in PARKING, and in ARMED those of the one robot that is
+being tried. HOLD keeps the run and waits for the operator, who resumes what was held; FAULT and ESTOP end it and wait
+for a reset, which moves nothing.
 """
 
+from collections.abc import Iterable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 NOBODY = 0xFFFF
 
@@ -19,6 +21,11 @@ class Phase(IntEnum):
     FAULT = 3
     HOLD = 4
     ESTOP = 5
+    POSITIONING = 6  # the robots drive to where their behaviours begin
+    PARKING = 7  # after a run, to where they are parked
+
+
+MOVING = Phase.RUNNING, Phase.POSITIONING, Phase.PARKING  # every robot that nothing is wrong with may move
 
 
 class Event(IntEnum):
@@ -35,6 +42,15 @@ class Event(IntEnum):
     RESET = 7  # requested, and every robot at rest, every e-stop acknowledged, no input that still asks for one
     OPERATOR_LOST = 8  # the dead man's terminal is gone
     ARM_REQUESTED = 70  # the checks, and then to wait for the start
+    PARK_REQUESTED = 77
+    CAUGHT_UP = 71  # nobody asked: all is simulated, and whom a busy machine had delayed is there again (busy.py)
+    # the way to the start, and to the park
+    SET_OUT = 78  # every check was passed, and the robots are to go to their start first
+    AT_START = 79
+    PARKED = 80
+    ACCOMPLISHED = 81  # the behaviours have done all that they were to do
+    UNDER_WAY_TOO_LONG = 82
+    OFF_TO_PARK = 83  # the behaviours have done all, and the robots are to be parked
     # the processes
     SUPERVISOR_STALLED = 9  # the supervisor itself stood still, or its clock jumped
     DRIVER_SILENT = 10
@@ -87,6 +103,14 @@ class Event(IntEnum):
     BOTH_REVERSED = 57
     WRONG_GAIN = 58  # travelled over expected
     ENCODER_WRONG = 59  # counted over asked
+    WRONG_ORDER = 63  # it stands ahead of the robot with this index, which it is to follow
+    WAYS_CROSS = 64  # with the way of the robot with this index
+    # a group's behaviour; told of one of its robots
+    BEHAVIOUR_RAISED = 72
+    BEHAVIOUR_NOT_FINITE = 73
+    BEHAVIOUR_SHAPE = 74
+    BEHAVIOUR_LATE = 75
+    BEHAVIOUR_STANDS = 76  # with the robot of its group of which one of the events above is told
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
@@ -103,8 +127,16 @@ CAUSES = {
     Event.RESUME_REQUESTED: "resume requested",
     Event.ESTOP_REQUESTED: "emergency stop requested",
     Event.RESET: "reset",
+    Event.PARK_REQUESTED: "parking requested",
+    Event.SET_OUT: "every check passed: the robots go to their start",
+    Event.AT_START: "every robot is at its start",
+    Event.PARKED: "every robot is parked",
+    Event.ACCOMPLISHED: "the behaviours have done what they were to do",
+    Event.OFF_TO_PARK: "the behaviours have done what they were to do: the robots go to the park",
+    Event.UNDER_WAY_TOO_LONG: "the robots did not get to where they were to go in time",
+    Event.CAUGHT_UP: "the busy machine has caught up",
     Event.OPERATOR_LOST: "the operator's terminal is gone",
-    Event.SUPERVISOR_STALLED: "the supervisor stood still",
+    Event.SUPERVISOR_STALLED: "the supervisor stalled",
     Event.DRIVER_SILENT: "the driver went silent",
     Event.DRIVER_RESTARTED: "the driver was restarted",
     Event.CONTROLLER_SILENT: "the controller went silent",
@@ -121,43 +153,51 @@ CAUSES = {
     Event.CAMERA_MOVED: "the camera moved: calibrate its place again",
     Event.WIRED_STOP: "the robot's own e-stop",
     Event.GATE_LATCHED: "its gate is latched: look at the robot, then reset",
-    Event.STOPPED_AT_GATE: "an emergency stop closed its gate past the supervisor: look at the robots, then reset",
+    Event.STOPPED_AT_GATE: "an emergency stop closed its gate without the supervisor: look at the robots, then reset",
     Event.ROBOT_FAULT: "the robot reports a fault ({detail:.0f})",
     Event.BUMPED: "a bumper is hit",
-    Event.CLIFF: "there is no floor before it",
+    Event.CLIFF: "there is no floor ahead of it",
     Event.WHEEL_DROPPED: "a wheel is off the floor",
-    Event.OVERCURRENT: "a motor draws too much: a wheel is blocked",
+    Event.OVERCURRENT: "a motor draws too much current: a wheel is blocked",
     Event.CHARGING: "it is at its charger",
-    Event.UNREACHABLE: "its driver has lost it (unplugged?)",
+    Event.UNREACHABLE: "its driver has lost the connection to it (unplugged?)",
     Event.RUNAWAY: "a wheel turns by itself",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
     Event.TAG_LATE: "its tag is not seen",
     Event.TAG_LOST: "the tracker lost the robot",
-    Event.TAG_TWICE: "its tag is there twice",
+    Event.TAG_TWICE: "its tag is seen twice",
     Event.POSE_JUMPED: "it was moved by hand",
     Event.OUTSIDE_ARENA: "it left the arena",
     Event.TOO_CLOSE: "it is too close to {other}",
     Event.FILTER_INFEASIBLE: "no motion is safe for it",
-    Event.DEADLOCKED: "it is in the others' way, and they in its",
-    Event.BYSTANDER_LOST: "it is not driven, and nobody sees any more where it stands",
-    Event.BYSTANDER_MOVED: "it is not driven, and was put somewhere else",
+    Event.DEADLOCKED: "it and other robots block each other",
+    Event.BYSTANDER_LOST: "it is a bystander, and the tracker no longer sees it",
+    Event.BYSTANDER_MOVED: "it is a bystander, and somebody moved it",
     Event.NOT_AT_REST: "it is not at rest",
-    Event.ESTOP_UNANSWERED: "its driver did not answer the e-stop drill",
+    Event.ESTOP_UNANSWERED: "its driver did not answer the test of the emergency stop",
     Event.DID_NOT_MOVE: "its tag did not move when its wheels were turned",
     Event.WRONG_TAG_MOVED: "its driver moves the tag of {other}",
     Event.WHEELS_SWAPPED: "its wheels are swapped",
-    Event.ENCODER_WRONG: "an encoder counts {detail:.2f} of what its wheel was asked to turn",
+    Event.ENCODER_WRONG: "an encoder counts {detail:.2f} of its wheel's commanded travel",
     Event.LEFT_REVERSED: "its left wheel turns backwards",
     Event.RIGHT_REVERSED: "its right wheel turns backwards",
     Event.BOTH_REVERSED: "both its wheels turn backwards",
-    Event.WRONG_GAIN: "it travels {detail:.2f} of what its wheels should give: check wheel_radius_m",
+    Event.WRONG_ORDER: "it stands ahead of {other}, which it is to follow",
+    Event.WAYS_CROSS: "it and {other} are in each other's way to their places on the path",
+    Event.WRONG_GAIN: "it travels {detail:.2f} of the distance that its wheels should give: check wheel_radius_m",
+    Event.BEHAVIOUR_RAISED: "{group} failed with an error: its traceback is in the controller's log",
+    Event.BEHAVIOUR_NOT_FINITE: "{group} returned a velocity that is not finite",
+    Event.BEHAVIOUR_SHAPE: "{group} returned velocities of a wrong shape",
+    Event.BEHAVIOUR_LATE: "{group} took longer than its share of a tick",
+    Event.BEHAVIOUR_STANDS: "{group} failed, and all its robots stand",
     Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
-    Event.NOT_STARTED: "nobody started, and the checks are old",
+    Event.NOT_STARTED: "nobody started the fleet in time, and its checks are too old",
 }
 
 _SAME = None
 _I, _A, _R, _H, _F, _E = Phase.IDLE, Phase.ARMED, Phase.RUNNING, Phase.HOLD, Phase.FAULT, Phase.ESTOP
+_G, _P = Phase.POSITIONING, Phase.PARKING
 
 # Where each event leads from each phase; the column's own letter or a dash means that nothing changes.
 _COLUMNS = (_I, _A, _R, _H, _F, _E)
@@ -166,9 +206,15 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.ARM_REQUESTED:        (_A,    _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.START_REQUESTED:      (_A,    _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.PROVED:               (_SAME, _R,    _SAME, _SAME, _SAME, _SAME),
+    Event.SET_OUT:              (_SAME, _G,    _SAME, _SAME, _SAME, _SAME),
+    Event.ACCOMPLISHED:         (_SAME, _SAME, _I,    _SAME, _SAME, _SAME),
+    Event.OFF_TO_PARK:          (_SAME, _SAME, _P,    _SAME, _SAME, _SAME),
+    Event.PARK_REQUESTED:       (_SAME, _SAME, _P,    _P,    _SAME, _SAME),
+    Event.UNDER_WAY_TOO_LONG:   (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.STOP_REQUESTED:       (_SAME, _I,    _I,    _I,    _SAME, _SAME),
     Event.HOLD_REQUESTED:       (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.RESUME_REQUESTED:     (_SAME, _SAME, _SAME, _R,    _SAME, _SAME),
+    Event.CAUGHT_UP:            (_SAME, _SAME, _SAME, _R,    _SAME, _SAME),
     Event.ESTOP_REQUESTED:      (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.RESET:                (_SAME, _SAME, _SAME, _SAME, _I,    _I),
     Event.OPERATOR_LOST:        (_SAME, _E,    _E,    _E,    _SAME, _SAME),
@@ -219,6 +265,13 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.RIGHT_REVERSED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.BOTH_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WRONG_GAIN:           (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.WRONG_ORDER:          (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.WAYS_CROSS:           (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_RAISED:     (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_NOT_FINITE: (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_SHAPE:      (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_LATE:       (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_STANDS:     (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.ARMED_TOO_LONG:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.HELD_TOO_LONG:        (_SAME, _SAME, _SAME, _F,    _SAME, _SAME),
     Event.NOT_STARTED:          (_SAME, _I,    _SAME, _SAME, _SAME, _SAME),
@@ -230,6 +283,31 @@ TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
     for phase, to in zip(_COLUMNS, row, strict=True)
     if to is not None
 }
+# On the way to the start and to the park an event leads where it leads from RUNNING, but for these.
+TRANSITIONS |= {(phase, event): to for phase in (_G, _P) for (before, event), to in TRANSITIONS.items() if before is _R}
+TRANSITIONS |= {(_G, Event.AT_START): _R, (_P, Event.PARKED): _I}
+_IMPOSSIBLE = (
+    (_G, Event.ACCOMPLISHED), (_G, Event.OFF_TO_PARK),
+    (_P, Event.ACCOMPLISHED), (_P, Event.OFF_TO_PARK), (_P, Event.PARK_REQUESTED),
+)  # fmt: skip
+for _cell in _IMPOSSIBLE:
+    del TRANSITIONS[_cell]
+
+
+class Roster(tuple[str, ...]):
+    """Ids of the robots in the order of their numbers, and of which group each one is."""
+
+    _groups: tuple[str, ...]
+
+    def __new__(cls, robots: Iterable[str], groups: Iterable[str]) -> Self:
+        """Keep them; ``groups``: of each robot, empty for one in no group."""
+        made = super().__new__(cls, robots)
+        made._groups = tuple(groups)
+        return made
+
+    def group_of(self, robot: int) -> str:
+        """Return the name of a robot's group."""
+        return self._groups[robot]
 
 
 class Happening(NamedTuple):
@@ -247,6 +325,7 @@ class RunStatus(NamedTuple):
     cause: Event = Event.NOTHING
     robot: int = NOBODY
     detail: float = 0.0
+    held: Phase = Phase.RUNNING  # what was held, and goes on when the run is resumed
 
     def describe(self, robots: tuple[str, ...]) -> str:
         """Return the cause in words; ``robots`` are the ids in the order of their numbers."""
@@ -257,11 +336,19 @@ def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     """Return an event in words; ``robots`` are the ids in the order of their numbers."""
     event, robot, detail = happening
     other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
-    cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other)
+    group = "the behaviour of its group"
+    if isinstance(robots, Roster) and robot < len(robots):
+        group += f" {robots.group_of(robot)}"
+    cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other, group=group)
     return f"{robots[robot]}: {cause}" if robot < len(robots) else cause
 
 
 def step(status: RunStatus, happening: Happening) -> RunStatus:
     """Return the status after an event; an event that means nothing in this phase changes nothing."""
     phase = TRANSITIONS.get((status.phase, happening.event))
-    return status if phase is None else RunStatus(phase, *happening)
+    if phase is None:
+        return status
+    if status.phase is Phase.HOLD and phase is Phase.RUNNING:
+        phase = status.held
+    held = status.phase if phase is Phase.HOLD else phase
+    return RunStatus(phase, *happening, held if held in MOVING else Phase.RUNNING)

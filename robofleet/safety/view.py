@@ -34,6 +34,7 @@ class RobotView(NamedTuple):
     lost: bool = False  # the controller has had no image of it for too long, and lets it stand
     filtered: int = 0  # the barrier at that tick: 0 left alone, 1 changed, 2 no answer
     blocked: bool = False  # held by the barrier for long
+    failed: int = 0  # Event by which its group's behaviour failed at that tick; 0: it did not
     driven: bool = True  # by this run; else a bystander
 
     @property
@@ -41,6 +42,14 @@ class RobotView(NamedTuple):
         """Whether no wheel turns, as asked and as measured."""
         wheels = (self.left_speed, self.right_speed, self.left_output, self.right_output)
         return max(map(abs, wheels)) < 0.05
+
+
+class Machine(NamedTuple):
+    """How busy the supervisor's computer is, as its operating system measures it."""
+
+    contended_ns: int  # so far, since some instant: time in which a process was ready to run and no core was free
+    load: float  # processes that ran or were ready to, mean of a minute
+    cores: int  # that this run may use
 
 
 class FleetView(NamedTuple):
@@ -53,6 +62,7 @@ class FleetView(NamedTuple):
     controller_build: int = 0
     tick: int = 0  # its number
     overruns: int = 0  # so far
+    arrived: int = 0  # Phase whose behaviours had done all at that tick; IDLE: none
     tracker_ns: int = NEVER  # newest image's arrival
     tracker_epoch: int = 0
     tracker_build: int = 0
@@ -61,6 +71,7 @@ class FleetView(NamedTuple):
     news: tuple[Happening, ...] = ()  # of the tracker, since the last view
     operator_ns: int = NEVER  # newest sign of the operator's life
     free_bytes: int = 1 << 40  # where the run is recorded
+    machine: Machine | None = None  # None: not measured, or no real time
 
     @property
     def driven(self) -> int:

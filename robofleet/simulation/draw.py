@@ -155,3 +155,6 @@ def _bilinear(texture, row, column):  # type: ignore[no-untyped-def]
     upper = texture[i, j] + q * (texture[i, j + 1] - texture[i, j])
     lower = texture[i + 1, j] + q * (texture[i + 1, j + 1] - texture[i + 1, j])
     return upper + p * (lower - upper)
+
+
+KERNELS = (draw,)  # that are called from Python

@@ -1,12 +1,11 @@
-"""Timed faults of ``config/troubles.py``: when each acts, and what it does to a robot and to a disk.
+"""Fault injection: when each timed fault of ``config/troubles.py`` acts, and what it does to a body and to a clock.
 
-Nothing of this is made where a configuration has no faults. ``faulty_bus.py`` and ``faulty_poses.py`` hold the rest.
+Nothing of this is made where a configuration has no faults. Whoever puts a process together wraps what it touches: its
+bus (``faulty_bus.py``), camera and poses (``faulty_poses.py``), drivers (``faulty_driver.py``), disk
+(``faulty_disk.py``). Each stands in the place of the real thing, behind the same interface: no process knows of it.
 """
 
-import errno
-import io
 import math
-import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -18,27 +17,18 @@ from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
 from robofleet.safety.supervisor import Phase
-from robofleet.vehicles.interface import (
-    WIRED_STOP,
-    BodyTrouble,
-    Driver,
-    DriverReading,
-    SimulatedDriver,
-    TruePose,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import BodyTrouble, Driver, SimulatedDriver, TruePose
 
 _NEVER = math.inf
 _SLIP = 0.5
-_LOW_CHARGE = 0.05
 
 
 class Injection:
     """One fault, from when until when it acts [ns], and how often it had an effect."""
 
-    def __init__(self, fault: Fault, number: int) -> None:
+    def __init__(self, fault: InjectedFault, number: int) -> None:
         self.fault: Any = fault  # each kind has keys of its own
         self.number = number
         self.start_ns = self.end_ns = _NEVER
@@ -72,12 +62,11 @@ class Schedule:
     def __init__(self, config: Config, clock: Clock) -> None:
         self.now_ns = clock.now_ns  # of the world: it does not jump
         self.injections = tuple(Injection(fault, number) for number, fault in enumerate(config.faults))
-        self.processes = config.processes
         self.driven = config.driven
         self.driver_of = config.driver_of
         self.begun = False
         self._seed = config.run.seed
-        self._bodies: dict[str, Driver] = {}
+        self.bodies: dict[str, Driver] = {}  # robots that outlive lockstep's processes that drove them
         for injection in self.injections:
             if injection.fault.at_s is None:
                 injection.start(clock.now_ns())
@@ -130,70 +119,15 @@ class Schedule:
 
         return trouble if stuck or slip or runs or pushes else None
 
-    def driver(self, robot: str, make: Callable[[], Driver]) -> Driver:
-        """Return a robot's driver with its faults. A simulated robot outlives lockstep's process that drove it."""
-        body = self._bodies.get(robot)
-        if body is None:
-            body = self._bodies[robot] = make()
-        faulty = FaultySimulatedDriver if isinstance(body, SimulatedDriver) else FaultyDriver
-        return faulty(body, self, robot)
-
     def truth(self, robot: str) -> TruePose:
         """Return where a simulated robot is, whether its driver's process lives or not."""
-        body = self._bodies[robot]
+        body = self.bodies[robot]
         assert isinstance(body, SimulatedDriver)
         return body.truth()
 
     def disk_is_full(self) -> bool:
         """Return whether the disk takes nothing now."""
         return struck(self.of("disk_full"), self.now_ns())
-
-
-class FaultyLog(io.TextIOBase):
-    """A log on a disk that can be full; where it is not, nobody reads it."""
-
-    def __init__(self, schedule: Schedule) -> None:
-        self._schedule = schedule
-
-    def write(self, text: str) -> int:
-        """Take a line, if the disk takes it."""
-        if self._schedule.disk_is_full():
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return len(text)
-
-
-class FaultyDriver:
-    """A driver whose robot reads wrongly."""
-
-    def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
-        self._driver, self._now_ns = driver, schedule.now_ns
-        self._low, self._pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
-
-    def write(self, wheels: WheelSpeeds) -> None:
-        """Command the wheels."""
-        self._driver.write(wheels)
-
-    def read(self) -> DriverReading:
-        """Return the reading as it is now."""
-        reading, now_ns = self._driver.read(), self._now_ns()
-        if struck(self._low, now_ns):
-            reading = reading._replace(battery=_LOW_CHARGE)
-        if struck(self._pressed, now_ns):
-            reading = reading._replace(faults=reading.faults | WIRED_STOP)
-        return reading
-
-    def close(self) -> None:
-        """Motors off."""
-        self._driver.close()
-
-
-class FaultySimulatedDriver(FaultyDriver):
-    """The same for a robot that does not exist."""
-
-    def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
-        super().__init__(driver, schedule, robot)
-        assert isinstance(driver, SimulatedDriver)
-        self.truth = driver.truth
 
 
 class SteppedClock:

@@ -9,7 +9,7 @@ from robofleet.clock import S
 from robofleet.comms.messages import TagPose
 from robofleet.config.tree import Config
 from robofleet.simulation.faults import Injection, Schedule, struck
-from robofleet.tracking.events import Happening, News, TrackerEvent
+from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Feed, Frame, Lost, Observation, PoseSource
 from robofleet.tracking.watch import CameraWatch
 
@@ -71,7 +71,7 @@ class _WatchedTruth:
             self._image = 1 - self._image
         return seen if self._watch.look(self._image, seen.exposure_ns, now_ns) else None
 
-    def news(self) -> tuple[Happening, ...]:
+    def news(self) -> tuple[Notice, ...]:
         return self._source.news() + self._watch.news()
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ class FaultyPoses:
             self._held.append((max(last_ns + 1, now_ns + round(delay_s * S)), observation))
         return self._held.popleft()[1] if self._held and self._held[0][0] <= now_ns else None
 
-    def news(self) -> tuple[Happening, ...]:
+    def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
         return self._source.news() + self._news.take()
 

@@ -193,4 +193,4 @@ class _Settings:
         try:
             node.Value = type(node.Value)(value)
         except self._genicam.GenericException as error:
-            raise CameraError(f"{self._identity} does not take over {setting}: {value}: {error}") from error
+            raise CameraError(f"{self._identity} does not accept {setting}: {value}: {error}") from error

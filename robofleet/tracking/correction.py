@@ -1,4 +1,4 @@
-"""The fleet filter's algebra for one robot: how certainty is lost by moving, and won by a measurement.
+"""The fleet filter's algebra for one robot, an extended Kalman filter: certainty lost by moving, won by measuring.
 
 State: x, y [m], psi [rad], efficiency of the left and of the right wheel. P: its covariance (5, 5).
 """
@@ -16,12 +16,20 @@ _MOST_EFFICIENT = 2.0
 
 
 @kernel
+def copy(to: Array, source: Array) -> None:
+    """Write the first numbers of ``source`` over ``to`` (k,). An assignment of slices compiles slowly."""
+    for k in range(len(to)):
+        to[k] = source[k]
+
+
+@kernel
 def start_anew(x: Array, p: Array, measured: Array, variance: Array, wander: Array) -> None:
     """Believe a measurement alone, and every wheel again."""
-    x[:3] = measured
-    p[:] = 0.0
+    for i in range(len(x)):
+        for j in range(len(x)):
+            p[i, j] = 0.0
     for k in range(3):
-        p[k, k] = variance[k]
+        x[k], p[k, k] = measured[k], variance[k]
     for k in range(3, 5):
         x[k] = 1.0
         p[k, k] = wander[0]
@@ -36,7 +44,9 @@ def predict_covariance(
     """
     heading = x[2] - moved[2] / 2.0
     kept = np.exp(-duration / wander[1])
-    f = np.eye(5)
+    f = np.zeros((5, 5))
+    for k in range(5):
+        f[k, k] = 1.0
     f[0, 2], f[1, 2] = -moved[1], moved[0]
     for side in range(2):
         k = 3 + side
@@ -44,7 +54,7 @@ def predict_covariance(
         f[2, k] = travel[side] / base * (1.0 if side == 1 else -1.0)
         f[k, k] = kept
         x[k] = 1.0 + (x[k] - 1.0) * kept
-    p[:] = _product(f, _product(f, p).T)
+    _congruence(f, p)
     for k in range(3):
         p[k, k] += drift[k] * duration
     for k in range(3, 5):
@@ -52,16 +62,22 @@ def predict_covariance(
 
 
 @kernel
-def _product(a: Array, b: Array) -> Array:
-    """a b for small square matrices: numba's own needs scipy."""
-    n = len(a)
-    result = np.zeros((n, n))
+def _congruence(f: Array, p: Array) -> None:
+    """P <- F P F' for small square matrices: numba's own product needs scipy."""
+    n = len(f)
+    product = np.zeros((n, n))
     for i in range(n):
         for k in range(n):
-            if a[i, k] != 0.0:
+            if f[i, k] != 0.0:
                 for j in range(n):
-                    result[i, j] += a[i, k] * b[k, j]
-    return result
+                    product[i, j] += f[i, k] * p[k, j]
+    for i in range(n):
+        for j in range(n):
+            p[i, j] = 0.0
+        for k in range(n):
+            if f[i, k] != 0.0:
+                for j in range(n):
+                    p[i, j] += f[i, k] * product[j, k]
 
 
 @kernel
@@ -71,7 +87,9 @@ def held_up(p: Array, moved: Array) -> Array:
     Blocked motors and spinning wheels are no outliers: without this a robot that is held up would be refused for
     several images, and believed to drive on.
     """
-    wide = p.copy()
+    wide = np.empty(p.shape)
+    for i in range(len(p)):
+        copy(wide[i], p[i])
     for i in range(3):
         for j in range(3):
             wide[i, j] += moved[i] * moved[j]
@@ -85,7 +103,9 @@ def correct(x: Array, p: Array, prior: Array, innovation: Array, variance: Array
     The three coordinates are independent measurements: they correct one after the other.
     """
     n = len(x)
-    change, gain, trial = np.zeros(n), np.empty(n), prior.copy()
+    change, gain, trial = np.zeros(n), np.empty(n), np.empty(p.shape)
+    for i in range(n):
+        copy(trial[i], prior[i])
     distance = 0.0
     for k in range(3):
         s = trial[k, k] + variance[k]
@@ -104,7 +124,8 @@ def correct(x: Array, p: Array, prior: Array, innovation: Array, variance: Array
         x[i] += change[i]
     for k in range(3, n):
         x[k] = min(max(x[k], 0.0), _MOST_EFFICIENT)
-    p[:] = trial
+    for i in range(n):
+        copy(p[i], trial[i])
     return True
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.events import Happening, TrackerEvent
+from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.tracker import TagSighting
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ class DriftMonitor:
         self._worst = 0.0  # of a landmark since the camera is lost [m]
         self._said = np.zeros((n, 2))  # corrections told last
 
-    def update(self, sightings: Sequence[TagSighting]) -> tuple[CameraGeometry | None, tuple[Happening, ...]]:
+    def update(self, sightings: Sequence[TagSighting]) -> tuple[CameraGeometry | None, tuple[Notice, ...]]:
         """Take one image's sightings of the landmarks, placed by the geometry given last.
 
         Returns the corrected geometry if it changed, and what happened.
@@ -166,7 +166,7 @@ class DriftMonitor:
         self._covariance = np.asarray(posterior, np.float64)
         self._state = self._state + self._covariance @ (weighted.T @ surprise.ravel())
 
-    def _knocked(self, offset: Array, variance: Array, voters: Flags) -> tuple[Happening, ...]:
+    def _knocked(self, offset: Array, variance: Array, voters: Flags) -> tuple[Notice, ...]:
         """Try what most landmarks agree on; without it the state remains. Geometries are given when it is calm."""
         self._calm = 0
         voting = np.flatnonzero(voters)
@@ -184,9 +184,9 @@ class DriftMonitor:
         patience = _FAR_OFF if error > bound and len(voting) >= 2 else _LOST
         return self._give_up(self._worst) if self._lost >= patience else ()
 
-    def _give_up(self, error: float) -> tuple[Happening, ...]:
+    def _give_up(self, error: float) -> tuple[Notice, ...]:
         said, self._given_up, self.trusted = self._given_up, True, False
-        return () if said else (Happening(TrackerEvent.CAMERA_MOVED, value=error),)
+        return () if said else (Notice(TrackerEvent.CAMERA_MOVED, value=error),)
 
     def _consensus(self, surprise: Array, variance: Array, voting: NDArray[np.intp], prior: Array) -> Flags:
         """Return which landmarks (L,) agree with the pair of them that most agree with."""
@@ -203,7 +203,7 @@ class DriftMonitor:
         agree: Flags = distance[best] < 1.0
         return agree
 
-    def _blame(self, surprise: Array, agree: Flags) -> tuple[Happening, ...]:
+    def _blame(self, surprise: Array, agree: Flags) -> tuple[Notice, ...]:
         """Count how long a landmark has been elsewhere than the camera explains."""
         distance = np.hypot(surprise[:, 0], surprise[:, 1])
         elsewhere = ~agree & (distance > _SAID)
@@ -214,7 +214,7 @@ class DriftMonitor:
         self._off = np.where(agree, np.maximum(self._off - 1, 0), self._off)
         fresh = np.flatnonzero((self._off >= _OFF) & ~moved)
         self._off[fresh] = _OFF + _BACK
-        return tuple(Happening(TrackerEvent.TAG_JUMPED, self._tags[row], float(distance[row])) for row in fresh)
+        return tuple(Notice(TrackerEvent.TAG_JUMPED, self._tags[row], float(distance[row])) for row in fresh)
 
     def _learn(self, residual: Array, agree: Flags) -> None:
         """Learn what landmarks are off by themselves."""
@@ -225,7 +225,7 @@ class DriftMonitor:
             self._own[fresh] += part * (residual - self._own - self._seen(self._state))[fresh]
             self._share[fresh], self._unknown[fresh], self._gate[fresh] = 1.0 + part, 0.0, _GATE
 
-    def _settled(self) -> tuple[CameraGeometry | None, tuple[Happening, ...]]:
+    def _settled(self) -> tuple[CameraGeometry | None, tuple[Notice, ...]]:
         """Give the corrected geometry if it differs, and within bounds."""
         self._lost, self._worst = 0, 0.0
         if self.trusted and np.abs(self._seen(self._state)[:, :2]).max() < _STALE:
@@ -242,7 +242,7 @@ class DriftMonitor:
         if not tell:
             return geometry, ()
         self._said = shift
-        return geometry, (Happening(TrackerEvent.CAMERA_CORRECTED, value=largest),)
+        return geometry, (Notice(TrackerEvent.CAMERA_CORRECTED, value=largest),)
 
 
 def _corrected(geometry: CameraGeometry, state: Array) -> CameraGeometry:

@@ -1,4 +1,5 @@
-"""Where every robot is when its next command acts: a filter of a pose and two wheel efficiencies a robot.
+"""Where every robot is when its next command acts: an extended Kalman filter of a pose and two
+wheel efficiencies a robot.
 
 Between images the pose moves by dead reckoning with the commands that were given; a measured pose corrects it at its
 own mid-exposure, which a rolling shutter makes another one for every robot of an image. The prediction for the future
@@ -12,14 +13,14 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
 from robofleet.tracking import reckoning
-from robofleet.tracking.correction import correct, held_up, predict_covariance, start_anew, wrapped
+from robofleet.tracking.correction import copy, correct, held_up, predict_covariance, start_anew, wrapped
 from robofleet.tracking.reckoning import advance
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
 
-UNUSED, USED, CARRIED = 0, 1, 2
+UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away
 
 _HISTORY = 64  # commands
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
@@ -108,6 +109,7 @@ def _observe(
     delays_ns: Instants, commands: Array, motion: Array, drift: Array, wander: Array, variance: Array, gate: float,
     measured: Array, moved: Array, outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
 ) -> None:  # fmt: skip
+    before, travel, step, innovation = np.empty(3), np.empty(2), np.empty(3), np.empty(3)
     for i in range(len(state)):
         seen = not np.isnan(measured[i, 0])
         if exposures_ns[i] <= instants_ns[i] or (instants_ns[i] == 0 and not seen):
@@ -115,19 +117,22 @@ def _observe(
         if instants_ns[i] == 0:
             instants_ns[i] = exposures_ns[i] - 1
         x, p = state[i], covariance[i]
-        before, travel = x[:3].copy(), np.zeros(2)
+        copy(before, x)
+        travel[0] = travel[1] = 0.0
         advance(
             x, wheels[i], travel, instants_ns[i], exposures_ns[i], ticks_ns, delays_ns[i], commands[:, i], motion[i]
         )
         duration = (exposures_ns[i] - instants_ns[i]) * 1e-9
         instants_ns[i] = exposures_ns[i]
-        step = x[:3] - before
+        for k in range(3):
+            step[k] = x[k] - before[k]
         step[2] = wrapped(step[2])
         predict_covariance(x, p, step, travel, motion[i, 1], duration, drift, wander)
-        moved[i] += step
+        for k in range(3):
+            moved[i, k] += step[k]
+            innovation[k] = measured[i, k] - x[k]
         if not seen:
             continue
-        innovation = measured[i] - x[:3]
         innovation[2] = wrapped(innovation[2])
         known = measured_ns[i] > 0
         if known and (
@@ -137,10 +142,11 @@ def _observe(
             outliers[i] = 0
             used[i] = USED
         else:
-            away = np.abs(measured[i] - outlier_pose[i])
-            agrees = away[0] < 0.03 and away[1] < 0.03 and abs(wrapped(away[2])) < 0.3
+            for k in range(3):
+                step[k] = abs(measured[i, k] - outlier_pose[i, k])
+            agrees = step[0] < 0.03 and step[1] < 0.03 and abs(wrapped(step[2])) < 0.3
             outliers[i] = outliers[i] + 1 if agrees else 1
-            outlier_pose[i] = measured[i]
+            copy(outlier_pose[i], measured[i])
             if known and outliers[i] < _CARRIED_AFTER:
                 continue
             start_anew(x, p, measured[i], variance, wander)
@@ -148,4 +154,8 @@ def _observe(
             used[i] = CARRIED
         x[2] = wrapped(x[2])
         measured_ns[i] = exposures_ns[i]
-        moved[i] = 0.0
+        for k in range(3):
+            moved[i, k] = 0.0
+
+
+KERNELS = (_observe, reckoning.predict, reckoning.disturbance)  # that are called from Python

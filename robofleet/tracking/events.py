@@ -17,7 +17,7 @@ class TrackerEvent(IntEnum):
     TAG_TWICE = 3  # two prints of one id: distance between them [m]
     TAG_JUMPED = 4  # further than its robot can drive: distance [m]
     TAG_MISTAKEN = 5  # another id stands where this one was expected: the other id
-    TAG_CARRIED = 6  # a jump that stayed: believed at last; distance [m]
+    TAG_CARRIED = 6  # a jump that stayed, of a kidnapped robot: believed at last; distance [m]
     CAMERA_STALLED = 10  # no image: seconds
     CAMERA_FROZEN = 11  # the same picture again: how many times
     CAMERA_UNPLUGGED = 12  # 0
@@ -29,7 +29,7 @@ class TrackerEvent(IntEnum):
     CAMERA_CORRECTED = 21  # out of its calibration, and corrected: largest error of a floor tag before [m]
 
 
-class Happening(NamedTuple):
+class Notice(NamedTuple):
     """One event."""
 
     event: TrackerEvent
@@ -66,7 +66,7 @@ class News:
     """Collects what happens; the same event of the same tag is told once a second."""
 
     def __init__(self) -> None:
-        self._happenings: list[Happening] = []
+        self._happenings: list[Notice] = []
         self._said_ns: dict[tuple[TrackerEvent, int], int] = {}
 
     def say(self, event: TrackerEvent, tag: int, value: float, now_ns: int) -> None:
@@ -74,9 +74,9 @@ class News:
         said_ns = self._said_ns.get((event, tag))
         if said_ns is None or now_ns - said_ns >= _SAY_AGAIN_NS:
             self._said_ns[event, tag] = now_ns
-            self._happenings.append(Happening(event, tag, float(value)))
+            self._happenings.append(Notice(event, tag, float(value)))
 
-    def take(self) -> tuple[Happening, ...]:
+    def take(self) -> tuple[Notice, ...]:
         """Return what was added since the last call."""
         taken, self._happenings = tuple(self._happenings), []
         return taken

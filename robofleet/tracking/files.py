@@ -217,7 +217,7 @@ def _stamps(settings: FilesSettings) -> list[Stamp]:
             raise ImageFileError(f"{settings.stamps}:{len(stamps) + 2}: no line for {path}:frame {len(stamps)}")
     for before, stamp in itertools.pairwise(stamps):
         if stamp.exposure_ns <= before.exposure_ns:
-            raise ImageFileError(f"{stamp.where}: is not later than the one before: they go by time")
+            raise ImageFileError(f"{stamp.where}: is not later than the one before: sort the lines by time")
     return stamps
 
 
@@ -225,7 +225,7 @@ def _own_names(path: Path) -> list[Stamp]:
     stamps = []
     for name in _names(path):
         if not Path(name).stem.isdecimal():
-            raise ImageFileError(f"{path / name}: this name is no time in ns: name a CSV in camera.files.stamps")
+            raise ImageFileError(f"{path / name}: this name is not a time in ns: name a CSV in camera.files.stamps")
         stamps.append(Stamp(name, int(Path(name).stem), str(path / name)))
     return stamps
 

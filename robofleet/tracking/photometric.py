@@ -249,3 +249,6 @@ def _compare(patch, template):  # type: ignore[no-untyped-def]
     norm = max(squares - total * total / len(patch), np.float32(1.0)) ** 0.5
     contrast = max(contrast, np.float32(1.0))  # less is no tag
     return look / norm, forward / contrast, left / contrast, spin / contrast
+
+
+KERNELS = (_fit,)  # that are called from Python

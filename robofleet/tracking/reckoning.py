@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
+from robofleet.tracking.correction import copy
 from robofleet.vehicles import differential_drive
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ def advance(
     x (5,): x, y, psi, efficiencies; wheels (2,): as modelled [rad/s]; travel (2,): the wheels' believed travel, added
     up [m]; commands (H, 2) of the ticks ``ticks_ns`` (H,); motion: radius, base [m], lag [s].
     """
-    radius, base, lag = motion
+    radius, base, lag = motion[0], motion[1], motion[2]
     now = start_ns
     newest = len(ticks_ns) - 1  # command in force at the start; -1: none, the wheels are asked to rest
     while newest >= 0 and ticks_ns[newest] + delay_ns > now:
@@ -44,7 +45,7 @@ def advance(
         travel[0] += radius * left * duration
         travel[1] += radius * right * duration
         v, omega = _body_from_wheels(x[3] * left, x[4] * right, radius, base)
-        x[:3] = _arc(x[0], x[1], x[2], v, omega, duration)
+        x[0], x[1], x[2] = _arc(x[0], x[1], x[2], v, omega, duration)
         now = until
         if newest + 1 < len(ticks_ns) and ticks_ns[newest + 1] + delay_ns <= now:
             newest += 1
@@ -58,17 +59,19 @@ def predict(
     """Return the poses (N, 3) at a tick; and at the moment when each robot's command of that tick acts, with the
     wheels' speeds (N, 2) then, as modelled [rad/s]."""
     here, there, then = np.empty((len(state), 3)), np.empty((len(state), 3)), np.empty((len(state), 2))
-    travel = np.zeros(2)
+    travel, x = np.zeros(2), np.empty(5)
     for i in range(len(state)):
-        x, turning, start_ns = state[i].copy(), wheels[i].copy(), instants_ns[i]
+        copy(x, state[i])
+        turning, start_ns = then[i], instants_ns[i]
+        copy(turning, wheels[i])
         acts_ns = tick_ns + delays_ns[i]
         if start_ns > 0:  # 0: never seen; nothing to move, and the clock's zero may be weeks ago
             advance(x, turning, travel, start_ns, tick_ns, ticks_ns, delays_ns[i], commands[:, i], motion[i])
-        here[i] = x[:3]
+        copy(here[i], x)
         if start_ns > 0:
             then_ns = max(start_ns, tick_ns)
             advance(x, turning, travel, then_ns, acts_ns, ticks_ns, delays_ns[i], commands[:, i], motion[i])
-        there[i], then[i] = x[:3], turning
+        copy(there[i], x)
     return here, there, then
 
 

@@ -10,7 +10,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.drift import DriftMonitor, Landmark
-from robofleet.tracking.events import Happening, News
+from robofleet.tracking.events import News, Notice
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.tracking.targets import floor_targets, robot_targets
 from robofleet.tracking.tracker import TagSighting, TagTracker
@@ -34,7 +34,7 @@ class Sight(NamedTuple):
 
     robots: tuple[RobotSighting, ...]
     refused: int
-    happenings: tuple[Happening, ...]
+    happenings: tuple[Notice, ...]
 
 
 class FleetSight:

@@ -21,7 +21,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
-from robofleet.tracking.events import Happening, TrackerEvent
+from robofleet.tracking.events import Notice, TrackerEvent
 
 _FIRST_PAUSE_S = 0.2  # before a camera that failed is opened again; doubled from one failure to the next
 _LONGEST_PAUSE_S = 2.0
@@ -95,8 +95,8 @@ def unmeasured(config: Config) -> Iterator[Complaint]:
         yield (
             "camera.source",
             (
-                "nobody has measured this camera's lens: `python tools/calibrate.py intrinsics` writes a file for "
-                "camera.model; to one that was measured by other means add the device's name as its `camera`"
+                "nobody has measured this camera's lens: `robofleet calibrate intrinsics` writes a file for "
+                "camera.model; if it was measured by other means, write the device's name as `camera` into that file"
             ),
         )
 
@@ -163,7 +163,7 @@ class PoseSource(Protocol):
     def observe(self, now_ns: int) -> Observation | None:
         """Return the observation that is ready, or None."""
 
-    def news(self) -> tuple[Happening, ...]:
+    def news(self) -> tuple[Notice, ...]:
         """Return what happened to the camera and to the tags since the last call, with an image or without one."""
 
     def close(self) -> None:

@@ -53,7 +53,7 @@ def _lines(file: Path) -> list[list[str]]:
     except OSError as error:
         raise StampError(f"{file}: {error.strerror}") from error
     except (ValueError, csv.Error) as error:
-        raise StampError(f"{file}: is no CSV: {error}") from error
+        raise StampError(f"{file}: is not a CSV file: {error}") from error
 
 
 def _nanoseconds(text: str, unit: int, where: str) -> int:
@@ -64,4 +64,4 @@ def _nanoseconds(text: str, unit: int, where: str) -> int:
             return round(exposure_ns)
     except ArithmeticError:  # Decimal's errors are
         pass
-    raise StampError(f"{where}: {text!r} is no time")
+    raise StampError(f"{where}: {text!r} is not a time")

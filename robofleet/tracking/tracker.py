@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robofleet.clock import S
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.events import Happening, News, TrackerEvent
+from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.photometric import Fit, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
 from robofleet.tracking.tags import Found, Region, TagDetector, tiles, wrapped
@@ -53,7 +53,7 @@ class Sightings(NamedTuple):
 
     poses: tuple[TagSighting, ...]
     refused: int  # prints that read as a target and cannot be it
-    happenings: tuple[Happening, ...]
+    happenings: tuple[Notice, ...]
 
 
 class TagTracker:

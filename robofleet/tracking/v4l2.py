@@ -88,7 +88,7 @@ class V4L2Camera:
 
     def _set_up(self, camera: CameraSettings) -> None:
         if not self._capture.isOpened():
-            raise CameraError(f"{self._device} cannot be opened: is it plugged in, and does nobody else use it?")
+            raise CameraError(f"{self._device} cannot be opened: is it plugged in, and does no other program use it?")
         wanted = list(_wanted(camera))
         for _, key, asked in wanted:
             self._capture.set(key, asked)
@@ -100,7 +100,7 @@ class V4L2Camera:
         ]
         if refused:
             hint = f"`v4l2-ctl -d {self._device} --list-formats-ext --list-ctrls` tells what it can do"
-            raise CameraError(f"{self._device} does not take over {', '.join(refused)}: {hint}")
+            raise CameraError(f"{self._device} does not accept {', '.join(refused)}: {hint}")
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # a driver that needs more keeps them: the stamps stay right
         self._capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)  # where there is one, it would end the calibration
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S
-from robofleet.tracking.events import Happening, TrackerEvent
+from robofleet.tracking.events import Notice, TrackerEvent
 
 _STALLED_PERIODS = 5
 _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
@@ -34,7 +34,7 @@ class CameraWatch:
         self._waiting_since_ns = now_ns
         self._lost = False
         self._said: set[TrackerEvent] = set()  # since all was well
-        self._news: list[Happening] = []
+        self._news: list[Notice] = []
 
     @property
     def deadline_ns(self) -> int | None:
@@ -59,7 +59,7 @@ class CameraWatch:
         self._repeats = 0
         self._exposed_ns = exposure_ns
         if self._said:
-            self._news.append(Happening(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
+            self._news.append(Notice(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
             self._said.clear()
         self._good_ns = now_ns
         return True
@@ -81,7 +81,7 @@ class CameraWatch:
         self._lost, self._stalled_ns = True, None
         self._say(event, self._images if event is TrackerEvent.CAMERA_ENDED else 0.0)
 
-    def news(self) -> tuple[Happening, ...]:
+    def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
         news = tuple(self._news)
         self._news.clear()
@@ -96,4 +96,4 @@ class CameraWatch:
     def _say(self, event: TrackerEvent, value: float) -> None:
         if event not in self._said:
             self._said.add(event)
-            self._news.append(Happening(event, value=float(value)))
+            self._news.append(Notice(event, value=float(value)))

@@ -31,9 +31,9 @@ class RobotFault(IntFlag):
 
     WIRED_STOP = 1  # its own e-stop input is pressed
     BUMPED = 2  # a bumper is pressed
-    CLIFF = 4  # there is no floor before it
+    CLIFF = 4  # there is no floor ahead of it
     WHEEL_DROPPED = 8  # a wheel has lost the floor: the robot is lifted
-    OVERCURRENT = 16  # a motor draws too much: a wheel is blocked
+    OVERCURRENT = 16  # a motor draws too much current: a wheel is blocked
     CHARGING = 32  # it is at its charger
     UNREACHABLE = 64  # nobody can tell: its driver has lost it (the driver's process says this, no driver does)
     OWN = 1 << 16  # from this bit on: what only its own driver's README knows
@@ -110,7 +110,7 @@ class DriverContext:
 
     robot: str
     drive: DifferentialDrive  # as believed
-    simulation: Simulation
+    simulation: Simulation | None  # None: the robot exists
     now_ns: Callable[[], int]  # the process's clock
     settings: Any = None  # robots[].settings as the driver's own ``Settings``; None where its class has none
 

@@ -17,6 +17,7 @@ LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
     "RobotStatus": (messages.ROBOT_STATUS, messages.RobotStatus),
     "Enable": (messages.ENABLE, messages.Enable),
     "RunState": (messages.RUN_STATE, messages.RunState),
+    "BusyMachine": (messages.BUSY_MACHINE, messages.BusyMachine),
     "Truth": (messages.TRUTH, messages.Truth),
     "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
     "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
@@ -29,6 +30,7 @@ ITEMS: dict[str, type[Any]] = {
     "FleetPoses": messages.TagPose,
     "TickRecord": messages.RobotTick,
     "RunState": messages.RobotState,
+    "BusyMachine": messages.Late,
 }
 
 
@@ -50,7 +52,9 @@ def any_message(draw: st.DrawFn, name: str) -> Any:
         return make(*draw(_row(layout.dtype, ("version",))))
     head = draw(_row(layout.head_dtype, ("version", "count")))
     items = draw(st.lists(_row(layout.item_dtype), max_size=5))
-    return make(*head, tuple(ITEMS[name](*item) for item in items))
+    numbers: tuple[float, ...] | None = () if name == "TickRecord" else None
+    rows = tuple(ITEMS[name](*item) for item in items)
+    return make(*head, rows) if numbers is None else make(*head, rows, numbers)
 
 
 @pytest.fixture(scope="session", params=list(LAYOUTS))

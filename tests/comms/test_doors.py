@@ -101,7 +101,7 @@ def test_a_stranger_who_answers_for_the_supervisor_is_not_believed(bus: Bus, wha
 def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_believed(bus: Bus) -> None:
     stolen: list[bytes] = []
     queryable = bus.forge(key("lab", REQUEST, "supervisor"), b"ok", stolen)
-    with pytest.raises(TimeoutError, match=r"does not answer.*somebody else answered, who is not the supervisor"):
+    with pytest.raises(TimeoutError, match=r"does not answer.*another client answered in place of the supervisor"):
         ask(bus.operator, lambda: None)
     assert stolen
     assert queryable is not None
@@ -113,7 +113,7 @@ def test_of_two_who_call_themselves_supervisor_none_is_believed_but_the_request_
     token = bus.stranger.liveliness().declare_token(alive_key("lab", "supervisor", bus.stranger))
     until(lambda: len(there(bus)) == 2 or None)
     serve = answering(bus.supervisor.serve(REQUEST, "supervisor"), heard, b"ok")
-    with pytest.raises(TimeoutError, match="several on this bus call themselves supervisor, so none is believed"):
+    with pytest.raises(TimeoutError, match="several processes claim to be the supervisor, so none is believed"):
         ask(bus.operator, serve)
     assert set(heard) == {b"hold"}
     token.undeclare()

@@ -17,15 +17,15 @@ from robofleet.comms.keys import (
     key,
 )
 from robofleet.comms.messages import (
-    ENABLE as ENABLE_LAYOUT,
-)
-from robofleet.comms.messages import (
+    BUSY_MACHINE,
     LEASE_ANSWER,
     LEASE_REQUEST,
     ROBOT_STATUS,
     RUN_STATE,
     WHEEL_COMMAND,
+    BusyMachine,
     Enable,
+    Late,
     LeaseAnswer,
     LeaseRequest,
     RobotState,
@@ -33,33 +33,41 @@ from robofleet.comms.messages import (
     RunState,
     WheelCommand,
 )
+from robofleet.comms.messages import (
+    ENABLE as ENABLE_LAYOUT,
+)
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 
 
 def test_a_wheel_command() -> None:
     message = WheelCommand(2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
-    assert WHEEL_COMMAND.encode(message) == struct.pack("<BQQQQQqdd", 4, 2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
+    assert WHEEL_COMMAND.encode(message) == struct.pack("<BQQQQQqdd", 5, 2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
 
 
 def test_an_enable() -> None:
     values = (2, 3, 4, 5, 6, 7, 8, 9.5)
-    assert ENABLE_LAYOUT.encode(Enable(*values)) == struct.pack("<BQQQQBBQd", 4, *values)
+    assert ENABLE_LAYOUT.encode(Enable(*values)) == struct.pack("<BQQQQBBQd", 5, *values)
 
 
 def test_a_status() -> None:
     values = (*range(2, 17), -17, -18, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, -1.0)
-    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BQQIQQQqqqQBBQBIqqddddddddd", 4, *values)
+    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BQQIQQQqqqQBBQBIqqddddddddd", 5, *values)
 
 
 def test_a_lease() -> None:
-    assert LEASE_REQUEST.encode(LeaseRequest(2**64 - 1, 1)) == struct.pack("<BQB", 4, 2**64 - 1, 1)
-    assert LEASE_ANSWER.encode(LeaseAnswer(1, 3, 2**64 - 1)) == struct.pack("<BBQQ", 4, 1, 3, 2**64 - 1)
+    assert LEASE_REQUEST.encode(LeaseRequest(2**64 - 1, 1)) == struct.pack("<BQB", 5, 2**64 - 1, 1)
+    assert LEASE_ANSWER.encode(LeaseAnswer(1, 3, 2**64 - 1)) == struct.pack("<BBQQ", 5, 1, 3, 2**64 - 1)
 
 
 def test_a_run_state() -> None:
     message = RunState(2, 3, 4, 5, 6, 7.5, 8, 9, 10, (RobotState(1, 0, 11), RobotState(0, 1, 12)))
-    head = struct.pack("<BIQBHHdBHBH", 4, 2, 3, 4, 5, 6, 7.5, 8, 9, 10, 2)
+    head = struct.pack("<BIQBHHdBHBH", 5, 2, 3, 4, 5, 6, 7.5, 8, 9, 10, 2)
     assert RUN_STATE.encode(message) == head + struct.pack("<BBHBBH", 1, 0, 11, 0, 1, 12)
+
+
+def test_a_busy_machine() -> None:
+    message = BusyMachine(2, 3, 4, 1, 5, 6, 7, 8.5, (Late(9, 10, -1),))
+    assert BUSY_MACHINE.encode(message) == struct.pack("<BIQHBIIHdHHqq", 5, 2, 3, 4, 1, 5, 6, 7, 8.5, 1, 9, 10, -1)
 
 
 def test_what_a_gate_says_in_numbers() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Source, parse_yaml
+from robofleet.processes import driver_settings
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 TEXT = (CONFIGS / "platoon.yaml").read_text()
@@ -50,11 +51,11 @@ def platoon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_shipped_platoon_is_the_papers_run() -> None:
     config = load_config(CONFIGS / "platoon.yaml")
-    c, group = config.controller, config.groups[0]
-    assert (c.point_ahead_m, group.spacing_m, c.alpha, c.horizon_s) == (0.08, 0.25, 45, 0.6)
-    assert (c.tick_s, group.path_rate, config.run.duration_s) == (0.033, 0.0455, 88)
+    c, settings = config.controller, config.groups[0].settings
+    assert (c.point_ahead_m, settings["spacing_m"], c.alpha, c.horizon_s) == (0.08, 0.25, 45, 0.6)
+    assert (c.tick_s, settings["path_rate"], config.run.duration_s) == (0.033, 0.0455, 88)
     assert c.integrator == "exact"
-    assert [robot.tag for robot in config.platoon] == [1, 2, 3, 4]
+    assert [robot.tag for robot in config.members] == [1, 2, 3, 4]
 
 
 def test_an_ideal_robot_has_gternals_geometry_and_no_error() -> None:
@@ -67,6 +68,31 @@ def test_an_ideal_robot_has_gternals_geometry_and_no_error() -> None:
     assert ideal.motor_lag_s == 0
     assert set(errors.values()) == {0}
     assert ideal.simulated.battery_life_s == 1e9
+
+
+def without_errors(platoon: Path) -> Path:
+    """Write a kind of robot that only real robots can be of, beside a configuration."""
+    shipped = (CONFIGS / "robots" / "ideal.yaml").read_text()
+    kind = platoon.with_name("kind.yaml")
+    kind.write_text(shipped[: shipped.index("simulated:")])
+    return kind
+
+
+@pytest.mark.parametrize("how", [(), ("robots.2.driver=gternal", "robots.2.twin=gternal")])
+def test_a_robot_that_does_not_exist_needs_its_errors(platoon: Path, how: tuple[str, ...]) -> None:
+    kind = without_errors(platoon)
+    (fault,) = faults_of(platoon, "robots.2.vehicle=kind.yaml", *how)
+    assert fault.startswith(f"{kind}:2:1: simulated: is missing: say what a simulated robot of this kind gets wrong")
+
+
+def test_a_robot_that_exists_needs_neither_errors_nor_a_start(platoon: Path) -> None:
+    without_errors(platoon)
+    exists = ("driver=gternal", "vehicle=kind.yaml", "settings={port: /dev/r3}", "start=null")
+    config = load_config(platoon, ["groups.0.robots=[r1, r2, r4]", *(f"robots.2.{key}" for key in exists)])
+    assert (config.robots[2].vehicle.simulated, config.robots[2].start) == (None, None)
+    context = driver_settings.context(config, config.robots[2], lambda: 0)
+    assert context.simulation is None
+    assert context.settings.port == "/dev/r3"
 
 
 ALPHA = "alpha: 45 "
@@ -87,7 +113,7 @@ TRAPS = [
     (("trigger: tick", "trigger: «off"), "camera.trigger", "reads off as false"),
     (("trigger: tick", "trigger: «Yes"), "camera.trigger", "reads Yes as true"),
     (("trigger: tick", "trigger: «no"), "camera.trigger", "reads no as false"),
-    (("  alpha: 45", "  alpha: 45\n  «alpha: 50"), "controller.alpha", "written twice, first on line 18"),
+    (("  alpha: 45", "  alpha: 45\n  «alpha: 50"), "controller.alpha", "written twice, first on line 19"),
     (("  alpha: 45", "  alpha: 45\n  «7: 50"), "controller.7", "quote it, '7'"),
     (("  alpha: 45", "  alpha: 45\n  «on: 50"), "controller.on", "quote it, 'on'"),
     (("  alpha: 45", "  alpha: 45\n  ? «[a]\n  : 50"), "controller: ", "a key must be text"),
@@ -127,7 +153,7 @@ def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spe
         (b"- 1\n", "1:1", "must be a mapping"),
         (b"hello\n", "1:1", "must be a mapping"),
         (b"a: 1\n---\na: 2\n", "2:1", "second document"),
-        (b"a: 1\nb: [1, 2\nc: 3\n", "3:2", "is not YAML"),
+        (b"a: 1\nb: [1, 2\nc: 3\n", "2:4", "this list is not closed"),
         (b"a:\n\t- 1\n", "2:1", "indent with spaces"),
         (b"a: 1\nb: \xe9\n", "2:4", "is not UTF-8"),
         (b"{}\n" + b'"a\\nb": 1\n', "2:1", "is not YAML"),
@@ -144,8 +170,9 @@ def test_what_is_no_configuration_is_refused(platoon: Path, content: bytes, plac
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    assert faults_of(tmp_path / "none.yaml") == (f"{tmp_path}/none.yaml:1:1: there is no such file",)
-    assert faults_of(tmp_path) == (f"{tmp_path}:1:1: cannot be read: Is a directory",)
+    (fault,) = faults_of(tmp_path / "none.yaml")
+    assert fault.startswith(f"{tmp_path}/none.yaml:1:1: there is no such file: ")
+    assert faults_of(tmp_path) == (f"{tmp_path}:1:1: is a folder: name a file",)
 
 
 def test_aliases_that_explode_are_refused_at_once(platoon: Path) -> None:
@@ -156,8 +183,22 @@ def test_aliases_that_explode_are_refused_at_once(platoon: Path) -> None:
 
 
 MISTAKES = [
-    (("spacing_m:", "«spacing:"), "groups.0.spacing", "unknown key: did you mean 'spacing_m'?"),
-    (("run: {", "run: {«xyz: 1, "), "run.xyz", "known: attended, bounds, duration_s, seed"),
+    (("spacing_m:", "«spacing:"), "groups.0.settings.spacing", "unknown key: did you mean 'spacing_m'?"),
+    (
+        ("    settings:", "    «spacing_m: 0.25\n    settings:"), "groups.0.spacing_m",
+        "is a setting of the behaviour platoon: write it under `settings:` (groups.0.settings.spacing_m)",
+    ),
+    (("behaviour: platoon", "behaviour: «plattoon"), "groups.0.behaviour", "did you mean 'platoon'?"),
+    (("behaviour: platoon", "behaviour: «gone:Gone"), "groups.0.behaviour", "or put gone.py beside the configuration"),
+    (
+        (
+            "platoon\n    robots: [r1, r2, r3, r4]  # the leader first\n    settings:\n      path",
+            "consensus\n    robots: [r1, r2, r3, r4]\n    settings:\n      «path",
+        ),
+        "groups.0.settings.path", "unknown key: known: edges",
+    ),
+    (("behaviour: platoon", "name: «P\n    behaviour: platoon"), "groups.0.name", "must be a small letter"),
+    (("run: {", "run: {«xyz: 1, "), "run.xyz", "known: attended, begin, bounds, duration_s, end, seed"),
     (("  alpha: 45  # paper\n", ""), "controller.alpha", "is missing"),
     ((ALPHA, "alpha:« "), "controller.alpha", "is missing"),
     ((ALPHA, "alpha: «fast "), "controller.alpha", "must be a number, not 'fast'"),
@@ -185,8 +226,8 @@ MISTAKES = [
     (("width: 1280", "width: «640"), "camera.width", "640 px, but its model is calibrated for 1280"),
     (("height: 720", "height: «480"), "camera.height", "480 px, but its model is calibrated for 720"),
     (("model: overhead", "model: «overhed"), "camera.model", "did you mean 'overhead'?"),
-    (("path: platoon", "path: «elsewhere/p.yaml"), "groups.0.path", "there is no file elsewhere/p.yaml"),
-    (("path: platoon", "path: «../platoon"), "groups.0.path", "neither a name nor a path"),
+    (("path: platoon", "path: «elsewhere/p.yaml"), "groups.0.settings.path", "there is no file elsewhere/p.yaml"),
+    (("path: platoon", "path: «../platoon"), "groups.0.settings.path", "neither a name nor a path"),
 ]  # fmt: skip
 
 
@@ -207,7 +248,7 @@ def test_all_faults_are_reported_at_once_in_the_order_of_the_file(platoon: Path)
     text, places = edited(
         ("arena: {", "arena: {«colour: red, "),
         ("tag: 2", "tag: «1e1"),
-        ("  spacing_m: 0.25", "  spacing_m: «-1"),
+        ("spacing_m: 0.25", "spacing_m: «-1"),
         (ALPHA, "alpha: «x "),
         ("trigger: tick", "trigger: «on"),
     )
@@ -243,7 +284,7 @@ def test_a_fault_in_a_shared_file_is_reported_once_at_that_files_place(platoon: 
         text = text.replace(old, new)
     Path("robots/gternal.yaml").write_text(text)
     assert faults_of(platoon) == (
-        "robots/gternal.yaml:2:1: max_speed_m_s: is missing",
+        "robots/gternal.yaml:2:1: max_speed_m_s: is missing: add it; configs/README.md describes it",
         "robots/gternal.yaml:2:17: wheel_radius_m: must be at least 0.001, not -1",
         "robots/gternal.yaml:3:15: wheel_base_m: YAML reads 1e-1 as text: write 1.0e-1, or quote it, '1e-1'",
     )
@@ -251,7 +292,7 @@ def test_a_fault_in_a_shared_file_is_reported_once_at_that_files_place(platoon: 
 
 def test_an_unreadable_named_file_is_one_fault_of_that_file(platoon: Path) -> None:
     Path("robots/gternal.yaml").mkdir(parents=True)
-    assert faults_of(platoon) == ("robots/gternal.yaml:1:1: cannot be read: Is a directory",)
+    assert faults_of(platoon) == ("robots/gternal.yaml:1:1: is a folder: name a file",)
 
 
 def test_overrides_are_read_as_yaml_and_the_last_one_counts(platoon: Path) -> None:
@@ -310,7 +351,7 @@ def test_overrides_faults_follow_the_files(platoon: Path) -> None:
     platoon.write_text(edited((ALPHA, "alpha: x "))[0])
     faults = faults_of(platoon, "run.seed=-1", "run.settle_s=-1")
     assert [fault.split(": ")[0] for fault in faults] == [
-        "platoon.yaml:18:10", "--set run.seed=-1", "--set run.settle_s=-1"
+        "platoon.yaml:19:10", "--set run.seed=-1", "--set run.settle_s=-1"
     ]  # fmt: skip
 
 
@@ -341,7 +382,8 @@ def test_a_wrong_faults_file_is_reported_at_its_own_place(platoon: Path, text: s
 
 
 def test_a_missing_faults_file_is_refused(platoon: Path) -> None:
-    assert faults_of(platoon, faults_file=Path("s.yaml")) == ("s.yaml:1:1: there is no such file",)
+    (fault,) = faults_of(platoon, faults_file=Path("s.yaml"))
+    assert fault.startswith("s.yaml:1:1: there is no such file: ")
 
 
 positive = st.floats(1.0, 100.0)

@@ -96,7 +96,7 @@ def test_a_router_that_was_killed_leaves_its_place_free_and_a_living_one_does_no
     check_free(config)
     Path(path).unlink()
     Path(path).write_text("precious")
-    with pytest.raises(PlaceError, match="no socket"):
+    with pytest.raises(PlaceError, match="is not a socket"):
         check_free(config)
     assert Path(path).read_text() == "precious"
 

@@ -9,12 +9,15 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from robofleet.config import groups
 from robofleet.config.load import ConfigError, load_config
+from robofleet.config.schema import behaviours
 from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked, proofs
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 SCHEMA = Config.model_json_schema()
+BEHAVIOURS = behaviours(SCHEMA["$defs"])
 Node = dict[str, Any]
 
 
@@ -32,6 +35,7 @@ def nodes(node: Node, path: str, inside: tuple[str, ...] = ()) -> Iterator[tuple
         *node.get("properties", {}).items(),
         ("*", node.get("items")),
         ("*", node.get("additionalProperties")),
+        *(("*", below) for below in node.get("patternProperties", {}).values()),
     ]:
         if isinstance(below, dict):
             yield from nodes(below, f"{path}.{key}".removeprefix("."), inside)
@@ -54,7 +58,9 @@ def unlimited(node: Node) -> str:
 
 
 def test_nothing_is_without_a_limit() -> None:
-    found = {f"{path}: {missing}" for path, node in nodes(SCHEMA, "") if (missing := unlimited(node))}
+    trees = ("", SCHEMA), *((f"groups.*.settings of {name}", tree) for name, tree in BEHAVIOURS.items())
+    every = [found for above, tree in trees for found in nodes(tree, above)]
+    found = {f"{path}: {missing}" for path, node in every if (missing := unlimited(node))}
     assert not found, "\n".join(sorted(found))
 
 
@@ -93,7 +99,8 @@ def changed(key: str, number: float) -> Any:
 
 def is_accepted(key: str, number: float) -> bool:
     try:
-        Config.model_validate(changed(key, number))
+        for group in Config.model_validate(changed(key, number)).groups:
+            groups.kind(group).Settings.model_validate(group.settings)
     except ValidationError:
         return False
     return True

@@ -11,8 +11,8 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from robofleet.config.load import load_config, resolved_yaml
-from robofleet.config.model import Model
 from robofleet.config.schema import schema
+from robofleet.settings import Model
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
@@ -23,6 +23,9 @@ TOOL = "tools/config_reference.py"
 def platoon(**parts: Any) -> Any:
     """Return the shipped configuration as it is written, with some parts instead of its own."""
     return yaml.safe_load((CONFIGS / "platoon.yaml").read_text()) | parts
+
+
+SETTINGS = platoon()["groups"][0]["settings"]
 
 
 def faults_of(tree: Any) -> list[str]:
@@ -71,7 +74,12 @@ def test_shipped_faults_are_valid(file: Path) -> None:
         ({"run": {"duration_s": 88, "sed": 1}}, "run"),
         ({"run": {}}, "run"),
         ({"groups": []}, "groups"),
-        ({"groups": [platoon()["groups"][0] | {"path": "no name"}]}, "groups.0.path"),
+        (
+            {"groups": [platoon()["groups"][0] | {"settings": {**SETTINGS, "path": "no name"}}]},
+            "groups.0.settings.path",
+        ),
+        ({"groups": [platoon()["groups"][0] | {"settings": {**SETTINGS, "spacing": 1}}]}, "groups.0.settings"),
+        ({"groups": [{"behaviour": "platoon", "robots": ["r1"]}]}, "groups.0"),
         ({"arena": {"name": "A", "size_m": [3, 2]}}, "arena.name"),
         ({"arena": {"name": "a", "size_m": [3]}}, "arena.size_m"),
         ({"camera": platoon()["camera"] | {"trigger": "tik"}}, "camera.trigger"),
@@ -89,7 +97,7 @@ def test_the_list_of_every_key_is_up_to_date() -> None:
 
 
 def test_the_list_of_every_key_has_its_unit_range_default_and_meaning() -> None:
-    text = (CONFIGS / "README.md").read_text()
+    text = "\n".join(page.read_text() for page in (CONFIGS / "keys").glob("*.md"))
     assert re.search(r"^\| `exposure_s` \| s \| 1e-07 to 1 \| `0.004` \| .+ \|$", text, re.MULTILINE)
     assert re.search(
         r"^\| `max_wheel_acceleration_rad_s2` \| rad/s² \| 0.01 to 1e\+06 \| \*\*required\*\* \| .+ \|$",

@@ -9,8 +9,9 @@ import pytest
 import yaml
 
 from robofleet.control.path import Path
-from robofleet.control.platoon import WHEELS, Column, Platoon, PlatoonSettings
+from robofleet.control.platoon import PlatoonSettings
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.control.driven import WHEELS, Column, Platoon
 from tests.robots import GTERNAL
 
 CONFIGS = File(__file__).parent.parent.parent / "configs"

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from robofleet.control.platoon import WHEELS, Column, Platoon
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.control.driven import WHEELS, Column, Platoon
 
 PlatoonOf = Callable[..., Platoon]
 LineUp = Callable[..., np.ndarray]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robofleet.control.path import Path
-from robofleet.control.platoon import Platoon
+from tests.control.driven import Platoon
 
 PlatoonOf = Callable[..., Platoon]
 LineUp = Callable[..., np.ndarray]

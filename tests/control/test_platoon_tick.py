@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.control.path import Path
-from robofleet.control.platoon import WHEELS, Column, Platoon
 from robofleet.vehicles.differential_drive import body_from_wheels
+from tests.control.driven import WHEELS, Column, Platoon
 
 PlatoonOf = Callable[..., Platoon]
 Drive = Callable[..., Iterator]  # type: ignore[type-arg]

@@ -1,4 +1,4 @@
-"""The driver of drivers/README.md, broken on purpose: each class in one way, as ``test_contract_sabotage.py`` says."""
+"""The driver of drivers/YOUR_OWN.md, broken on purpose: each class in one way (``test_contract_sabotage.py``)."""
 
 import os
 import select
@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
 
-from drivers.serial_port import SerialPort
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
 

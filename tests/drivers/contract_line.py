@@ -17,6 +17,7 @@ from robofleet.comms.keys import STATUS
 from robofleet.comms.messages import ROBOT_STATUS
 from robofleet.config.troubles import LineFault, LinkFault
 from robofleet.processes.driver import DriverProcess
+from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch
 from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
@@ -151,7 +152,10 @@ class BadLines:
             bus = MemoryBus(bench.config.arena.name, bench.clock, 0)
             bus.listen(STATUS, "r1", lambda at_ns, payload: said.append((at_ns, payload)))
             wake, rng = (lambda _: None), np.random.default_rng(1)
-            process = DriverProcess(bench.config, ("r1",), bus, bench.clock, wake, rng, MemoryKeeping())
+            process = DriverProcess(
+                bench.config, ("r1",), bus, bench.clock, wake, rng, MemoryKeeping(),
+                ConfiguredDrivers(bench.config, bench.clock.now_ns),
+            )  # fmt: skip
             try:
                 bench.run(process.step, 0.5)
                 healthy_ns = bench.now_ns

@@ -6,7 +6,7 @@ from contextlib import suppress
 import pytest
 from pydantic import ValidationError
 
-from drivers.serial_port import SerialPort
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.plugins import load
 from robofleet.processes import driver_settings
 from robofleet.vehicles.interface import DriverError

@@ -12,8 +12,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from drivers.create2 import Create2
 from robofleet.clock import MS
+from robofleet.drivers.create2 import Create2
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.create2 import Create2Firmware
 from robofleet.vehicles.interface import DriverContext, DriverReading, Imperfections, Simulation, WheelSpeeds
@@ -55,7 +55,7 @@ class Bench:
         made = Create2.Settings.model_validate({"port": self.port, **settings})
         self._waits = True
         try:
-            with patch("drivers.dead_man.SILENT_S", silent_s):
+            with patch("robofleet.drivers.dead_man.SILENT_S", silent_s):
                 self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
         finally:
             self._waits = False

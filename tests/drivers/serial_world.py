@@ -43,7 +43,7 @@ def shared(now_ns: Callable[[], int], pass_time: Callable[[int], None]) -> Itera
             pass_time(deadline_ns)
         return ready
 
-    patient = patch("drivers.dead_man.SILENT_S", 600.0)  # real time, in which nothing happens here
+    patient = patch("robofleet.drivers.dead_man.SILENT_S", 600.0)  # real time, in which nothing happens here
     with patch.object(os, "write", _write_and_arrive), patch.object(select, "select", wait), patient:
         yield
 

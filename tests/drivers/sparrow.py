@@ -1,4 +1,4 @@
-"""The made-up robot of drivers/README.md: its driver, as it stands there, and a twin's firmware.
+"""The made-up robot of drivers/YOUR_OWN.md: its driver, as it stands there, and a twin's firmware.
 
 It is as good as a serial robot can be, so the contract's checks are tried on it: ``broken.py`` spoils the driver.
 """
@@ -10,9 +10,9 @@ from pathlib import Path
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
-README = Path(__file__).parents[2] / "drivers" / "README.md"
-(CODE,) = re.findall(r"^```python\n(.*?)^```$", README.read_text(), re.MULTILINE | re.DOTALL)
-exec(compile(CODE, str(README), "exec"), globals())  # defines Sparrow
+GUIDE = Path(__file__).parents[2] / "drivers" / "YOUR_OWN.md"
+(CODE,) = re.findall(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
+exec(compile(CODE, str(GUIDE), "exec"), globals())  # defines Sparrow
 
 _OFF_NS = 300_000_000
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.arduino_bridge import ArduinoBridge
 from robofleet.clock import MS, S, SimulatedClock, WallClock
+from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, Simulation, WheelSpeeds
@@ -152,7 +152,7 @@ class Bench:
 @pytest.fixture(autouse=True)
 def undisturbed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A dead man's clock does not stand still while a test is held up; without a sign of life he watches nobody."""
-    monkeypatch.setattr("drivers.dead_man.DeadMan.sign", lambda _: None)
+    monkeypatch.setattr("robofleet.drivers.dead_man.DeadMan.sign", lambda _: None)
 
 
 @pytest.fixture
@@ -367,7 +367,7 @@ def test_a_robot_that_is_silent_for_half_a_second_is_said_to_be_lost(bench: Benc
     bench.robot.on_the_way_back = lambda answer: b""
     for _ in range(20):
         bench.poll()
-    with pytest.raises(DriverError, match=r"r1\.tty: no encoder counts"):
+    with pytest.raises(DriverError, match=r"r1\.tty: no possible encoder counts came for 0\.\d s: is the robot on"):
         for _ in range(10):
             bench.poll()
 
@@ -449,7 +449,7 @@ def test_encoders_that_cannot_drive_the_robot_are_refused(counts_per_turn: float
 DRIVER = f"""
 import sys, threading
 from types import SimpleNamespace
-from drivers.arduino_bridge import ArduinoBridge
+from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.clock import WallClock
 from robofleet.vehicles.interface import WheelSpeeds
 settings = ArduinoBridge.Settings(port=sys.argv[1], counts_per_turn={COUNTS_PER_TURN})

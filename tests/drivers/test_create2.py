@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
 from robofleet.clock import MS
+from robofleet.drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, DriverError, RobotFault, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
@@ -259,7 +259,7 @@ def test_what_is_no_create_2_is_named_and_its_port_is_free_again(answer: bytes) 
     bench = Bench()
     bench.to_driver = lambda data: answer
     try:
-        with pytest.raises(DriverError, match=rf"{bench.port}: what answers there is no Create 2"):
+        with pytest.raises(DriverError, match=rf"{bench.port}: the device that answers is not a Create 2"):
             bench.open()
         bench.to_driver = lambda data: data
         bench.open()

@@ -16,7 +16,7 @@ from tests.twins import TwinStand, config_of
 ASKED_S, PATIENCE_S = 0.3, 10.0
 DRIVER = """
 import select, sys
-from drivers.create2 import Create2
+from robofleet.drivers.create2 import Create2
 from robofleet.clock import WallClock
 from robofleet.vehicles.interface import DriverContext, WheelSpeeds
 from tests.robots import CREATE2

@@ -12,8 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from drivers.dead_man import DeadMan
 from robofleet.clock import MS, S, WallClock
+from robofleet.drivers.dead_man import DeadMan
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
 
 STOP = b"stop"
@@ -21,8 +21,8 @@ ASKED_S = 0.3  # from the last sign of life to the first stop
 PATIENCE_S = 10.0
 DRIVER = f"""
 import sys, threading
-from drivers.dead_man import DeadMan
-from drivers.serial_port import SerialPort
+from robofleet.drivers.dead_man import DeadMan
+from robofleet.drivers.serial_port import SerialPort
 port = SerialPort(sys.argv[1], 115200)
 dead_man = DeadMan(port.descriptor, {STOP!r})
 print(dead_man._process.pid, flush=True)

@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from drivers.gternal import GTernal
 from robofleet.clock import MS
+from robofleet.drivers.gternal import GTernal
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.gternal_desk import Desk
 from tests.robots import GTERNAL
@@ -200,7 +200,8 @@ def test_closed_it_stands_even_if_a_line_is_lost_and_says_no_more(desk: Desk, dr
 
 
 @pytest.mark.parametrize(
-    ("says", "message"), [(b"", "nothing answers"), (b"Invalid Command\r\n", "what answers there is no GTernal")]
+    ("says", "message"),
+    [(b"", "nothing answers"), (b"Invalid Command\r\n", "the device that answers is not a GTernal")],
 )
 def test_what_is_no_gternal_is_named_and_not_told_to_move(tmp_path: Path, says: bytes, message: str) -> None:
     desk = Desk(tmp_path)

@@ -1,4 +1,4 @@
-"""The driver that the README shows keeps the contract, as it stands there."""
+"""The driver that drivers/YOUR_OWN.md shows keeps the contract, as it stands there."""
 
 from tests.drivers.contract import Contract, Subject
 from tests.drivers.sparrow import CODE

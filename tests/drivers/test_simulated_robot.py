@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.simulated import SimulatedRobot
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import (
     BodyTrouble,
     DriverContext,

@@ -58,7 +58,7 @@ def test_a_folder_that_is_not_empty_is_refused(folder: Path) -> None:
     (folder / "old" / "kept").write_text("kept")
     result = robofleet("closed-curve", "--out", "old")
     assert result.exit_code == 2
-    assert "old is there already and not empty" in result.stderr
+    assert "old exists already and is not empty" in result.stderr
     assert [path.name for path in (folder / "old").iterdir()] == ["kept"]
 
 

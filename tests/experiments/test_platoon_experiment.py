@@ -16,7 +16,7 @@ BASE = load_config(SHIPPED.parent / "platoon.yaml")
 def test_a_scaled_platoon_can_run(robots: int) -> None:
     config = scaled(PARAMETERS, BASE, robots, "exact")
     assert refusals(config, lockstep=True) == []
-    assert len(config.platoon) == robots
+    assert len(config.members) == robots
 
 
 def test_the_exact_integrator_does_not_amplify() -> None:

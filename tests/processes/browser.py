@@ -10,6 +10,7 @@ from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
 DESKTOP = 1440, 900
 PHONE = 390, 844
+LYING = 844, 390  # a phone on its side
 _FLAGS = "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking"
 _NEEDS = "chromium", "chromedriver"
 
@@ -36,7 +37,7 @@ def chromium() -> Iterator[Chrome]:
 def show_as(browser: Chrome, size: tuple[int, int]) -> None:
     """Give the browser's window a size; a phone's has fingers."""
     width, height = size
-    phone = size == PHONE
+    phone = size in (PHONE, LYING)
     metrics: dict[str, Any] = {
         "width": width,
         "height": height,
@@ -44,3 +45,10 @@ def show_as(browser: Chrome, size: tuple[int, int]) -> None:
         "mobile": phone,
     }
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": phone, "maxTouchPoints": 2})
+
+
+def show_in(browser: Chrome, scheme: str) -> None:
+    """Prefer a ``light`` or a ``dark`` scheme."""
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})

@@ -11,17 +11,21 @@ import pytest
 
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms import keys, messages
-from robofleet.comms.bus import MemoryBus
+from robofleet.comms.bus import MemoryBus, Wake
 from robofleet.comms.keys import Topic, key
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.processes import table
+from robofleet.processes.compiling import on_stderr
 from robofleet.processes.driver import DriverProcess
+from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.node import Node
 from robofleet.recording.metrics import summary
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
+from robofleet.simulation.faults import Schedule
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.processes.realrun import RealRun
 
@@ -31,6 +35,7 @@ LAYOUTS: dict[Topic, Any] = {
     keys.STATUS: messages.ROBOT_STATUS,
     keys.ENABLE: messages.ENABLE,
     keys.STATE: messages.RUN_STATE,
+    keys.BUSY: messages.BUSY_MACHINE,
     keys.TRUTH: messages.TRUTH,
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
@@ -79,6 +84,16 @@ class Bench:
     @property
     def now_ns(self) -> int:
         return self.clock.now_ns()
+
+    def made(self, row: table.Row, wake: Wake = lambda _: None, faults: Schedule | None = None) -> Node:
+        """Put a process together as a real run does, on this bench."""
+        assert row.make is not None
+        rng, keeping = np.random.default_rng(1), MemoryKeeping()
+        return row.make(
+            table.Edges(
+                self.config, self.bus, self.clock, wake, rng, keeping, on_stderr(), faults=faults, real_time=True
+            )
+        )
 
     def wait(self, ns: int) -> None:
         self.clock.advance_to(self.now_ns + ns)
@@ -171,7 +186,8 @@ def driver_of() -> Callable[..., DriverProcess]:
     """Return what starts a driver process on a bench, for robots by their ids."""
 
     def start(bench: Bench, *robots: str, seed: int = 1, **keys: Any) -> DriverProcess:
-        keys = {"wake": lambda _: None, "keeping": MemoryKeeping(), **keys}
+        drivers = ConfiguredDrivers(bench.config, bench.clock.now_ns)
+        keys = {"wake": lambda _: None, "keeping": MemoryKeeping(), "drivers": drivers, **keys}
         return DriverProcess(bench.config, robots, bench.bus, bench.clock, rng=np.random.default_rng(seed), **keys)
 
     return start

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 
-from robofleet.config import slices
+from robofleet.behaviours.paths import PathFile
+from robofleet.behaviours.platoon import Platoon
 from robofleet.config.load import load_config
-from robofleet.control.path import Path
 from tests.processes.realrun import PLATOON
 
 _SPACING_M = 0.25
@@ -17,17 +17,16 @@ def fleet_of(robots: int) -> list[str]:
     """Return what makes the platoon's configuration one of so many robots, on a path and in an arena that hold them."""
     if robots == 4:  # as it is shipped
         return ["tracker.source=truth"]
-    shipped = load_config(PLATOON)
-    path = Path.hermite(*slices.knots(shipped.groups[0]))
-    scale = max(1.0, robots * _SPACING_M / (_SHARE * path.length()))
+    shipped = Platoon.Settings.model_validate(load_config(PLATOON).groups[0].settings)
+    scale = max(1.0, robots * _SPACING_M / (_SHARE * shipped.path.path().length()))
     knots = [
         {
             "at_m": [round(scale * x, 4) for x in knot.at_m],
             "derivative_m": [round(scale * d, 4) for d in knot.derivative_m],
         }
-        for knot in shipped.groups[0].path.knots
+        for knot in shipped.path.knots
     ]
-    path = Path.hermite(*(scale * part for part in slices.knots(shipped.groups[0])))
+    path = PathFile.model_validate({"knots": knots}).path()
     fine = np.linspace(path.sides, 0.0, 200_000)
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.position(fine), axis=0), axis=1))])
     here = np.interp(_SPACING_M * np.arange(robots), walked, fine)
@@ -45,8 +44,8 @@ def fleet_of(robots: int) -> list[str]:
         "arena.size_m": [round(3.2 * scale, 2), round(2.0 * scale, 2)],
         "robots": fleet,
         "groups.0.robots": [robot["id"] for robot in fleet],
-        "groups.0.path": {"knots": knots},
-        "groups.0.path_rate": round(shipped.groups[0].path_rate / scale, 6),
+        "groups.0.settings.path": {"knots": knots},
+        "groups.0.settings.path_rate": round(shipped.path_rate / scale, 6),
         "drivers.robots_per_process": max(1, robots // 2),
         "tracker.source": "truth",
         "run.duration_s": 600,

@@ -25,7 +25,7 @@ from robofleet.safety import arming
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase
-from robofleet.safety.view import FleetView
+from robofleet.safety.view import FleetView, Machine
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 ROBOTS = ("r1", "r2", "r3", "r4")
@@ -72,11 +72,14 @@ class Robot:
 class Stand:
     """``run`` lets everybody talk; what a test changes in between is seen by the supervisor as it would be."""
 
-    def __init__(self, bench: Any, *, attended: bool = False, prove: Any = proved) -> None:
+    def __init__(
+        self, bench: Any, *, attended: bool = False, prove: Any = proved, contended: float | None = None
+    ) -> None:
+        """``contended``: the share of the time in which no core is free; None: nobody measures that."""
         self.bench = bench
         self.build = slices.build(bench.config)
         self.robots = {robot: Robot(100 + row) for row, robot in enumerate(ROBOTS)}
-        self.tags = {robot.id: robot.tag for robot in bench.config.platoon}
+        self.tags = {robot.id: robot.tag for robot in bench.config.members}
         self.places = dict(zip(ROBOTS, PLACES, strict=True))
         self.silent: set[str] = set()  # of the robots, "controller", "tracker", "operator"
         self.hidden: set[str] = set()  # robots whose tags are not seen
@@ -92,6 +95,7 @@ class Stand:
         self.node = Supervisor(
             bench.config, bench.bus, bench.clock, self.woken.append, np.random.default_rng(1),
             free_bytes=lambda: self.free_bytes, attended=attended, say=self.said.append,
+            machine=lambda ns: None if contended is None else Machine(round(contended * ns), 6.1, 2),
         )  # fmt: skip
 
     def run(self, ns: int) -> None:
@@ -151,9 +155,9 @@ class Stand:
     def _control(self) -> None:
         if "controller" not in self.silent:
             self.tick += 1
-            tick = RobotTick(*[0.0] * 18)._replace(**self.stopped)
-            head = (self.epoch, self.build, self.tick, -1, self.bench.now_ns, *[0] * 10)
-            self.bench.say(TICK, TickRecord(*head, (tick,) * len(ROBOTS)))
+            tick = RobotTick(*[0.0] * len(RobotTick._fields))._replace(**self.stopped)
+            head = (self.epoch, self.build, self.tick, -1, self.bench.now_ns, *[0] * 11)
+            self.bench.say(TICK, TickRecord(*head, (tick,) * len(ROBOTS), ()))
 
     def _see(self) -> None:
         if "tracker" not in self.silent:

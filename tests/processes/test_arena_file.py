@@ -261,7 +261,7 @@ def test_a_register_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
             register(place).mkdir()
             register(place).chmod(0o777 if how == "not sticky" else 0o755)
         assert operator.chosen(None).arena == "platoon"
-        assert f"not all runs may be found: {register(place)} is not the folder" in capsys.readouterr().err
+        assert f"some runs may not be listed: {register(place)} is not the folder" in capsys.readouterr().err
         with pytest.raises(PlaceError, match=r"an administrator moves it away with `mv "), claimed(config(), Path()):
             pass
 
@@ -276,7 +276,7 @@ def test_a_private_folder_that_was_spoiled_keeps_nobody_from_stopping_his_own_ru
         (place / "run" / "robofleet").rename(place / "away")
         (place / "run" / "robofleet").symlink_to(victim)
         assert operator.chosen(None).arena == "platoon"
-        assert "not all runs may be found" in capsys.readouterr().err
+        assert "some runs may not be listed" in capsys.readouterr().err
     assert (victim / "lab.json").read_text() == "precious"
 
 

@@ -167,7 +167,7 @@ def test_a_lost_robot_is_named_in_its_next_status_and_drives_again_after_a_reset
     assert wait(lambda: said_after(stand, capsys, "r1 is not there"), 2.0)
     for broken in (recording_driver.mute, recording_driver.absent):
         broken.clear()
-    assert wait(lambda: said_after(stand, capsys, "its driver has it again"), 3.0)
+    assert wait(lambda: said_after(stand, capsys, "its driver has reconnected"), 3.0)
     assert stand.made["r1"] is not old
     stand.run(S // 5)
     assert {wheels for _, wheels in stand.made["r1"].writes} == {STOP}

@@ -48,7 +48,7 @@ def test_the_input_on_record_is_what_the_wheels_are_told(started: Lockstep) -> N
 def test_behind_a_robot_that_stalls_bodies_stay_apart(tmp_path: Path) -> None:
     faults = tmp_path / "faults.yaml"
     faults.write_text("faults:\n  - {robot: r2, kind: motor_stuck, at_s: 8, duration_s: 60}\n")
-    run = Lockstep(load_config(PLATOON, [TRUTH, "run.duration_s=20", "groups.0.spacing_m=0.215"], faults))
+    run = Lockstep(load_config(PLATOON, [TRUTH, "run.duration_s=20", "groups.0.settings.spacing_m=0.215"], faults))
     run.run()
     figures = summary(run.recording, name="stall", mode="lockstep", outcome="completed", cause=None)
     assert figures["min_gap_mm"] >= 10.0

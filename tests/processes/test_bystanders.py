@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from robofleet.behaviours.platoon import Platoon
 from robofleet.comms.keys import STATUS, key
 from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD
-from robofleet.config import slices
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.control.path import Path as Curve
 from robofleet.processes.check import load_checked, refusals
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
@@ -26,7 +25,7 @@ Make = Callable[..., Config]
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
 GAP_MM = 10.0  # controller.barrier.gap_m
-LOST = "it is not driven, and nobody sees any more where it stands"
+LOST = "it is a bystander, and the tracker no longer sees it"
 
 
 def parked(x_m: float, y_m: float, **fields: Any) -> str:
@@ -38,7 +37,7 @@ def parked(x_m: float, y_m: float, **fields: Any) -> str:
 
 def beside(config: Config, sigma: float, left_m: float) -> tuple[float, float]:
     """Return a place so far to the left of the path."""
-    path, at = Curve.hermite(*slices.knots(config.groups[0])), np.array([sigma])
+    path, at = Platoon.Settings.model_validate(config.groups[0].settings).path.path(), np.array([sigma])
     (x, y), (along, across) = path.position(at)[0], path.tangent(at)[0]
     return round(float(x - left_m * across), 4), round(float(y + left_m * along), 4)
 
@@ -51,7 +50,7 @@ def driven(config: Config) -> dict[str, Any]:
 
 def hand(config: Config, speed: float, at_s: float, duration_s: float) -> str:
     """Return what pushes the robot towards the path from its right side."""
-    (tangent,) = Curve.hermite(*slices.knots(config.groups[0])).tangent(np.array([0.5]))
+    (tangent,) = Platoon.Settings.model_validate(config.groups[0].settings).path.path().tangent(np.array([0.5]))
     velocity = (speed * np.array([-tangent[1], tangent[0]])).round(4).tolist()
     return f"faults=[{{kind: pushed, robot: p1, velocity_m_s: {velocity}, at_s: {at_s}, duration_s: {duration_s}}}]"
 
@@ -84,7 +83,7 @@ def test_nobody_hits_a_robot_that_a_hand_pushes_onto_the_path(
 def test_who_is_carried_holds_the_run(platoon_of: Make) -> None:
     config = platoon_of()
     s = driven(platoon_of(parked(1.0, 0.0), "run.duration_s=6", TRUTH, hand(config, 8.0, 2.0, 0.05)))
-    assert s["cause"] == "p1: it is not driven, and was put somewhere else"
+    assert s["cause"] == "p1: it is a bystander, and somebody moved it"
 
 
 @pytest.mark.parametrize(("hidden_s", "held"), [(1.9, False), (2.3, True)])
@@ -170,7 +169,7 @@ def test_check_refuses_it_too_near_to_the_path(platoon_of: Make, left_m: float, 
     found = [(at, text) for at, text in refusals(platoon_of(parked(*place))) if "from the path" in text]
     assert [at for at, _ in found] == ["robots.4.start"] * refused
     assert all("so park p1 further away" in text for _, text in found)
-    excitation = platoon_of(parked(*place), "groups.0.behaviour=excitation")
+    excitation = platoon_of(parked(*place), "groups.0.behaviour=excitation", "groups.0.settings={}")
     assert not [text for _, text in refusals(excitation) if "from the path" in text], "it follows no path"
 
 

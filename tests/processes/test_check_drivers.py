@@ -13,9 +13,9 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 from typer.testing import CliRunner
 
-from drivers.serial_port import SerialPort
 from robofleet.cli import app
 from robofleet.config.load import load_config
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.processes import check_drivers
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
@@ -113,8 +113,8 @@ def test_a_robot_that_answers_is_accepted_and_let_go(port: str) -> None:
     ("settings", "path", "words"),
     [
         ({"port": "/dev/ttyNONE"}, "robots.0.settings.port", "/dev/ttyNONE: there is no such port"),
-        ({"port": "/dev/null"}, "robots.0.settings.port", "/dev/null: this is no serial port"),
-        ({"port": "/"}, "robots.0.settings.port", "/: this is no serial port"),
+        ({"port": "/dev/null"}, "robots.0.settings.port", "/dev/null: this is not a serial port"),
+        ({"port": "/"}, "robots.0.settings.port", "/: this is not a serial port"),
         ({}, "robots.0.settings.port", "missing"),
         ({"port": "/dev/ttyNONE", "boot_s": -1}, "robots.0.settings.boot_s", ""),
         ({"port": "/dev/ttyNONE", "baud": 1}, "robots.0.settings.baud", ""),

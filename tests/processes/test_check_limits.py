@@ -21,7 +21,11 @@ def test_a_tick_longer_than_a_command_is_valid(tick_s: float, wrong: list[str]) 
     assert complaints(f"controller.tick_s={tick_s}") == wrong
 
 
-@pytest.mark.parametrize(("spacing_m", "wrong"), [(0.95, []), (1.05, ["groups.0.spacing_m"])])
+@pytest.mark.parametrize(("spacing_m", "wrong"), [(0.95, []), (1.05, ["groups.0.settings.spacing_m"])])
 def test_a_spacing_that_no_two_points_of_the_path_have(spacing_m: float, wrong: list[str]) -> None:
-    circle = f"groups.0.path={{knots: {KNOTS}}}", "groups.0.robots=[r1, r2]", f"groups.0.spacing_m={spacing_m}"
+    circle = (
+        f"groups.0.settings.path={{knots: {KNOTS}}}",
+        "groups.0.robots=[r1, r2]",
+        f"groups.0.settings.spacing_m={spacing_m}",
+    )
     assert complaints(*circle) == wrong

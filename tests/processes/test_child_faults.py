@@ -9,6 +9,8 @@ from robofleet.config.load import ConfigError
 from robofleet.processes.check import load_checked
 from tests.processes.realrun import PLATOON, RealRun, of_robots
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("fault", "cause"),
@@ -53,6 +55,7 @@ def test_the_body_of_a_real_robot_has_no_faults_on_demand(kind: str) -> None:
         ("{robot: r1}", "2:5: faults.0.kind: is missing"),
         ("{kind: slip, robot: r9}", "2:25: faults.0.robot: there is no robot 'r9'"),
         ("{kind: killed, process: contoller}", "2:29: faults.0.process: there is no process 'contoller': did you mean"),
+        ("{kind: network_cut, processes: [tracker, recorder]}", "2:44: faults.0.processes.1: there is no process 'rec"),
         ("{kind: lost, topics: [cmd, clock]}", "2:32: faults.0.topics.1: must be 'cmd'"),
         ("{kind: late, topics: [cmd], median_s: 1.0}", "faults.0.p99_s: must be more than the median"),
         ("{kind: lost, topics: [state], robot: r1}", "2:42: faults.0.robot: state is not said to one robot"),

@@ -4,12 +4,15 @@ import re
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
+from pathlib import Path
 
 import pytest
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 PROCESS = (
     "robofleet.cli", "robofleet.comms.zenoh_bus", "robofleet.processes.check_drivers", "robofleet.processes.child",
-    "robofleet.processes.driver", "robofleet.processes.keeping",
+    "robofleet.processes.driver", "robofleet.processes.drivers", "robofleet.processes.keeping",
+    "robofleet.simulation.faulty_bus", "robofleet.simulation.faulty_disk", "robofleet.simulation.faulty_driver",
 )  # fmt: skip
 
 
@@ -30,9 +33,10 @@ def base_install() -> set[str]:
 
 
 def loaded(driver: str) -> set[str]:
-    """Return the top-level modules of a driver process that are not Python's own."""
+    """Return the top-level modules of a driver process that has read its configuration, but Python's own."""
     modules = "{name.partition('.')[0] for name in sys.modules} - set(sys.stdlib_module_names)"
-    code = f"import sys, {', '.join(PROCESS)}, {driver}; print(*sorted({modules}))"
+    read = f"[robofleet.config.load.load_config(file) for file in pathlib.Path({str(CONFIGS)!r}).glob('*.yaml')]"
+    code = f"import pathlib, sys, robofleet.config.load, {', '.join(PROCESS)}, {driver}; {read}; print(*{modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return {name for name in done.stdout.split() if not name.startswith("_")}
 
@@ -40,11 +44,11 @@ def loaded(driver: str) -> set[str]:
 @pytest.mark.parametrize("driver", ["simulated", "gternal", "arduino_bridge", "create2"])
 def test_a_driver_process_loads_the_base_install_alone(driver: str) -> None:
     base, owners = base_install(), packages_distributions()
-    modules = loaded(f"drivers.{driver}")
+    modules = loaded(f"robofleet.drivers.{driver}")
     assert {"zenoh", "numpy", "pydantic"} <= modules
     strangers = {
         module
-        for module in modules - {"robofleet", "drivers", "cython_runtime"}
+        for module in modules - {"robofleet", "cython_runtime", "mylab"}  # the last: a shipped example
         if not base & {re.sub(r"[-_.]+", "-", owner).lower() for owner in owners.get(module, [])}
     }
     assert strangers == set()

@@ -125,7 +125,7 @@ def test_a_full_disk_refuses_the_lease_and_says_so_once(
     stand.bench.run(stand.node, 25 * MS)
     assert stand.newest("r1").gate == GateStatus.NO_LEASE
     assert capsys.readouterr().err.splitlines() == [
-        "r1: its lease and its latch cannot be kept: [Errno 28] No space left on device"
+        "r1: its lease and its latch cannot be written to disk: [Errno 28] No space left on device"
     ]
     disk.full = False
     answer = stand.ask("r1")

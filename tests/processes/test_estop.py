@@ -117,7 +117,7 @@ def test_a_supervisor_that_only_sees_latched_gates_stops_the_others_and_says_why
         lockstep.advance(0.001)
     lockstep.advance(0.2)
     assert (lockstep.status.phase, lockstep.status.cause) == (Phase.ESTOP, Event.STOPPED_AT_GATE)
-    assert lockstep.status.describe(ROBOTS).startswith("r3: an emergency stop closed its gate past the supervisor: ")
+    assert lockstep.status.describe(ROBOTS).startswith("r3: an emergency stop closed its gate without the supervisor: ")
     assert latches(lockstep) == {Latch.EMERGENCY_STOP}
 
 

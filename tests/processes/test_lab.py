@@ -37,7 +37,7 @@ def test_where_there_is_nothing_yet_each_line_says_what_to_do_next_in_the_files_
     ]  # fmt: skip
     numbers = [int(place[1]) for place in places if place]
     assert numbers == sorted(numbers)
-    assert "calibrate.py intrinsics" in lines[0]
+    assert "robofleet calibrate intrinsics" in lines[0]
     for line, port in zip(lines[1:], ("r1", "r2", "r3"), strict=True):
         assert f"/dev/robofleet/{port}: there is no such port: plug the robot in" in line
     assert "there is no camera /dev/video-none" in device

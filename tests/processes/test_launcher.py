@@ -35,7 +35,8 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     assert run.children() == []
 
     s = run.summary
-    assert (s["outcome"], s["cause"], s["mode"], s["stops"]) == ("completed", None, "realtime", [])
+    assert (s["outcome"], s["cause"], s["mode"]) == ("completed", None, "realtime")
+    assert s["stops"] == [] or s["busy_machine"], "a machine that was too slow for the gates says so"
     assert s["duration_s"] == pytest.approx(6, abs=0.2)
     assert s["real_time_factor"] == pytest.approx(1, abs=0.1)
     assert s["tracker"]["false_ids"] == 0

@@ -102,7 +102,7 @@ def test_euler_amplifies_noise_from_robot_to_robot(truth: RunOf) -> None:
 
 
 def test_a_tracked_centre_stays_on_the_path(truth: RunOf) -> None:
-    point, centre = (truth(f"groups.0.track={track}") for track in ("point", "centre"))
+    point, centre = (truth(f"groups.0.settings.track={track}") for track in ("point", "centre"))
     assert centre["centre_error_mm"]["mean"] <= point["centre_error_mm"]["mean"] / 2
     assert centre["path_error_mm"]["mean"] > point["path_error_mm"]["mean"]
 

@@ -14,10 +14,12 @@ from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
 from robofleet.comms.messages import TickRecord, Truth
 from robofleet.config.load import ConfigError
+from robofleet.processes import table
 from robofleet.processes.check import refusals
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.tracker import Tracker
 from robofleet.recording.metrics import summary
+
+pytestmark = pytest.mark.slow
 
 Make = Callable[..., Any]
 MIXED = Path(__file__).parents[2] / "configs" / "mixed.yaml"
@@ -41,7 +43,7 @@ class Floor:
 
     def __init__(self, bench: Any) -> None:
         self.bench, self.origin_ns = bench, bench.now_ns
-        self.node = Tracker(bench.config, bench.bus, bench.clock, lambda _: None, np.random.default_rng(1))
+        self.node = bench.made(table.TRACKER)
 
     def frames(self, ns: int) -> list[Any]:
         self.bench.run(self.node, ns, (10 * MS, self._truths), (TICK_NS, self._tick))
@@ -75,7 +77,7 @@ class Floor:
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 10, ()))
+        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 11, (), ()))
 
 
 @pytest.fixture(scope="module")

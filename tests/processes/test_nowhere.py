@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.simulated import SimulatedRobot
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import TruePose
 
 Make = Callable[..., dict[str, Any]]

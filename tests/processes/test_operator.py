@@ -90,7 +90,7 @@ def test_with_a_frozen_supervisor_a_stop_latches_every_gate_and_the_next_run_wai
     assert run.ended(20) == 1
     assert run.latched() == {"r1": 2, "r2": 2}
     assert run.summary["outcome"] == "stopped"
-    assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent: see ")
+    assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent")
     again = real_run(*of_robots("r1", "r2"), name="again")
     assert again.ended(60) == 1
     assert "fault: start was refused: r1, r2: the gate is latched: " in again.said
@@ -111,7 +111,7 @@ def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, fr
     assert run.ended(20) == 1
     assert run.latched() == {"r1": 2}
     assert run.summary["outcome"] == "stopped"
-    causes = "emergency stop requested", "r1: an emergency stop closed its gate past the supervisor: "
+    causes = "emergency stop requested", "r1: an emergency stop closed its gate without the supervisor: "
     first = "at the gates; "  # the supervisor, or the launcher, names its silence before it hears of the stop
     assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in (*causes, first)))
 

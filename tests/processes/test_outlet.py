@@ -13,6 +13,8 @@ import pytest
 
 from tests.processes.realrun import ALONE, PLATOON, RealRun, fill, own_folders, wait
 
+pytestmark = pytest.mark.slow
+
 Start = Callable[..., RealRun]
 _BRIEF = (*ALONE, "--duration", "1")
 
@@ -85,7 +87,7 @@ def test_a_reader_that_ends_in_the_middle_ends_no_run(real_run: Start) -> None:
 @pytest.mark.parametrize("nohup", [False, True])
 def test_a_closed_terminal_leaves_a_run_with_all_its_files(real_run: Start, nohup: bool) -> None:
     """Unattended: without nohup its hang-up is one Ctrl-C; with it the run goes on to its end."""
-    run = real_run(*ALONE, "--duration", "3", terminal=True, screen="terminal", nohup=nohup)
+    run = real_run(*ALONE, "--duration", "3" if nohup else "60", terminal=True, screen="terminal", nohup=nohup)
     run.wait_for(lambda: phase(run) == "running")
     run.close_terminal()
     assert run.ended(30) == (0 if nohup else 1)

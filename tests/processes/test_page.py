@@ -1,11 +1,10 @@
 """The operator's page in a real browser: what it shows, what it lets the operator do, and when it must not."""
 
+import json
 import re
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,18 +18,20 @@ from robofleet.comms.keys import key
 from robofleet.comms.messages import ROBOT_STATUS, RobotStatus, TagPose
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
-from tests.processes.browser import DESKTOP, PHONE, chromium, show_as
+from tests.processes.browser import DESKTOP, LYING, PHONE, chromium, show_as
+from tests.processes.openpage import SOON_S, Seen, opened
 from tests.processes.realrun import RealRun, wait
-from tests.processes.webstand import CLOCK, WebStand, placed, web_stand
+from tests.processes.webstand import CLOCK, WebStand, web_stand
 
-SOON_S = 5.0
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
 PERMITTED = {
     Phase.IDLE: {"arm", "start"},
     Phase.ARMED: {"start", "stop"},
+    Phase.POSITIONING: {"hold", "stop"},
     Phase.RUNNING: {"hold", "stop"},
+    Phase.PARKING: {"hold", "stop"},
     Phase.HOLD: {"resume", "stop"},
     Phase.FAULT: {"reset"},
     Phase.ESTOP: {"reset"},
@@ -54,83 +55,6 @@ def mortal(browser: Chrome, tmp_path: Path) -> Iterator[WebStand]:
     """A server that a test may end."""
     with web_stand(tmp_path) as stand:
         yield stand
-
-
-class Fleet:
-    """Says at every tick what a fleet would, with what a test changes."""
-
-    def __init__(self, stand: WebStand) -> None:
-        self._stand, self._end = stand, threading.Event()
-        self.phase, self.cause = Phase.RUNNING, Event.PROVED
-        self.supervised = self.controlled = True
-        self.latched: set[str] = set()
-        self.ticks = 0
-
-    def step(self) -> None:
-        if self.supervised:
-            self._stand.say_state(self.phase, self.cause)
-        for robot in self._stand.robots:
-            held = (GateStatus.LATCHED, Latch.EMERGENCY_STOP) if robot in self.latched else ()
-            self._stand.say_status(robot, *held)
-        if self.controlled:
-            self.ticks += 1
-            ahead = [0.4 * row - 0.6 + 0.001 * self.ticks for row in range(len(self._stand.robots))]
-            self._stand.say_tick(self.ticks, *[placed(x, 0.2) for x in ahead])
-
-    def until_ended(self) -> None:
-        while not self._end.wait(0.033):
-            self.step()
-
-    @contextmanager
-    def alive(self) -> "Iterator[Fleet]":
-        thread = threading.Thread(target=self.until_ended)
-        thread.start()
-        try:
-            yield self
-        finally:
-            self._end.set()
-            thread.join()
-
-
-class Seen:
-    """A page that is open."""
-
-    def __init__(self, browser: Chrome, stand: WebStand, fleet: Fleet) -> None:
-        self.browser, self.stand, self.fleet = browser, stand, fleet
-
-    def run(self, script: str, *arguments: Any) -> Any:
-        return self.browser.execute_script(script, *arguments)
-
-    def text(self, name: str) -> str:
-        return str(self.browser.find_element(By.ID, name).text)
-
-    def shown(self, name: str) -> bool:
-        return bool(self.browser.find_element(By.ID, name).is_displayed())
-
-    def enabled(self) -> set[str]:
-        buttons = self.browser.find_elements(By.CSS_SELECTOR, "#run-controls button")
-        return {str(button.get_attribute("data-do")) for button in buttons if button.is_enabled()}
-
-    def press(self, what: str) -> None:
-        self.browser.find_element(By.CSS_SELECTOR, f"[data-do={what}]").click()
-
-    def estop_is_dead(self) -> bool:
-        return self.browser.find_element(By.ID, "estop-button").get_attribute("aria-disabled") == "true"
-
-    def becomes(self, condition: Callable[[], Any]) -> None:
-        assert wait(condition, SOON_S), self.run("return document.body.innerText")
-
-
-@contextmanager
-def opened(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
-    show_as(browser, DESKTOP)
-    stand.asked.clear()
-    with Fleet(stand).alive() as fleet:
-        browser.get(stand.url)
-        page = Seen(browser, stand, fleet)
-        page.becomes(lambda: page.run("return window.robofleet?.state.drawn > 2"))
-        yield page
-        browser.get("about:blank")
 
 
 @pytest.fixture
@@ -174,10 +98,16 @@ def test_a_control_can_be_pressed_only_in_the_phases_that_permit_it(page: Seen) 
         page.becomes(lambda permitted=permitted: {what.encode() for what in permitted} == set(page.stand.asked))
 
 
+def _first_row(page: Seen) -> str:
+    """Return the table of robots from its first robot on."""
+    found = re.search(r"\br[1-4] .*", " ".join(page.text("robots-tables").split()))
+    return found[0] if found else ""
+
+
 def test_in_peace_a_reset_is_offered_only_when_a_robot_is_latched_and_that_robot_comes_first(page: Seen) -> None:
     page.fleet.phase, page.fleet.latched = Phase.IDLE, {"r3"}
     page.becomes(lambda: "reset" in page.enabled())
-    page.becomes(lambda: page.text("robots-table").splitlines()[-4].startswith("r3 latched: emergency stop"))
+    page.becomes(lambda: _first_row(page).startswith("r3 latched: emergency stop"))
 
 
 def test_a_refusal_is_shown_in_the_supervisors_words(page: Seen) -> None:
@@ -236,7 +166,7 @@ def test_a_fleet_that_is_not_heard_greys_everything_out_until_it_is_heard_again(
     setattr(page.fleet, silent, False)
     page.becomes(lambda: is_lost(page))
     assert "cannot stop anything: use the terminal (robofleet stop) or the switch" in page.text("lost-banner")
-    assert f"Nothing is heard of the {who}." in page.text("lost-banner")
+    assert f"The {who} is silent." in page.text("lost-banner")
     assert "CANNOT STOP" in page.text("estop-button")
     assert "grayscale" in page.run("return getComputedStyle(document.querySelector('main')).filter")
     setattr(page.fleet, silent, True)
@@ -257,20 +187,32 @@ def test_a_server_that_is_gone_in_mid_run_is_a_lost_link(browser: Chrome, mortal
         assert "did not get through" in page.text("notice")
 
 
-def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand) -> None:
+def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand, tmp_path: Path) -> None:
     with opened(browser, mortal) as page:
         page.fleet.phase, page.fleet.cause = Phase.IDLE, Event.STOP_REQUESTED
         page.becomes(lambda: page.text("phase-name") == "Idle")
-        mortal.end()
+        mortal.over.set()
         page.becomes(lambda: page.shown("ended-banner"))
         assert "stop requested" in page.text("ended-banner")
+        assert not page.shown("ended-report")
+        bounds = [{"figure": "overruns", "value": 0, "limit": 0, "pass": True}]
+        summary = {"outcome": "completed", "cause": None, "ticks": 9, "bounds": bounds}
+        (tmp_path / "summary.json").write_text(json.dumps(summary))
+        page.becomes(lambda: page.text("ended-text") == "Completed, every bound met")
+        (tmp_path / "report.html").write_text("<!doctype html><title>its report</title>")
+        page.becomes(lambda: page.shown("ended-report"))
+        fetched = "return fetch(document.getElementById('ended-report').href).then((answer) => answer.text())"
+        assert "its report" in page.run(fetched)
+        mortal.end()
+        page.becomes(lambda: not page.shown("ended-report"))
+        assert str(tmp_path / "report.html") in page.text("ended-place"), "a link would lead nowhere"
         CLOCK.sleep_until(CLOCK.now_ns() + 3 * S // 2)  # longer than a silence that is a lost link
         assert not page.shown("lost-banner")
         assert page.estop_is_dead()
         assert not page.enabled()
 
 
-@pytest.mark.parametrize("size", [DESKTOP, (820, 1100), PHONE, (844, 390)])
+@pytest.mark.parametrize("size", [DESKTOP, (820, 1100), PHONE, LYING])
 def test_the_emergency_stop_is_in_sight_at_every_size_and_scrolled(page: Seen, size: tuple[int, int]) -> None:
     show_as(page.browser, size)
     for down in (0, 10_000):
@@ -371,4 +313,7 @@ def test_four_robots_drive_on_the_page_until_its_emergency_stop_stops_their_whee
     assert "every robot has latched its gate" in browser.find_element(By.ID, "run-answer").text
     assert run.ended(20) == 1
     assert wait(lambda: "CANNOT STOP" in button.text, SOON_S), "nothing is left that it could stop"
-    assert run.nothing_is_left()
+    ended = browser.find_element(By.ID, "ended-banner")
+    assert wait(lambda: "Stopped: emergency stop (" in ended.text and "Open the report" in ended.text, SOON_S)
+    browser.get("about:blank")
+    assert run.nothing_is_left(), "the page stays only while somebody looks"

@@ -12,7 +12,7 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, PICTURE, POSES, REQUEST, TICK, TRUTH, key
 from robofleet.comms.messages import TickRecord, Truth
-from robofleet.processes.tracker import Tracker
+from robofleet.processes import table
 from robofleet.simulation.faults import Schedule
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, Frame
@@ -33,9 +33,7 @@ class Stand:
         faults = Schedule(bench.config, bench.clock) if bench.config.faults else None
         if faults is not None:
             faults.begin(bench.now_ns)
-        self.node = Tracker(
-            bench.config, bench.bus, bench.clock, lambda _: None, np.random.default_rng(1), faults=faults
-        )
+        self.node = bench.made(table.TRACKER, faults=faults)
 
     def run(self, ns: int) -> list[Any]:
         """Let time pass and return every picture so far."""
@@ -60,7 +58,7 @@ class Stand:
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 10, ()))
+        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 11, (), ()))
 
 
 @pytest.fixture

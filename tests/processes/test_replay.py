@@ -75,7 +75,7 @@ def ticks(recording: Recording) -> list[TickRecord]:
 
 
 def commands(recording: Recording) -> list[WheelCommand]:
-    keys = [key(recording.config.arena.name, COMMAND, robot.id) for robot in recording.config.platoon]
+    keys = [key(recording.config.arena.name, COMMAND, robot.id) for robot in recording.config.members]
     found = (WHEEL_COMMAND.decode(payload) for full in keys for payload in recording.messages[full])
     return [command for command in found if command is not None]
 
@@ -188,7 +188,7 @@ def test_from_a_missing_message_on_nothing_is_compared(recording: Recording, top
     (hole,) = verdict.holes
     assert hole.first in (tick.tick - 1, tick.tick), "the tick before may have taken the same state"
     assert hole.why == "a message that the first of them took is missing"
-    assert verdict.ticks == ticks(recording).index(tick) + hole.first - tick.tick
+    assert verdict.ticks == [other.tick for other in ticks(recording)].index(tick.tick) + hole.first - tick.tick
 
 
 def test_a_run_without_a_tick_is_refused(recording: Recording) -> None:

@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from robofleet.processes.child import free_bytes
+from robofleet.processes.table import free_bytes
 from robofleet.recording.reading import read
 from tests.processes.realrun import ALONE, RealRun
 
@@ -29,7 +29,8 @@ def test_a_run_whose_folder_is_renamed_goes_on_and_says_where_it_is_not(real_run
     run = real_run(*ALONE, "--duration", "2")
     run.wait_until_running()
     moved = run.folder.rename(run.folder.with_name("moved"))
-    assert run.ended(30) == 0
+    assert run.ended(30) == 1, "a completed run whose figures are lost met none of its bounds"
+    assert "results are lost" in run.said
     assert f"{run.folder}" in run.said
     assert not run.folder.exists()
     assert (read(moved).outcome, read(moved).trouble) == ("completed", None)

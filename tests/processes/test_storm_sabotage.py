@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from robofleet.clock import MS, S
 from robofleet.config.tree import Config
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.storm import episode
@@ -19,6 +19,8 @@ from robofleet.safety import gate, monitor, runaway, supervisor
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import WheelSpeeds
+
+pytestmark = pytest.mark.slow
 
 Patch = pytest.MonkeyPatch
 Storms = Callable[[Plan], bool]
@@ -118,7 +120,7 @@ def _runaways_unnamed(patch: Patch) -> None:
 
 
 def _robot_goes_on(patch: Patch) -> None:
-    from drivers.simulated import SimulatedRobot
+    from robofleet.drivers.simulated import SimulatedRobot
 
     write = SimulatedRobot.write
 
@@ -265,7 +267,7 @@ KILLED = {"kind": "killed", "process": "driver-r1", "at_s": 2.0, "duration_s": 0
 
 def played(fleet: Config, patch: Patch, faults: tuple[dict[str, Any], ...], *acts: Act) -> list[str]:
     """Return what does not hold in a storm that was planned by hand."""
-    validate = TypeAdapter(Fault).validate_python
+    validate = TypeAdapter(InjectedFault).validate_python
     storm = Plan(tuple(validate(fault) for fault in faults), acts, 4.5, 0.0)
     patch.setattr(episode, "plan", lambda *_: storm)
     return [violation.invariant for violation in play(fleet, 3).violations]

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import pytest
 from typer.testing import CliRunner
 
-from drivers.simulated import SimulatedRobot
 from robofleet.cli import app
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import DriverContext, DriverError, WheelSpeeds
 from tests.processes.realrun import PLATOON
 
@@ -86,7 +86,7 @@ def test_a_touch_is_refused_where_a_twin_feels_nothing(twin: str) -> None:
     result = robofleet("check", PLATOON, *TRUTH, *(part for key in its for part in ("--set", key)))
     assert result.exit_code == 2
     assert "faults.0.kind" in result.stderr
-    assert "has no sense of it" in result.stderr
+    assert "has no such sensor" in result.stderr
 
 
 @pytest.mark.parametrize("command", [("check",), ("run",), ("run", "--lockstep")])
@@ -112,5 +112,5 @@ def test_one_that_fails_in_lockstep_ends_the_run_by_a_fault_with_summary_and_rep
     result = robofleet("run", PLATOON, "--lockstep", "--quiet", *driven_by(Frail), "--duration", 2, "--out", out)
     assert result.exit_code == 1
     assert isinstance(result.exception, SystemExit), result.exception
-    assert result.stderr.splitlines()[-1] == "fault: its simulator has ended"
+    assert "fault: its simulator has ended" in result.stderr.splitlines()
     assert {"summary.json", "report.html"} <= {file.name for file in out.iterdir()}

@@ -81,7 +81,7 @@ def test_an_attended_run_stops_when_its_launcher_is_frozen(real_run: Start) -> N
 def test_an_attended_run_without_a_terminal_is_refused(real_run: Start) -> None:
     run = real_run(*ATTENDED)
     assert run.ended(20) == 2
-    assert run.said == "run.attended: stdin is no terminal: start the run in one, or set it to false\n"
+    assert run.said == "run.attended: stdin is not a terminal: start the run in one, or set it to false\n"
     assert not run.folder.exists()
 
 

@@ -12,7 +12,7 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
 from robofleet.comms.messages import TickRecord, Truth
-from robofleet.processes.tracker import Tracker
+from robofleet.processes import table
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.sources import CameraContext, Frame
 
@@ -29,7 +29,7 @@ class Stand:
         self.bench = bench
         self.origin_ns = bench.now_ns
         self.woken = threading.Event()
-        self.node = Tracker(bench.config, bench.bus, bench.clock, self._wake, np.random.default_rng(1))
+        self.node = bench.made(table.TRACKER, self._wake)
 
     def run(self, ns: int) -> list[Any]:
         """Let time pass and return every message of the tracker's so far."""
@@ -52,7 +52,7 @@ class Stand:
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 10, ()))
+        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 11, (), ()))
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_a_tick_that_came_late_is_not_mistaken_for_one_before_the_first(stand_of
     stand = stand_of("tracker.source=truth")
     stand.bench.wait(late_ms * MS)
     stamp_ns = stand.bench.now_ns - late_ms * MS
-    stand.bench.say(TICK, TickRecord(1, 1, 1, -1, stamp_ns, *[0] * 10, ()))
+    stand.bench.say(TICK, TickRecord(1, 1, 1, -1, stamp_ns, *[0] * 11, (), ()))
     stand.bench.run(stand.node, S // 10)
     (frame,) = stand.bench.heard(POSES, CAMERA)
     assert frame.exposure_ns == stamp_ns + TICK_NS - LEAD_NS

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, NEWS, POSES, TICK, key
 from robofleet.comms.messages import TRACKER_NEWS, TickRecord
+from robofleet.processes import table
 from robofleet.processes.check import refusals
-from robofleet.processes.tracker import Tracker
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.events import TrackerEvent
@@ -57,7 +57,7 @@ class Stand:
         self.woken = threading.Semaphore(0)
         self._said: list[tuple[str, bytes]] = []
         bench.bus.tap(self._said.append)
-        self.node = Tracker(bench.config, bench.bus, bench.clock, self._wake, np.random.default_rng(1))
+        self.node = bench.made(table.TRACKER, self._wake)
         self._renderer = renderer
 
     def _wake(self, _instant_ns: int) -> None:
@@ -168,7 +168,7 @@ def test_a_camera_that_waits_for_ticks_stalls_only_while_they_come(plugged: Make
     ticks = iter(range(1, 1000))
 
     def tick() -> None:
-        stand.bench.say(TICK, TickRecord(1, 1, next(ticks), -1, stand.bench.now_ns, *[0] * 10, ()))
+        stand.bench.say(TICK, TickRecord(1, 1, next(ticks), -1, stand.bench.now_ns, *[0] * 11, (), ()))
         assert stand.woken.acquire(timeout=10)
 
     tick()

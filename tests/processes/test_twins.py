@@ -108,7 +108,7 @@ def test_a_twins_body_can_be_stuck_as_any_simulated_one() -> None:
 
 
 def test_a_firmware_that_is_not_there_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"robots\.0\.twin: no robofleet\.twins entry point 'gternl'"):
+    with pytest.raises(ConfigError, match=r"robots\.0\.twin: there is no twin 'gternl': did you mean 'gternal'\?"):
         load_checked(PLATOON, ["tracker.source=truth", "robots.0.driver=gternal", "robots.0.twin=gternl"])
 
 

@@ -15,7 +15,7 @@ def of_a_create2(*more: str) -> list[str]:
     """Return the options of a run of one Create 2, answered by its twin."""
     robot: dict[str, Any] = yaml.safe_load(PLATOON.read_text())["robots"][0]
     robot |= {"driver": "create2", "twin": "create2", "vehicle": "create2"}
-    keys = ["tracker.source=truth", "arena.size_m=[3.5, 2.3]", "groups.0.spacing_m=0.48", "run.duration_s=3"]
+    keys = ["tracker.source=truth", "arena.size_m=[3.5, 2.3]", "groups.0.settings.spacing_m=0.48", "run.duration_s=3"]
     keys += [f"robots={json.dumps([robot])}", 'groups.0.robots=["r1"]', *more]
     return [word for key in keys for word in ("--set", key)]
 
@@ -28,7 +28,7 @@ def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(
     assert pulled.ended(60) == 1
     (stop,) = pulled.summary["stops"]
     for cause in (pulled.summary["cause"], stop["cause"], pulled.said):
-        assert "its driver has lost it (unplugged?)" in cause
+        assert "its driver has lost the connection to it (unplugged?)" in cause
     assert pulled.summary["outcome"] == "fault"
     log = (pulled.folder / "log" / "driver-r1.log").read_text()
     assert "platoon-r1.tty: the line is gone: plug it in again" in log

@@ -1,9 +1,12 @@
 """The operator's page as its browser sees it: what it is told, when, and what it can ask for."""
 
 import base64
+import json
 from collections.abc import Iterator
+from math import nan
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -13,6 +16,7 @@ from robofleet.comms.messages import TagPose
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
+from tests.processes.realrun import wait
 from tests.processes.webstand import CLOCK, Frame, OpenPage, WebStand, placed, web_stand
 
 TRUTH = "tracker.source=truth"
@@ -39,12 +43,19 @@ def test_a_newcomer_sees_the_fleet_at_once_and_what_is_not_known_is_null(stand: 
     assert hello["arena"] == {"name": "platoon", "size_m": [3.2, 2.0]}
     assert [robot["id"] for robot in hello["robots"]] == stand.robots
     assert all(robot["safety_radius_m"] > robot["body_radius_m"] > 0 for robot in hello["robots"])
-    assert len(hello["path"]) <= 400
-    assert all(abs(x) < 1.6 and abs(y) < 1.0 for x, y in hello["path"])
+    (group,) = hello["groups"]
+    assert (group["name"], group["behaviour"], group["robots"]) == ("platoon", "platoon", stand.robots)
+    (path,) = group["shapes"]
+    assert (path["kind"], path["name"], path["closed"], path["directed"]) == ("line", "path", True, True)
+    assert all(abs(x) < 1.6 and abs(y) < 1.0 for x, y in path["points"])
+    control = next(figure for figure in hello["figures"] if figure["key"] == "control_error_mm")
+    assert (control["title"], control["unit"], control["robots"]) == ("control error", "mm", stand.robots)
+    assert control["bounds"] == {"mean": 1.0, "max": None}
     assert (hello["camera"], hello["duration_s"], hello["tick_ms"]) == (None, 88, 33)
     assert (tick["phase"], tick["t_s"], tick["cause"]) == ("starting", None, None)
     assert set(tick["health"].values()) == {None}
-    assert all(value is None for robot in tick["robots"] for value in robot)
+    nothing = dict.fromkeys(hello["columns"]) | {"figures": [None] * len(hello["figures"])}
+    assert all(row(hello, tick, robot) == nothing for robot in stand.robots)
 
 
 def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(stand: WebStand) -> None:
@@ -56,25 +67,78 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
         stand.say_status("r2", took_ns=17 * MS)
         page.next("tick", lambda tick: row(hello, tick, "r2")["gate"])
         robots = [
-            placed(0.5, 0.25, control_error_m=0.00123, left_rad_s=3.456, filtered=1.0),
+            placed(0.5, 0.25, left_rad_s=3.456, filtered=1.0),
             placed(0.3, 0.25),
             placed(0.1, 0.25, lost=1.0, measured=0.0),
             placed(-0.1, 0.25),
         ]
         stand.say_tick(-1, *(robot._replace(lost=1.0) for robot in robots))  # overruns before the run are not the run's
         page.next("tick", lambda tick: tick["health"]["overruns"] is not None)
-        stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10)
+        told = {"control_error": [0.00123, nan, 0.002, 0.003], "x": [0.6, nan, 0.2, 0.1], "y": [0.25, nan, 0.25, 0.25]}
+        stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10, told=told)
         tick = page.next("tick", lambda tick: tick["t_s"] is not None)
     assert (tick["t_s"], tick["cause"]) == (0.99, "every check passed")
     health = {"compute_us": 250, "late_us": 42, "overruns": 3, "latency_ms": 17.0, "tracker_hz": None, "seen_pct": None}
     assert tick["health"] == health
     first, second, third = (row(hello, tick, robot) for robot in ("r1", "r2", "r3"))
-    assert (first["x_m"], first["point_x_m"], first["control_mm"], first["left_rad_s"]) == (0.5, 0.58, 1.23, 3.46)
+    assert (first["x_m"], first["point_x_m"], first["left_rad_s"]) == (0.5, 0.58, 3.46)
+    shown = [figure["key"] for figure in hello["figures"]].index("control_error_mm")
+    assert [its["figures"][shown] for its in (first, second, third)] == [1.23, None, 2.0]
+    assert [its["reference_x_m"] for its in (first, second, third)] == [0.6, None, 0.2]
     assert (first["gate"], first["latch"], first["halted"]) == ("no enable", None, "its tag is not seen")
-    assert (first["filtered"], first["lost"], first["battery"], first["spacing_mm"]) == (1, 0, 0.5, None)
-    assert (second["gate"], second["halted"], second["spacing_mm"]) == ("open", None, 200.0)
+    assert (first["filtered"], first["lost"], first["battery"]) == (1, 0, 0.5)
+    assert (second["gate"], second["halted"]) == ("open", None)
     assert 0 <= second["age_ms"] < 1000
     assert (third["lost"], third["x_m"], third["gate"], third["age_ms"]) == (1, None, None, None)
+
+
+TWO = Path(__file__).with_name("two_groups.yaml")
+
+
+def test_each_group_is_told_with_its_own_figures_and_shapes(tmp_path: Path) -> None:
+    with web_stand(tmp_path, file=TWO) as stand, stand.page() as page:
+        hello = page.next("hello")
+        told = {"control_error": [0.001] * 3, "radius_error": [nan] * 3 + [0.002, 0.003], "turned": [0.5] * 5}
+        stand.say_state(Phase.RUNNING)
+        stand.say_tick(3, told={name: [*values, nan, nan][:5] for name, values in told.items()})
+        tick = page.next("tick", lambda tick: tick["t_s"] is not None)
+        figures = [figure["key"] for figure in hello["figures"]]
+        said = {
+            its["id"]: dict(zip(figures, row(hello, tick, its["id"])["figures"], strict=True))
+            for its in hello["robots"]
+        }
+    assert [(group["name"], group["behaviour"]) for group in hello["groups"]] == [
+        ("platoon", "platoon"), ("inner", "tests.processes.swirl:Swirl"),
+    ]  # fmt: skip
+    assert [shape["kind"] for shape in hello["groups"][1]["shapes"]] == ["line", "dots"]
+    assert [its["group"] for its in hello["robots"]] == ["platoon"] * 3 + ["inner"] * 2 + [None]
+    assert "secret" not in figures, "it is not live"
+    assert (said["r1"]["control_error_mm"], said["r1"]["radius_error_mm"]) == (1.0, None)
+    assert (said["s1"]["control_error_mm"], said["s1"]["radius_error_mm"]) == (None, 2.0)
+    assert said["s1"]["turned_deg"] == pytest.approx(28.6479, abs=1e-4)
+    assert set(said["p1"].values()) == {None}, "a robot in no group has no figures"
+
+
+def test_on_the_way_the_references_are_told_and_no_figures(stand: WebStand) -> None:
+    with stand.page() as page:
+        hello = page.next("hello")
+        stand.say_state(Phase.POSITIONING, Event.SET_OUT)
+        told = {"control_error": [0.001] * 4, "x": [0.5] * 4, "y": [0.25] * 4}
+        stand.say_tick(-1, told=told, phase=Phase.POSITIONING)
+        tick = page.next("tick", lambda tick: row(hello, tick, "r1")["reference_x_m"])
+    assert tick["phase"] == "positioning"
+    assert set(row(hello, tick, "r1")["figures"]) == {None}
+
+
+def test_a_robot_whose_behaviour_failed_stands_in_words(stand: WebStand) -> None:
+    with stand.page() as page:
+        hello = page.next("hello")
+        stand.say_state(Phase.HOLD, Event.BEHAVIOUR_RAISED, 1)
+        failed = [Event.BEHAVIOUR_STANDS, Event.BEHAVIOUR_RAISED, Event.BEHAVIOUR_STANDS, Event.BEHAVIOUR_STANDS]
+        stand.say_tick(30, *(placed(0.1 * k, 0.0, failed=float(event)) for k, event in enumerate(failed)))
+        tick = page.next("tick", lambda tick: row(hello, tick, "r1")["halted"])
+    assert "r2: the behaviour of its group platoon failed" in tick["cause"]
+    assert row(hello, tick, "r1")["halted"] == "the behaviour of its group failed, and all its robots stand"
 
 
 def test_a_silent_controller_is_not_shown_as_if_it_were_there(stand: WebStand) -> None:
@@ -200,16 +264,61 @@ def test_a_picture_comes_only_to_who_asked_with_the_tags_where_they_were_seen(tm
     assert tick["health"]["tracker_hz"] == pytest.approx(30.3, abs=0.1)
 
 
-@pytest.mark.parametrize(("phase", "told"), [(Phase.IDLE, True), (Phase.RUNNING, False)])
-def test_the_last_word_of_a_run_is_said_only_when_it_has_ended(stand: WebStand, phase: Phase, told: bool) -> None:
-    with stand.page() as page:
-        stand.say_state(phase, Event.STOP_REQUESTED)
-        page.next("tick", lambda tick: tick["phase"] == phase.name.lower())
-        stand.end()
-        frames: list[Frame] = []
-        with pytest.raises(ConnectionClosed) as closed:
-            while True:
-                frames.append(page.heard_one())
+def frames_until_closed(page: OpenPage) -> list[Frame]:
+    frames: list[Frame] = []
+    with pytest.raises(ConnectionClosed) as closed:
+        while True:
+            frames.append(page.heard_one())
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code in (1001, 1012)
-    assert [frame["text"] for frame in frames if frame["type"] == "ended"] == ["idle: stop requested"] * told
+    return frames
+
+
+def test_a_page_that_is_ended_in_mid_run_does_not_say_that_the_run_has_ended(stand: WebStand) -> None:
+    with stand.page() as page:
+        stand.say_state(Phase.IDLE, Event.STOP_REQUESTED)
+        page.next("tick", lambda tick: tick["phase"] == "idle")
+        stand.end()
+        assert not [frame for frame in frames_until_closed(page) if frame["type"] == "ended"]
+
+
+def test_the_end_of_a_run_is_told_with_its_verdict_and_its_report_to_who_still_looks(
+    stand: WebStand, tmp_path: Path
+) -> None:
+    with stand.page() as page:
+        stand.say_state(Phase.IDLE, Event.STOP_REQUESTED)
+        page.next("tick", lambda tick: tick["phase"] == "idle")
+        report = stand.url.replace("/?", "/report?")
+        assert httpx.get(report).status_code == 404
+        stand.over.set()
+        heard = page.next("ended")
+        assert (heard["text"], heard["good"], heard["report"]) == ("idle: stop requested", None, None)
+        bounds = [{"figure": "overruns", "value": 2, "limit": 0, "pass": False}]
+        summary = {"outcome": "completed", "cause": None, "ticks": 9, "bounds": bounds}
+        (tmp_path / "summary.json").write_text(json.dumps(summary))
+        judged = page.next("ended")
+        assert (judged["text"], judged["good"]) == ("Completed, 1 of 1 bounds not met", False)
+        assert judged["lines"] == ["ticks overrun: 2, at most 0 asked for"]
+        (tmp_path / "report.html").write_text("<!doctype html><title>its report</title>")
+        assert page.next("ended")["report"] == str(tmp_path / "report.html")
+        served = httpx.get(report)
+        assert (served.status_code, "its report" in served.text) == (200, True)
+        assert "script-src" not in served.headers["content-security-policy"], "it has none"
+        assert httpx.get(report.replace(stand.token, "0" * 32)).status_code == 403
+        with stand.page() as later:
+            assert later.next("ended")["text"] == judged["text"]
+
+
+def test_a_page_that_nobody_has_opened_ends_with_its_run(stand: WebStand) -> None:
+    stand.over.set()
+    assert wait(lambda: not stand.serves(), 5)
+
+
+def test_before_the_supervisor_speaks_the_page_says_what_the_launcher_does(tmp_path: Path) -> None:
+    words = ["Compiling"]
+    with web_stand(tmp_path, TRUTH, said=lambda: words[0]) as stand, stand.page() as page:
+        page.next("tick", lambda tick: tick["stage"] == "Compiling")
+        words[0] = "Starting"
+        page.next("tick", lambda tick: tick["stage"] == "Starting")
+        stand.say_state(Phase.RUNNING, Event.PROVED)
+        page.next("tick", lambda tick: (tick["phase"], tick["stage"]) == ("running", None))

@@ -1,19 +1,29 @@
 """What the operator's page can ask for, and the commands that open it."""
 
+import json
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
 import pytest
+from typer.testing import CliRunner
 
-from robofleet.clock import MS
+from robofleet.cli import app
+from robofleet.clock import MS, S
+from robofleet.comms.endpoint import listens, settled
+from robofleet.comms.zenoh_bus import open_router
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.processes.arena_file import claimed, found
 from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, need_extra
+from robofleet.processes.web.command import Over, There
 from robofleet.safety.gate import GateStatus, Latch
-from tests.processes.realrun import ALONE, RealRun, wait
+from tests.endpoints import own_endpoint, short_folder
+from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders, wait
 from tests.processes.webstand import CLOCK, WebStand, web_stand
 
 
@@ -112,34 +122,130 @@ def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> Non
 
 
 def test_what_is_not_installed_is_named_with_the_way_to_it() -> None:
-    need_extra("web", *WEB_PACKAGES)
+    need_extra("lab", *WEB_PACKAGES)
     with pytest.raises(
-        RefusedError, match=r"this needs no_such_one: \S+ -m pip install -e '\.\[web\]' in robofleet's folder$"
+        RefusedError, match=r"this needs no_such_one: \S+ -m pip install -e '\.\[lab\]' in robofleet's folder$"
     ):
-        need_extra("web", "starlette", "no_such_one")
+        need_extra("lab", "starlette", "no_such_one")
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str]]:
+    """Return the exit code of a command and the line that it says; nothing of this computer's runs is seen."""
+    for name, folder in own_folders(tmp_path).items():
+        monkeypatch.setenv(name, folder)
+
+    def invoke(*arguments: str) -> tuple[int, str]:
+        result = CliRunner().invoke(app, arguments)
+        assert result.stderr.count("\n") == 1, result.stderr
+        return result.exit_code, result.stderr
+
+    return invoke
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (
+            ["--web", "--lockstep"],
+            "--web: a lockstep run ends too soon for a page: leave --web or --lockstep out",
+        ),
+        (["--web-host", "::1", "--lockstep"], "--web-host: a lockstep run ends too soon"),
+        (
+            ["--web-host", "198.51.100.7"],
+            "--web-host 198.51.100.7: Cannot assign requested address: name an address of this",
+        ),
+        (["--web-host", "0.0.0.0"], "--web-host 0.0.0.0: name one of this machine's addresses"),
+    ],
+    ids=str,
+)
+def test_a_run_refuses_a_page_that_nobody_could_open(
+    command: Callable[..., tuple[int, str]], arguments: list[str], line: str, tmp_path: Path
+) -> None:
+    code, said = command("run", str(PLATOON), *arguments, "--out", str(tmp_path / "run"))
+    assert (code, said[: len(line)]) == (2, line)
+    assert not (tmp_path / "run").exists()
 
 
 def test_what_the_command_cannot_serve_is_refused_in_a_line(
-    real_run: Callable[..., RealRun], platoon_of: Callable[..., Config], tmp_path: Path
+    command: Callable[..., tuple[int, str]], platoon_of: Callable[..., Config], tmp_path: Path
 ) -> None:
-    run = real_run("--web", "--lockstep")
-    assert run.ended(20) == 2
-    assert run.said == "--web: a lockstep run is over before anybody has looked: leave --web or --lockstep out\n"
-    file = tmp_path / "config.yaml"
-    file.write_text(resolved_yaml(platoon_of()))
+    run = tmp_path / "20260101T000000Z-platoon"
+    run.mkdir()
+    file = run / "config.yaml"
+    file.write_text(resolved_yaml(platoon_of("arena.name=hall")))
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         for arguments, line in [
             ([], "no arena has a run"),
-            (
-                [str(file), "--host", "0.0.0.0"],
-                "name one of this machine's addresses: what a browser calls it is checked",
-            ),
-            (
-                [str(file), "--port", str(port)],
-                "Address already in use: name an address of this machine, and a port that",
-            ),
+            (["hall"], "no arena has a run"),
+            ([str(run / "none.yaml")], f"{run / 'none.yaml'}:"),
+            ([str(file), "--host", "0.0.0.0"], "--host 0.0.0.0: name one of this machine's addresses"),
+            ([str(file), "--port", str(port)], f"--host 127.0.0.1 --port {port}: Address already in use: name an addr"),
+            ([str(file)], "no run of hall answers at unixsock-stream/"),
         ]:
-            refused = run.robofleet("web", *arguments)
-            assert (refused.returncode, refused.stderr.count("\n")) == (2, 1), refused.stderr
-            assert line in refused.stderr
+            code, said = command("web", *arguments)
+            assert (code, said[: len(line)]) == (2, line)
+    bounds = [{"figure": "overruns", "value": 2, "limit": 0, "pass": False}]
+    fault = {"outcome": "fault", "cause": "r3: a bumper is hit", "ticks": 9, "bounds": bounds}
+    (run / "summary.json").write_text(json.dumps(fault))
+    ended = f"the run in {run} has ended: Ended by a fault: r3: a bumper is hit"
+    assert command("web", str(file)) == (2, f"{ended}; it is kept in {run}\n")
+    (run / "report.html").touch()
+    assert command("web", str(run)) == (2, f"{ended}; its report: {run / 'report.html'}\n")
+
+
+def test_a_run_that_ends_is_told_from_a_link_that_is_lost(platoon_of: Callable[..., Config], tmp_path: Path) -> None:
+    config = platoon_of(f"bus.endpoint={own_endpoint()}", "arena.name=hall")
+    with claimed(config, tmp_path):
+        (run,) = [run for run in found().runs if run.arena == "hall"]
+        over = Over(There(config, tmp_path, run))
+        router = open_router(config.bus.endpoint)
+        try:
+            assert listens(config.bus.endpoint)
+            CLOCK.sleep_until(CLOCK.now_ns() + S)
+            assert not over()
+        finally:
+            router.close()  # type: ignore[no-untyped-call]
+        assert wait(over, 5), "its router is the last of it"
+        begins = Over(There(config, tmp_path, run))
+        assert not begins(), "a launcher that has no router yet"
+    assert wait(begins, 5), "its launcher is gone"
+    assert not Over(There(config, tmp_path, None))(), "nobody has launched it"
+
+
+def test_a_page_that_is_opened_by_hand_ends_with_its_run(platoon_of: Callable[..., Config], tmp_path: Path) -> None:
+    environment = own_folders(short_folder())
+    run = tmp_path / "run"
+    run.mkdir()
+    with pytest.MonkeyPatch.context() as patched:
+        for name, folder in environment.items():
+            patched.setenv(name, folder)
+        config = settled(platoon_of("arena.name=hall"), listen=True)
+        (run / "config.yaml").write_text(resolved_yaml(config))
+        with claimed(config, run), (tmp_path / "said").open("wb") as said:
+            router = open_router(config.bus.endpoint)
+            page = subprocess.Popen(
+                [sys.executable, "-W", "error", "-m", "robofleet", "web", "hall"],
+                env=environment,
+                stderr=said,
+                stdout=said,
+            )
+            try:
+                words = tmp_path / "said"
+                assert wait(lambda: "the operator's page: http://127.0.0.1:" in words.read_text(), 60), (
+                    words.read_text()
+                )
+                bounds = [{"figure": "overruns", "value": 0, "limit": 9, "pass": True}]
+                summary = {"outcome": "completed", "cause": None, "ticks": 9, "bounds": bounds}
+                (run / "summary.json").write_text(json.dumps(summary))
+                router.close()  # type: ignore[no-untyped-call]
+                assert page.wait(30) == 0
+            finally:
+                page.kill()
+                page.wait()
+    ended = f"the run of hall has ended: Completed, every bound met; it is kept in {run}"
+    address, how, *rest = words.read_text().splitlines()
+    assert address.startswith("the operator's page: ")
+    assert how.startswith("  ")
+    assert rest == [ended], "no library says anything"

@@ -1,5 +1,6 @@
-"""Who may speak to the operator's page: everybody else is told nothing but 403, and nothing reaches the robots."""
+"""Who may speak to the operator's page: others are told nothing secret, and nothing of theirs reaches a robot."""
 
+import os
 import re
 import socket
 from collections.abc import Iterator
@@ -13,9 +14,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
+from robofleet.processes.web import ticket
 from tests.processes.webstand import WebStand, web_stand
 
-BARE = (b"", "")
+INCOMPLETE = "This address is not complete, or it is an old one"
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,17 @@ def is_bare(response: httpx.Response) -> bool:
     """Whether it tells nothing: no body, and no header that a browser would take for a permission."""
     told = [name for name in response.headers if name not in ("connection", "content-length")]
     return (response.status_code, response.content, told) == (403, b"", [])
+
+
+def is_worded(response: httpx.Response, stand: WebStand, title: str) -> bool:
+    """Whether it tells a person what to do, and nobody anything else."""
+    secrets = stand.token, stand.once.partition("ticket=")[2], stand.authority
+    policy = response.headers["content-security-policy"]
+    assert not any(secret in response.text for secret in secrets)
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
+    assert not re.search("<script|<form|<a |http", response.text)
+    assert not any(name.startswith("access-control") for name in response.headers)
+    return response.status_code == 403 and f"<h1>{title}</h1>" in response.text
 
 
 def test_the_page_is_served_to_who_has_its_address(stand: WebStand) -> None:
@@ -65,11 +78,13 @@ def test_everything_that_the_page_needs_is_here(stand: WebStand) -> None:
 def test_another_name_for_this_host_is_refused(stand: WebStand, host: str, path: str) -> None:
     port = stand.authority.split(":")[1]
     response = ask(stand, "GET", path.format(token=stand.token), host=host.format(port=port))
-    assert is_bare(response)
+    assert is_worded(response, stand, "This page is known by another name")
+    assert not host or host.format(port=port) not in response.text
+    assert is_bare(ask(stand, "POST", path.format(token=stand.token), host=host.format(port=port)))
 
 
 def test_the_page_has_no_second_address_without_a_token(stand: WebStand) -> None:
-    assert is_bare(ask(stand, "GET", "/index.html"))
+    assert is_worded(ask(stand, "GET", "/index.html"), stand, INCOMPLETE)
 
 
 def test_localhost_is_a_name_of_this_host(stand: WebStand) -> None:
@@ -81,7 +96,8 @@ def test_localhost_is_a_name_of_this_host(stand: WebStand) -> None:
     "query", ["", "?token=", "?token={short}", "?token={token}0", "?token={token}&token=x", "?token=é"]
 )
 def test_without_its_token_there_is_no_page(stand: WebStand, query: str) -> None:
-    assert is_bare(ask(stand, "GET", "/" + query.format(token=stand.token, short=stand.token[:-1])))
+    refused = ask(stand, "GET", "/" + query.format(token=stand.token, short=stand.token[:-1]))
+    assert is_worded(refused, stand, INCOMPLETE)
 
 
 @pytest.mark.parametrize(
@@ -212,6 +228,28 @@ def test_every_start_draws_another_token_of_128_bits(tmp_path: Path, stand: WebS
     with web_stand(tmp_path, "tracker.source=truth") as second:
         assert re.fullmatch(r"[0-9a-f]{32}", second.token)
         assert second.token != stand.token
+
+
+def test_a_ticket_opens_the_page_once_and_only_for_this_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with web_stand(tmp_path, "tracker.source=truth") as stand:
+        assert stand.token not in stand.once, "the command line of a browser is read by everybody"
+        wrong = httpx.get(stand.once[:-1])
+        assert is_worded(wrong, stand, "This address has opened its page already")
+        with monkeypatch.context() as patched:
+            patched.setattr(ticket.os, "geteuid", lambda: os.getuid() + 1)
+            assert httpx.get(stand.once).status_code == 403
+        opened = httpx.get(stand.once)
+        assert (opened.status_code, opened.headers["location"]) == (303, f"/?token={stand.token}")
+        assert is_worded(httpx.get(stand.once), stand, "This address has opened its page already")
+
+
+def test_the_system_says_whose_a_local_connection_is() -> None:
+    for family, host in (socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1"):
+        with socket.create_server((host, 0), family=family) as server:
+            port = server.getsockname()[1]
+            with socket.create_connection((host, port)) as client:
+                assert ticket.owner(client.getsockname()[:2], port) == os.geteuid()
+            assert ticket.owner(("192.0.2.1", 5), port) is None
 
 
 def test_no_more_pages_than_a_run_needs(stand: WebStand) -> None:

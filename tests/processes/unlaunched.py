@@ -5,7 +5,7 @@ from pathlib import Path
 from robofleet.clock import Clock
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes import controller, tracker
+from robofleet.processes import table
 from robofleet.processes.children import Children
 
 
@@ -13,22 +13,22 @@ def started(config: Config, folder: Path, clock: Clock) -> Children:
     """Start them all but the recorder, and wait until each does its work; whoever asked for them reaps them."""
     file = folder / "config.yaml"
     file.write_text(resolved_yaml(config))
-    controller.compile_kernels(config)
-    tracker.compile_kernels(config)
     fleet = Children(folder, file)
     try:
-        for name in ("router", *(["twins"] if config.twins else [])):
-            fleet.start(name, name)
-        wait_ready(fleet, clock)
-        for name in ("supervisor", "tracker", "controller"):
-            fleet.start(name, name)
-        for name, robots in config.driven.items():
-            fleet.start(name, "driver", "--robots", ",".join(robots))
-        wait_ready(fleet, clock)
+        start_all(config, fleet, clock)
     except BaseException:
         fleet.reap(clock)
         raise
     return fleet
+
+
+def start_all(config: Config, fleet: Children, clock: Clock) -> None:
+    """Start them, and wait until each does its work."""
+    for first in (True, False):
+        for one in table.processes(config):
+            if one.row.first is first and one.row is not table.RECORDER:
+                fleet.start(one.name, *one.command)
+        wait_ready(fleet, clock)
 
 
 def wait_ready(fleet: Children, clock: Clock) -> None:

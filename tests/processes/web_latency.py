@@ -31,7 +31,6 @@ from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes import controller, tracker
 from robofleet.processes.children import Children
 from robofleet.processes.node import Lifeline
 from robofleet.processes.web import feed, server
@@ -39,6 +38,7 @@ from robofleet.safety.supervisor import Event, Phase
 from tests.endpoints import own_endpoint
 from tests.processes.longfleet import fleet_of
 from tests.processes.realrun import PLATOON, own_folders
+from tests.processes.unlaunched import start_all
 from tests.processes.webstand import WebStand
 
 CLOCK = WallClock()
@@ -68,17 +68,9 @@ def measured_server(file: Path, descriptor: int) -> None:
 @contextmanager
 def real_fleet(config: Config, file: Path, log: Path) -> Iterator[ZenohBus]:
     """Start every process of a run, and the run."""
-    controller.compile_kernels(config)
-    tracker.compile_kernels(config)
     children = Children(log, file)
     try:
-        children.start("router", "router")
-        children.wait_ready(CLOCK, lambda: None)
-        for name in ("supervisor", "tracker", "controller"):
-            children.start(name, name)
-        for name, robots in config.driven.items():
-            children.start(name, "driver", "--robots", ",".join(robots))
-        children.wait_ready(CLOCK, lambda: None)
+        start_all(config, children, CLOCK)
         bus = ZenohBus(config.arena.name, config.bus.endpoint, "latency", CLOCK)
         try:
             yield bus
@@ -147,6 +139,7 @@ class Browser:
             options.add_argument(f"--{option}")
         options.add_argument("--window-size=1280,900")
         self._url, self.driver = url, webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver"))
+        self.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
 
     def open(self) -> None:
         """Open the page."""
@@ -157,6 +150,12 @@ class Browser:
         script = "return performance.getEntriesByName('first-tick-drawn')[0]?.startTime"
         found: Any = self.driver.execute_script(script)
         return None if found is None else float(found)
+
+    def busy_s(self) -> tuple[float, int]:
+        """Return how long the page's thread has computed [s of its processor], and the ticks that it drew meanwhile."""
+        metrics = self.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+        (spent,) = (metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
+        return float(spent), int(self.driver.execute_script("return window.robofleet?.state.drawn ?? 0"))
 
     def leave(self) -> None:
         """Show nothing."""
@@ -175,6 +174,7 @@ def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float,
     """Print lateness without and with pages, and how soon a page shows something."""
     late: dict[int, list[float]] = {0: [], pages: []}
     first: list[float] = []
+    drawing_ms: list[float] = []  # of a page's processor, for a tick
     with ExitStack() as opened:
         browsers = [Browser(url) for _ in range(pages)]
         for browser in browsers:
@@ -185,14 +185,18 @@ def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float,
                 browser.open()
             CLOCK.sleep_until(CLOCK.now_ns() + 2 * S)
             psutil.cpu_percent()
+            before = [browser.busy_s() for browser in browsers]
             late[pages] += lateness_us(bus, config, seconds / rounds)
             busy = psutil.cpu_percent()
+            for (began_s, had), (spent_s, has) in zip(before, [browser.busy_s() for browser in browsers], strict=True):
+                drawing_ms.append(1e3 * (spent_s - began_s) / max(1, has - had))
             first += [ms for browser in browsers if (ms := browser.first_picture_ms()) is not None]
             for browser in browsers:
                 browser.leave()
     for count, found in late.items():
         print(f"lateness with {count} pages: {figures(found)} us of {len(found)} ticks in {seconds:.0f} s")
     print(f"first picture after opening: {figures(first)} ms of {len(first)} openings")
+    print(f"a tick takes {figures(drawing_ms)} ms of the page's thread, in {len(drawing_ms)} blocks")
     print(f"processors {busy:.0f} % busy with {pages} pages")
 
 

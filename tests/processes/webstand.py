@@ -4,14 +4,16 @@ import asyncio
 import json
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
 
+import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
+from robofleet.behaviours import described
 from robofleet.clock import S, WallClock
 from robofleet.comms import keys, messages
 from robofleet.comms.bus import Request
@@ -26,9 +28,10 @@ from robofleet.comms.messages import (
     TickRecord,
 )
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.web.server import Served, serve
+from robofleet.processes.web.server import Addresses, Served, serve
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.endpoints import own_endpoint
@@ -42,10 +45,14 @@ Frame = dict[str, Any]
 class WebStand:
     """``url`` is what an operator is given; ``asked`` is what came to the supervisor."""
 
-    def __init__(self, config: Config, bus: ZenohBus, url: str, end: Callable[[], None]) -> None:
-        self.config, self._bus, self.url, self.end = config, bus, url, end
+    def __init__(
+        self, config: Config, bus: ZenohBus, addresses: Addresses, end: Callable[[], None], over: threading.Event
+    ) -> None:
+        self.config, self._bus, (self.url, self.once), self.end, self.over = config, bus, addresses, end, over
+        url = self.url
         self.authority, self.token = urlsplit(url).netloc, urlsplit(url).query.removeprefix("token=")
-        self.robots = [robot.id for robot in config.platoon]
+        self.robots = [robot.id for robot in config.members]
+        self.groups = groups.descriptions(config)
         self.asked: list[bytes] = []
         self.mute = False  # the supervisor does not answer
         self._served = bus.serve(keys.REQUEST, "supervisor", lambda _: self._answer())
@@ -54,18 +61,37 @@ class WebStand:
         self._poses, self._picture = bus.publisher(keys.POSES, keys.CAMERA), bus.publisher(keys.PICTURE, keys.CAMERA)
         self._seq = 0
 
+    def serves(self) -> bool:
+        """Whether somebody listens at the page's port."""
+        with socket.socket() as probe:
+            host, port = self.authority.split(":")
+            return probe.connect_ex((host, int(port))) == 0
+
     def page(self, **changes: Any) -> "OpenPage":
         """Open the page's WebSocket as a browser does, with what a test changes."""
         how: dict[str, Any] = {"origin": f"http://{self.authority}", "compression": None, "open_timeout": 5} | changes
         token = how.pop("token", self.token)
         return OpenPage(lambda: connect(f"ws://{self.authority}/live?token={token}", **how))
 
-    def say_tick(self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0, overruns: int = 7) -> None:
+    def say_tick(
+        self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0, overruns: int = 7,
+        told: Mapping[str, Sequence[float]] | None = None, phase: Phase = Phase.RUNNING,
+    ) -> None:  # fmt: skip
+        """Say a tick; ``told``: figures by their names, and ``x`` and ``y`` of the references, a value a robot."""
         self._seq += 1
         items = robots or tuple(placed(0.1 * row, 0.0) for row in range(len(self.robots)))
         timing = overruns, lateness_ns, 250_000
-        head = (7, 0, self._seq, run_tick, CLOCK.now_ns(), 0, 0, 0, 0, 0, 0, Phase.RUNNING, *timing)
-        self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items)))
+        head = (7, 0, self._seq, run_tick, CLOCK.now_ns(), 0, 0, 0, 0, 0, 0, phase, 0, *timing)
+        self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items, self._numbers(told or {}))))
+
+    def _numbers(self, told: Mapping[str, Sequence[float]]) -> tuple[float, ...]:
+        numbers, first = np.full(described.size(self.groups), np.nan), 0
+        for group, part in zip(self.groups, described.parts(self.groups, numbers[None]), strict=True):
+            rows = slice(first, first := first + len(group.robots))
+            for k, name in enumerate(("x", "y", *(figure.name for figure in group.figures))):
+                if name in told:
+                    part[0, :, k] = told[name][rows]
+        return tuple(numbers.tolist())
 
     def say_state(
         self, phase: Phase, cause: Event = Event.NOTHING, robot: int = NOBODY, halted: Event = Event.NOTHING
@@ -148,20 +174,22 @@ class OpenPage:
 def placed(x: float, y: float, **changes: float) -> RobotTick:
     """Return a robot's part of a tick: seen, and standing."""
     return (
-        RobotTick(*[0.0] * 18)._replace(x_m=x, y_m=y, point_x_m=x + 0.08, point_y_m=y, measured=1.0)._replace(**changes)
+        RobotTick(*[0.0] * len(RobotTick._fields))
+        ._replace(x_m=x, y_m=y, point_x_m=x + 0.08, point_y_m=y, measured=1.0)
+        ._replace(**changes)
     )
 
 
 @contextmanager
-def web_stand(folder: Path, *overrides: str, of_run: bool = True) -> Iterator[WebStand]:
+def web_stand(folder: Path, *overrides: str, said: Callable[[], str] = str, file: Path = PLATOON) -> Iterator[WebStand]:
     """Start a router, the server and the stand; nothing is left of them."""
-    config = load_config(PLATOON, [f"bus.endpoint={own_endpoint()}", *overrides])
+    config = load_config(file, [f"bus.endpoint={own_endpoint()}", *overrides])
     router = open_router(config.bus.endpoint)
     roles = {"test": ("supervisor", "tracker"), "web": ()}  # what the test stands for
     buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
-    urls: list[str] = []
-    cut = threading.Event()
-    served = Served(config, folder, buses[1], CLOCK, _LOOPBACK, of_run)
+    urls: list[Addresses] = []
+    cut, over = threading.Event(), threading.Event()
+    served = Served(config, folder, buses[1], CLOCK, _LOOPBACK, over.is_set, said=said)
     thread = threading.Thread(
         target=lambda: asyncio.run(serve(served, socket.create_server((_LOOPBACK, 0)), urls.append, cut.is_set))
     )
@@ -173,7 +201,7 @@ def web_stand(folder: Path, *overrides: str, of_run: bool = True) -> Iterator[We
 
     try:
         assert wait(lambda: urls, 30), "the server is not ready"
-        yield WebStand(config, buses[0], urls[0], end)
+        yield WebStand(config, buses[0], urls[0], end, over)
     finally:
         end()
         for bus in buses:

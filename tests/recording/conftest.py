@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robofleet.behaviours import described
+from robofleet.behaviours.paths import PathFile
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import (
@@ -26,6 +28,7 @@ from robofleet.comms.messages import (
     Truth,
 )
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
@@ -47,6 +50,7 @@ class Story:
 
     config: Config
     ticks: int
+    said: described.Group = field(init=False)
     path: Path = field(init=False)
     points: np.ndarray = field(init=False)  # (K, N, 2) [m]
     psi: np.ndarray = field(init=False)  # (K, N) [rad]
@@ -56,12 +60,14 @@ class Story:
     origin: float = 0.0  # the leader's parameter at the start
 
     def __post_init__(self) -> None:
-        group = self.config.groups[0]
-        self.path = Path.hermite(
-            np.array([k.at_m for k in group.path.knots]), np.array([k.derivative_m for k in group.path.knots])
-        )
-        self.place(np.zeros(len(self.config.platoon)))
-        self.control_error = np.zeros((self.ticks, len(self.config.platoon)))
+        (self.said,) = groups.descriptions(self.config)
+        self.path = PathFile.model_validate(self.settings["path"]).path()
+        self.place(np.zeros(len(self.config.members)))
+        self.control_error = np.zeros((self.ticks, len(self.config.members)))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return self.config.groups[0].settings
 
     @property
     def t(self) -> np.ndarray:
@@ -74,12 +80,12 @@ class Story:
 
     def place(self, behind: Sequence[float] | np.ndarray) -> None:
         """Put every robot's point on the path, so many metres behind where it should be now."""
-        group, path = self.config.groups[0], self.path
-        sigma = self.origin + group.path_rate * self.t
+        path = self.path
+        sigma = self.origin + self.settings["path_rate"] * self.t
         sigma = path.back(sigma % path.sides, behind[0]) if behind[0] else sigma
         columns = [sigma % path.sides]
         for late in behind[1:]:
-            columns.append(path.back(columns[-1], group.spacing_m + late))
+            columns.append(path.back(columns[-1], self.settings["spacing_m"] + late))
         sigmas = np.stack(columns, axis=1)
         tangent = path.tangent(sigmas)
         self.points = path.position(sigmas)
@@ -94,7 +100,7 @@ class Story:
         recording, arena = Recording(self.config), self.config.arena.name
         for k in range(-self.before, self.ticks):
             recording.add(key(arena, TICK), TICK_RECORD.encode(self._tick(k)))
-            for row, robot in enumerate(self.config.platoon) if truth else ():
+            for row, robot in enumerate(self.config.members) if truth else ():
                 at = max(k, 0)
                 pose = *self.centres[at, row], math.remainder(self.psi[at, row], math.tau)
                 message = Truth(1, 1, self.stamp(k), *pose, 0.0, 0.0)
@@ -107,20 +113,21 @@ class Story:
 
     def _reference(self, k: int) -> float:
         """Return the leader's parameter a horizon after a tick's commands act: from ``origin`` on the lap."""
-        group, c = self.config.groups[0], self.config.controller
+        c = self.config.controller
         ahead_s = k * c.tick_s + c.horizon_s + c.command_delay_s
-        return float((self.origin + group.path_rate * ahead_s) % self.path.sides)
+        return float((self.origin + self.settings["path_rate"] * ahead_s) % self.path.sides)
 
     def _tick(self, k: int) -> TickRecord:
-        at, items = max(k, 0), []
-        for row in range(len(self.config.platoon)):
+        at, items, numbers = max(k, 0), [], []
+        for row in range(len(self.config.members)):
             off = np.array(self.estimate_off)
             x, y, psi = np.array([*self.centres[at, row], self.psi[at, row]]) + off
             point = x + 0.08 * math.cos(psi), y + 0.08 * math.sin(psi)
             error = self.control_error[at, row] if k >= 0 else 9.0
             pose = x, y, math.remainder(psi, math.tau)
             saturated = float(row == 0 and k == 1)
-            items.append(RobotTick(*pose, *point, 0, 0, self._reference(at), 0, 0, error, 0, 0, saturated, 1, 0, 0, 0))
+            items.append(RobotTick(*pose, *point, 0, 0, 0, 0, saturated, 1, 0, 0, 0, 0))
+            numbers += self._numbers(error, self._reference(at))
         phase, run_tick = (Phase.RUNNING, k) if k >= 0 else (Phase.ARMED, -1)
         exposure_ns = self.stamp(k) - 18 * MS
         head = (
@@ -136,10 +143,16 @@ class Story:
             1,
             0,
             phase,
+            0,
             max(k, 0) // 10 + 7,
             1000 * (k + 10),
         )
-        return TickRecord(*head, 50_000, tuple(items))
+        return TickRecord(*head, 50_000, tuple(items), tuple(numbers))
+
+    def _numbers(self, error: float, reference: float) -> list[float]:
+        """Return what a robot's behaviour told: no reference's place, and two of its figures."""
+        told = {"control_error": error, "reference_parameter": reference}
+        return [math.nan, math.nan, *(told.get(figure.name, math.nan) for figure in self.said.figures)]
 
 
 @pytest.fixture

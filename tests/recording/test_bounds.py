@@ -9,7 +9,7 @@ import pytest
 from robofleet.config.load import load_config
 from robofleet.config.tree import Bounds
 from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.bounds import JUDGED, failures, judged
+from robofleet.recording.bounds import JUDGED, complaints, failures, judged
 from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
 
@@ -64,6 +64,19 @@ def test_what_was_not_measured_has_not_met_its_bound(story: Make, figures: Make)
     nothing = figures(Recording(story().config))
     assert set(verdicts(nothing)) == set(asked)
     assert set(verdicts(nothing).values()) == {False}
+
+
+def test_a_run_that_was_aborted_is_judged_by_what_was_measured(story: Make, figures: Make) -> None:
+    told = story("run.bounds.overruns=30")
+    told.control_error[:] = 0.0025
+    aborted = figures(told.recording(truth=False)) | {"outcome": "fault"}
+    assert failures(aborted) == ["control error, mean: 2.5 mm, at most 1 mm asked for"]
+    missed, rest = complaints(aborted)
+    assert missed == "bound not met: control error, mean: 2.5 mm, at most 1 mm asked for"
+    assert rest == "4 of 8 bounds were not judged: the run ended too early"
+    assert len(complaints(aborted | {"outcome": "completed"})) == 5
+    nothing = figures(Recording(told.config)) | {"outcome": "stopped"}
+    assert complaints(nothing) == ["8 of 8 bounds were not judged: the run ended too early"]
 
 
 def test_without_bounds_nothing_is_judged(story: Make, figures: Make) -> None:

@@ -83,7 +83,7 @@ def test_its_report_is_written(run: Lockstep, truth: bool, tmp_path: Path) -> No
 
 
 def test_viewers_draw_it_where_it_stands(run: Lockstep) -> None:
-    scene = Scene(run.recording.config)
+    scene = Scene(run.recording.config, run.recording.groups)
     at, bodies = [], set()
     for number, (full, payload) in enumerate(recorded.in_order(run.recording)):
         for topic, message in scene.update(full, payload, number * 10**6):
@@ -98,7 +98,7 @@ def test_viewers_draw_it_where_it_stands(run: Lockstep) -> None:
 
 
 def test_the_page_shows_it_where_it_stands(run: Lockstep) -> None:
-    config, clock = run.recording.config, SimulatedClock()
+    config, groups, clock = run.recording.config, run.recording.groups, SimulatedClock()
     clock.advance_to(10**9)
     bus = MemoryBus(config.arena.name, clock, 0)
     hearing = Hearing(config, bus, clock, lambda _: None)
@@ -107,12 +107,12 @@ def test_the_page_shows_it_where_it_stands(run: Lockstep) -> None:
     bus.publisher(POSES, CAMERA)(FLEET_POSES.encode(FleetPoses(1, 1, 1, 5, 6, 1, 0, 0, 0, seen)))
     hearing.hear()
     hearing.hear_the_rest()
-    told = frames.hello(config, Path("folder"))
+    told = frames.hello(config, groups, Path("folder"))
     assert [(robot["id"], robot["driven"]) for robot in told["robots"]][-2:] == [("r4", True), ("p1", False)]
-    rows = [dict(zip(frames.COLUMNS, row, strict=True)) for row in frames.tick(hearing, config, 1, 10**9)["robots"]]
+    frame = frames.tick(hearing, config, groups, 1, 10**9, "")
+    rows = [dict(zip(frames.COLUMNS, row, strict=True)) for row in frame["robots"]]
     assert len(rows) == 5
     assert (rows[4]["x_m"], rows[4]["y_m"], rows[4]["psi_rad"]) == (0.5, 0.25, 1.0)
-    assert {rows[4][name] for name in ("point_x_m", "reference_x_m", "control_mm", "spacing_mm", "left_rad_s")} == {
-        None
-    }
+    assert {rows[4][name] for name in ("point_x_m", "reference_x_m", "left_rad_s")} == {None}
+    assert not any(rows[4]["figures"] or ())
     assert rows[3]["x_m"] is not None

@@ -8,19 +8,20 @@ from typing import Any
 import pytest
 
 from robofleet.recording import comparison
-from robofleet.recording.comparison import OVERLAYS, Side
+from robofleet.recording.comparison import Side
 from robofleet.recording.report import view_of
 from robofleet.recording.run import Recording
 from tests.recording.test_report import kept, plots, robofleet, words
 
 Make = Callable[..., Any]
+OVERLAYS = ["Control error", "Timed error", "Path error", "Centre error", "Spacing", "Pose error"]
 __all__ = ["kept"]
 
 
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the plots out: they take their time."""
-    monkeypatch.setattr(comparison, "OVERLAYS", ())
+    monkeypatch.setattr(comparison, "overlays", lambda sides: ())
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_the_second_run_is_better_or_worse_where_that_has_a_meaning(story: Make,
 
 @pytest.mark.usefixtures("plain")
 def test_more_is_better_for_the_gap_of_bodies(story: Make, compared: Make) -> None:
-    near, far = story("groups.0.spacing_m=0.25"), story("groups.0.spacing_m=0.3")
+    near, far = story("groups.0.settings.spacing_m=0.25"), story("groups.0.settings.spacing_m=0.3")
     page = compared(near.recording(), far.recording())
     assert row(page, "smallest gap of bodies, mm")[-1].startswith("better")
 
@@ -70,12 +71,12 @@ def test_keys_that_differ_are_listed_and_no_others(story: Make, compared: Make) 
     keys = re.findall(r"<td>([a-z_]+\.[a-z0-9_.]+)</td>", page)
     assert keys == ["robots.2.tag", "controller.alpha"]
     assert row(page, "controller.alpha")[1:] == ["45", "30"]
-    assert "the same, key by key" in words(compared(story().recording(), story().recording()))
+    assert "the same configuration, key by key" in words(compared(story().recording(), story().recording()))
 
 
 def test_plots_lie_over_each_other_even_of_different_fleets(story: Make, compared: Make) -> None:
     page = compared(story().recording(), story("groups.0.robots=[r1, r2]", ticks=40).recording())
-    assert plots(page) == ["Paths", *(overlay.title for overlay in OVERLAYS)]
+    assert plots(page) == ["Paths", *OVERLAYS]
 
 
 def test_a_run_that_measured_nothing_is_set_beside_another(story: Make, compared: Make) -> None:

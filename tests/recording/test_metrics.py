@@ -58,7 +58,7 @@ def test_2_mm_behind_is_the_error_of_that_robot_alone(story: Make, figures: Make
 def test_a_run_that_starts_elsewhere_on_the_lap_is_timed_from_there(
     story: Make, figures: Make, origin: float, track: str
 ) -> None:
-    told = story(f"groups.0.track={track}")
+    told = story(f"groups.0.settings.track={track}")
     told.origin = origin
     told.place([0.003, 0, 0, 0])
     if track == "centre":  # the centres are where the points of the other run are
@@ -68,7 +68,7 @@ def test_a_run_that_starts_elsewhere_on_the_lap_is_timed_from_there(
 
 
 def test_a_tracked_centre_is_measured_at_the_centre(story: Make, figures: Make) -> None:
-    told = story("groups.0.track=centre")
+    told = story("groups.0.settings.track=centre")
     told.points = told.points + told.config.controller.point_ahead_m * np.stack(
         [np.cos(told.psi), np.sin(told.psi)], axis=-1
     )
@@ -169,7 +169,7 @@ def test_stops_are_gates_that_closed_during_the_run(story: Make, figures: Make, 
         add_status(recording, "r2", told.stamp(k), gate=gate)
     for k, gate in ((1, GateStatus.OPEN), (50, GateStatus.NO_ENABLE), (52, GateStatus.OPEN)):
         add_status(recording, "r1", told.stamp(k), gate=gate)
-    unseen = {"target_ms": None, "output_ms": None}
+    unseen = {"by_operator": False, "target_ms": None, "output_ms": None}
     assert figures(recording)["stops"] == [
         {"t_s": pytest.approx(50 * 0.033), "robot": "r1", "cause": "no enable"} | unseen,
         {"t_s": pytest.approx(100 * 0.033), "robot": "r2", "cause": "no command"} | unseen,
@@ -208,7 +208,7 @@ def test_a_prediction_is_no_measurement_and_the_trackers_news_are_kept(
 ) -> None:
     told = story()
     recording = told.recording()
-    tags = [robot.tag for robot in recording.config.platoon]
+    tags = [robot.tag for robot in recording.config.members]
     add_image(recording, told.stamp(3), tags)
     add_image(recording, told.stamp(4), tags, coasted_ns=33 * MS)
     arena = recording.config.arena.name
@@ -254,8 +254,8 @@ def test_a_run_too_short_to_settle_measures_nothing(story: Make, figures: Make, 
 
 def test_an_empty_recording_says_that_nothing_was_measured(story: Make, figures: Make) -> None:
     s = figures(Recording(story().config))
-    said = {"version", "config", "seed", "mode", "outcome", "robots", "bounds"}
-    for name, value in s.items():
+    said = {"version", "config", "seed", "mode", "outcome", "robots", "bounds", "groups", "behaviour", "asked"}
+    for name, value in (*s.items(), *s["groups"]["platoon"].items()):
         if name not in said:
             leaves = value.values() if isinstance(value, dict) else [value]
             assert all(leaf in (None, 0, 0.0, [], 33.0) for leaf in leaves), (name, value)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robofleet.behaviours import described
 from robofleet.comms.keys import CAMERA, NEWS, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS, RobotTick
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
@@ -18,6 +19,8 @@ from robofleet.recording import comparison, report
 from robofleet.recording.run import Recording
 from robofleet.valid_json import dumps, finite
 from tests.recording.conftest import Story
+
+pytestmark = pytest.mark.slow
 
 Make = Callable[..., Any]
 VALUES = (math.nan, math.inf, -math.inf, 1e308, -1e308)
@@ -28,7 +31,7 @@ def with_ticks(recording: Recording, change: Callable[[np.ndarray], None]) -> Re
     """Return a recording whose ticks, all of them as an array (K,), a test has changed."""
     full = key(recording.config.arena.name, TICK)
     messages = recording.messages[full]
-    dtype = TICK_RECORD.dtype(len(recording.config.platoon))
+    dtype = TICK_RECORD.dtype(len(recording.config.members), described.size(recording.groups))
     ticks = np.frombuffer(b"".join(messages), dtype).copy()
     change(ticks)
     messages[:] = [tick.tobytes() for tick in ticks]
@@ -47,13 +50,14 @@ def everything(recording: Recording, figures: dict[str, Any], folder: Path) -> t
 
 @pytest.mark.parametrize("value", VALUES)
 def test_one_figure_of_one_tick_is_a_gap(story: Make, figures: Make, tmp_path: Path, value: float) -> None:
-    column = "control_error_m"
+    told = story()
+    column = described.names([told.said]).index("r2: control_error_m")
 
     def change(ticks: np.ndarray) -> None:
-        ticks["items"][column][100, 1] = value
+        ticks["figures"][100, column] = value
 
-    whole = figures(story().recording())
-    recording = with_ticks(story().recording(), change)
+    whole = figures(told.recording())
+    recording = with_ticks(told.recording(), change)
     gapped = figures(recording)
     assert gapped == whole, "the other ticks are as they were"
     page, rows = everything(recording, gapped, tmp_path)
@@ -69,10 +73,11 @@ def test_figures_of_any_tick_are_gaps(story: Make, figures: Make, tmp_path: Path
     def change(ticks: np.ndarray) -> None:
         for column in COLUMNS:
             ticks["items"][column][rng.random(ticks["items"].shape) < 0.05] = value
+        ticks["figures"][rng.random(ticks["figures"].shape) < 0.05] = value
 
     recording = with_ticks(story().recording(), change)
     _, rows = everything(recording, figures(recording), tmp_path)
-    told = [cell for row in rows for name, cell in row.items() if name != "robot" and cell]
+    told = [cell for row in rows for name, cell in row.items() if name not in ("robot", "group") and cell]
     assert all(math.isfinite(float(cell)) for cell in told)
 
 

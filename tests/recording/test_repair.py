@@ -65,7 +65,7 @@ def test_every_tool_finds_its_way_in_a_mended_file(killed: Path) -> None:
     counts = summary.statistics.channel_message_counts
     assert {summary.channels[number].topic: count for number, count in counts.items()} == topics
     assert topics.items() >= {full: len(messages) for full, messages in read(killed).messages.items()}.items()
-    assert (names, about) == (["config.yaml"], ["provenance"])
+    assert (names, about) == (["config.yaml", "groups.json"], ["provenance"])
 
 
 def test_a_mended_file_is_the_one_that_would_have_been_written(run_file: Path, tmp_path: Path) -> None:
@@ -169,8 +169,8 @@ def test_the_command_ends_with_1_where_there_is_no_room(killed: Path) -> None:
     ("content", "says"),
     [
         (None, "no such recording"),
-        (b"", "no recording"),
-        (b"not at all an mcap", "no recording"),
+        (b"", "not a recording"),
+        (b"not at all an mcap", "not a recording"),
     ],
 )
 def test_what_is_no_recording_is_refused_in_a_line(content: bytes | None, says: str, tmp_path: Path) -> None:

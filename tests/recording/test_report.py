@@ -14,13 +14,16 @@ from robofleet.config.load import load_config
 from robofleet.figures import robot_colours
 from robofleet.recording import report
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.plots import SECTIONS
+from robofleet.recording.plot import Plot
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from tests.recording.conftest import PLATOON, Story
 
 Make = Callable[..., Any]
-TITLES = [plot.title for plots in SECTIONS.values() for plot in plots]
+TITLES = [
+    "On the time axis", "Paths of the points", "Control error", "Timed error", "Path error", "Centre error", "Spacing",
+    "Wheels", "The filter against the truth", "Distribution", "From the image to the wheel", "Ticks",
+]  # fmt: skip
 MANY = 100
 
 
@@ -37,7 +40,12 @@ def page(figures: Make, tmp_path: Path) -> Callable[..., str]:
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the plots out: they take their time."""
-    monkeypatch.setattr(report, "SECTIONS", {})
+    monkeypatch.setattr(report, "sections", lambda view: {})
+
+
+def of_title(sections: dict[str, list[Plot]], title: str) -> Plot:
+    (found,) = (plot for plots in sections.values() for plot in plots if plot.title == title)
+    return found
 
 
 def words(page: str) -> str:
@@ -79,7 +87,7 @@ def test_a_bound_that_was_not_met_makes_it_red_and_says_by_how_much(story: Make,
     colour, said = verdict(page(told.recording()))
     assert colour == "bad"
     assert "1 of 2 bounds not met" in said
-    assert "control error, mean: 2.5 mm, at most 1 asked for" in said
+    assert "control error, mean: 2.5 mm, at most 1 mm asked for" in said
 
 
 @pytest.mark.usefixtures("plain")
@@ -98,16 +106,17 @@ def test_a_fault_is_said_first_and_stops_are_listed(story: Make, page: Make, add
     colour, said = verdict(text := page(recording, outcome="fault", cause="r2: <its own> e-stop"))
     assert colour == "bad"
     assert said.startswith("Ended by a fault: r2: <its own> e-stop")
-    assert "1 stop of a robot on the way" in said
+    assert "1 stop of a robot by itself" in said
     assert "0.66 r2 no enable" in " ".join(words(text).split())
 
 
 def test_without_the_truth_it_says_what_is_not_known(story: Make, page: Make) -> None:
     text = page(story().recording(truth=False))
     assert set(TITLES) - set(plots(text)) == {
-        "True errors", "The filter against the truth", "Distribution", "From the image to the wheel",
+        "Timed error", "Path error", "Centre error", "The filter against the truth", "Distribution",
+        "From the image to the wheel",
     }  # fmt: skip
-    assert words(text).count("true poses are known of simulated robots only") == 3
+    assert words(text).count("true poses are known of simulated robots only") == 5
     assert "nan" not in words(text)
 
 
@@ -139,7 +148,7 @@ def test_a_file_that_broke_off_and_messages_that_are_missing_are_said(story: Mak
 
 def test_one_robot_alone_has_a_page(story: Make, page: Make) -> None:
     text = page(story("groups.0.robots=[r3]", "run.bounds={}").recording())
-    assert "one robot has no neighbour" in words(text)
+    assert "Spacing. Not measured: the group has nothing" in words(text)
 
 
 @pytest.mark.slow
@@ -147,7 +156,8 @@ def test_a_hundred_robots_fit_into_two_megabytes(page: Make) -> None:
     config = load_config(PLATOON)
     robot = config.robots[0]
     robots = tuple(robot.model_copy(update={"id": f"r{k}", "tag": k}) for k in range(MANY))
-    group = config.groups[0].model_copy(update={"robots": tuple(r.id for r in robots), "spacing_m": 0.03})
+    settings = config.groups[0].settings | {"spacing_m": 0.03}
+    group = config.groups[0].model_copy(update={"robots": tuple(r.id for r in robots), "settings": settings})
     told = Story(config.model_copy(update={"robots": robots, "groups": (group,)}), 150)
     text = page(told.recording())
     assert len(text) < 2_000_000
@@ -161,6 +171,36 @@ def test_nothing_is_fetched_from_elsewhere_and_the_same_run_gives_the_same_page(
     assert "<script" not in first
     assert "url(http" not in first
     assert page(story(ticks=20).recording()) == first
+
+
+def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
+    story: Make, figures: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = report.sections
+    monkeypatch.setattr(report, "sections", lambda view: {"One": [of_title(every(view), "Control error")]})
+    recording, folder = story(ticks=20).recording(), tmp_path / "my paper"
+    page = report.write(recording, figures(recording), tmp_path, folder).read_text()
+    assert re.findall(r'href="([^"#]+)"', page) == ["my%20paper/control-error.svg", "my%20paper/control-error.pdf"]
+    svg, pdf = (folder / "control-error.svg").read_text(), (folder / "control-error.pdf").read_bytes()
+    for colour in robot_colours(4):
+        assert f"stroke: {colour}" in svg
+    assert "<!-- r4 -->" in svg, "the legend is in the file"
+    assert pdf.startswith(b"%PDF")
+    assert b"/Type3" not in pdf
+    report.write(recording, figures(recording), tmp_path, folder)
+    assert ((folder / "control-error.svg").read_text(), (folder / "control-error.pdf").read_bytes()) == (svg, pdf)
+
+
+@pytest.mark.usefixtures("plain")
+def test_an_aborted_run_says_its_cause_first_and_no_bound_that_was_not_judged(story: Make, page: Make) -> None:
+    recording = story("run.bounds.overruns=30").recording(truth=False)
+    text = page(recording, outcome="stopped", cause="the operator interrupted")
+    said = [line.strip() for line in verdict(text)[1].splitlines()]
+    assert said[0] == "Stopped: the operator interrupted"
+    assert said[-1] == "4 of 8 bounds were not judged: the run ended too early."
+    assert "not measured, " not in words(text)
+    assert "\N{BALLOT X}" not in words(text)
+    assert words(text).count("not judged") >= 5
 
 
 def robofleet(*arguments: object) -> Any:
@@ -204,7 +244,7 @@ def test_the_command_ends_with_1_where_a_bound_was_not_met(story: Make, kept: Ma
     told.aside(0.005)
     result = robofleet(folder := kept(told, "one"))
     assert result.exit_code == 1
-    assert result.stderr == "bound not met: path error, mean: 5 mm, at most 4 asked for\n"
+    assert result.stderr == "bound not met: path error, mean: 5 mm, at most 4 mm asked for\n"
     assert (folder / "report.html").exists()
 
 
@@ -213,7 +253,7 @@ def test_bad_input_is_one_line_and_exit_code_2(story: Make, kept: Make, tmp_path
     (tmp_path / "text.mcap").write_text("no recording")
     for arguments, said in (
         ((tmp_path / "nowhere",), "there is no such recording"),
-        ((tmp_path / "text.mcap",), "no recording"),
+        ((tmp_path / "text.mcap",), "not a recording"),
         ((one, tmp_path / "nowhere"), "there is no such recording"),
         ((one, "--out", tmp_path / "two.html"), "--out: one run's report stands in its folder"),
         ((one, one, "--out", one / FILE / "page.html"), "cannot be written"),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robofleet.behaviours import described
 from robofleet.clock import S
 from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotTick, TrackerNews
@@ -35,12 +36,24 @@ def with_items(recording: Recording, change: Callable[[int, int, RobotTick], Rob
     return changed
 
 
+def with_references(recording: Recording, said: described.Group) -> Recording:
+    """Return a recording whose robots are to be at x = number of the tick, y = row."""
+    full, changed = key(recording.config.arena.name, TICK), Recording(recording.config)
+    for k, payload in enumerate(recording.messages[full]):
+        tick = TICK_RECORD.decode(payload)
+        assert tick is not None
+        numbers = np.array(tick.figures).reshape(len(said.robots), said.width)
+        numbers[:, 0], numbers[:, 1] = k, range(len(said.robots))
+        changed.add(full, TICK_RECORD.encode(tick._replace(figures=tuple(numbers.ravel().tolist()))))
+    return changed
+
+
 def test_robots_are_drawn_where_they_are_estimated_and_where_they_truly_are(story: Make) -> None:
     drive = story(ticks=60)
     drive.estimate_off = 0.02, -0.01, 0.1
     frames = Viewer(drive.config).play(drive.recording()).frames
     assert set(frames) == {f"r{k}{kind}" for k in (1, 2, 3, 4) for kind in ("", "/truth")}
-    for row, robot in enumerate(drive.config.platoon):
+    for row, robot in enumerate(drive.config.members):
         for name, off in ((robot.id, drive.estimate_off), (f"{robot.id}/truth", (0.0, 0.0, 0.0))):
             assert len(frames[name]) > 10
             for frame in frames[name]:
@@ -57,7 +70,7 @@ def test_poses_are_told_ten_times_a_second(story: Make) -> None:
     viewer = Viewer(drive.config).play(drive.recording(truth=False))
     frames_of = viewer.frames
     assert len(viewer.said["/tf"]) / (305 * TICK_NS / S) == pytest.approx(10, abs=0.2)
-    for robot in drive.config.platoon:
+    for robot in drive.config.members:
         poses, frames = viewer.said[f"/robots/{robot.id}/pose"], frames_of[robot.id]
         told = [(p.pose.position.x, p.pose.position.y, instant_ns(p.timestamp), p.frame_id) for p in poses]
         assert told == [(f.translation.x, f.translation.y, instant_ns(f.timestamp), "world") for f in frames]
@@ -103,7 +116,7 @@ def test_shapes_are_said_again_only_when_they_change(story: Make, add_state: Mak
 def test_a_body_is_a_disc_with_its_id_and_half_of_the_distance_that_is_kept(story: Make) -> None:
     drive = story(ticks=5)
     config, viewer = drive.config, Viewer(drive.config).play(drive.recording())
-    for robot in config.platoon:
+    for robot in config.members:
         shape = viewer.bodies[robot.id]
         disc, kept = shape.cylinders
         assert shape.frame_id == robot.id
@@ -122,14 +135,14 @@ def test_the_path_and_the_arena_are_drawn_once(story: Make) -> None:
     (static,) = viewer.said["/arena"]
     lines = {entity.id: np.array([(p.x, p.y) for p in entity.lines[0].points]) for entity in static.entities}
     assert np.ptp(lines["arena"], axis=0) == pytest.approx(drive.config.arena.size_m)
-    off = np.linalg.norm(lines["path"][:, None] - drive.points[None, :, 0], axis=-1).min(axis=0)
+    off = np.linalg.norm(lines["platoon/path"][:, None] - drive.points[None, :, 0], axis=-1).min(axis=0)
     assert off.max() < 0.02, "every point of the drive is on the path"
 
 
 def test_references_are_drawn_while_the_robots_run(story: Make, add_state: Make) -> None:
     drive, moved = story(ticks=60), Recording(story().config)
     add_state(moved, Phase.RUNNING, Event.PROVED)
-    running = with_items(drive.recording(truth=False), lambda k, row, i: i._replace(reference_x_m=k, reference_y_m=row))
+    running = with_references(drive.recording(truth=False), drive.said)
     for full in running.messages:
         for _, payload in running.placed(full):
             moved.add(full, payload)

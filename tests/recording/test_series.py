@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robofleet.comms.keys import TICK, key
+from robofleet.recording.columns import write_csv
 from robofleet.recording.run import Run
-from robofleet.recording.series import line, series, write_csv
+from robofleet.recording.series import line, series
 
 Make = Callable[..., Any]
 
@@ -62,17 +63,39 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     at = told.centres[7, 1]
     assert [float(rows[29][name]) for name in ("true_x_m", "true_y_m")] == pytest.approx(at.tolist(), rel=1e-5)
     assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
-    units = ("_m", "_rad", "_s", "_mm", "_deg")
-    plain = {"tick", "run_tick", "robot", "reference_parameter", "saturated", "measured", "lost", "filtered", "blocked"}
+    units = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
+    plain = {
+        "tick",
+        "run_tick",
+        "robot",
+        "group",
+        "failed",
+        "reference_parameter",
+        "saturated",
+        "measured",
+        "lost",
+        "filtered",
+        "blocked",
+    }
     assert all(name in plain or name.endswith(units) for name in rows[0])
 
 
 def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
     write_csv(series(Run(story(ticks=3).recording(truth=False))), tmp_path / "m.csv")
-    unknown = {"true_x_m", "true_y_m", "true_psi_rad", "path_error_mm", "timed_error_mm", "pose_error_mm"}
+    told = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
+    unknown = told | {
+        "centre_error_mm",
+        "true_x_m",
+        "true_y_m",
+        "true_psi_rad",
+        "path_error_mm",
+        "timed_error_mm",
+        "pose_error_mm",
+    }
+    measured = {"left_measured_rad_s", "right_measured_rad_s"}  # no robot said anything
     for row in rows_of(tmp_path / "m.csv"):
         empty = {name for name, cell in row.items() if cell == ""}
-        assert empty - {"spacing_mm"} == unknown | {"heading_error_deg"}
+        assert empty - {"spacing_mm"} == unknown | {"heading_error_deg", "exposure_to_wheel_ms", *measured}
         assert not any("nan" in cell for cell in row.values())
 
 

@@ -73,7 +73,7 @@ def test_table_and_report_name_them_and_show_no_number_that_is_none(
     recording = without(told.recording(), *gone)
     summary = figures(recording)
     output = io.StringIO()
-    Console(file=output, width=120).print(summary_table(summary))
+    Console(file=output, width=120).print(summary_table(summary, recording.config))
     table, page = output.getvalue(), report.write(recording, summary, tmp_path).read_text()
     assert f"({kind})" in table
     for text in (" ".join(table.split()), page):

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from robofleet.recording.bounds import JUDGED
 from robofleet.recording.causes import cause, named
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
@@ -47,8 +48,21 @@ def test_a_stop_that_the_supervisor_ordered_has_the_runs_cause(told: Make) -> No
     (stop,) = told((Phase.HOLD, Event.POSE_JUMPED, 2))
     assert stop == {
         "t_s": pytest.approx(100 * 0.033), "robot": "r1", "cause": "no enable: r3: it was moved by hand",
-        "target_ms": 21.0, "output_ms": 47.0,
+        "by_operator": False, "target_ms": 21.0, "output_ms": 47.0,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("phase", "event", "asked"),
+    [(Phase.HOLD, Event.HOLD_REQUESTED, True), (Phase.ESTOP, Event.ESTOP_REQUESTED, True),
+     (Phase.ESTOP, Event.STOPPED_AT_GATE, True), (Phase.ESTOP, Event.OPERATOR_LOST, False),
+     (Phase.HOLD, Event.CAMERA_STALLED, False)],
+)  # fmt: skip
+def test_what_the_operator_asked_for_is_no_stop_by_itself(told: Make, phase: Phase, event: Event, asked: bool) -> None:
+    (stop,) = told((phase, event))
+    assert stop["by_operator"] is asked
+    figures = {"stops": [stop], "ticks": 300}
+    assert JUDGED["stops"].of(figures) == (0 if asked else 1)
 
 
 def test_a_robot_that_stands_alone_has_its_own_cause(told: Make) -> None:

@@ -8,6 +8,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from mcap.writer import Writer
 
+from robofleet.comms.layouts import VERSION
 from robofleet.recording.chunks import RECORD
 from robofleet.recording.log import FILE, LIBRARY, RunLog
 from robofleet.recording.reading import RecordingError, read
@@ -118,10 +119,14 @@ def foreign(file: Path, profile: str, library: str) -> None:
 @pytest.mark.parametrize(
     ("profile", "library", "says"),
     [
-        ("ros2", "libmcap 1.4.0", "no recording of robofleet's: it was made by libmcap 1.4.0"),
-        ("robofleet", "robofleet", "no recording of robofleet's"),
-        ("robofleet", LIBRARY.format("0.1.0", 2), "wire version 2 of robofleet 0.1.0; this one reads 4: install that"),
-        ("robofleet", LIBRARY.format("9.1.0", 5), "wire version 5 of robofleet 9.1.0; this one reads 4: install that"),
+        ("ros2", "libmcap 1.4.0", "is not a recording of robofleet: it was made by libmcap 1.4.0"),
+        ("robofleet", "robofleet", "is not a recording of robofleet"),
+        (
+            "robofleet",
+            LIBRARY.format("0.1.0", 2),
+            f"wire version 2 of robofleet 0.1.0; this one reads {VERSION}:",
+        ),
+        ("robofleet", LIBRARY.format("9.1.0", VERSION + 1), f"wire version {VERSION + 1} of robofleet 9.1.0"),
     ],
 )
 def test_a_file_of_somebody_else_is_refused_in_a_line(profile: str, library: str, says: str, tmp_path: Path) -> None:

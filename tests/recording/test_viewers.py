@@ -14,7 +14,7 @@ from robofleet.recording.log import RunLog
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 EPOCH_NS = 1_790_000_000 * 10**9
-FOXGLOVE = {
+DECODED = {
     "/arena": "foxglove.SceneUpdate",
     "/camera/annotations": "foxglove.ImageAnnotations",
     "/camera/calibration": "foxglove.CameraCalibration",
@@ -25,6 +25,7 @@ FOXGLOVE = {
     "/tf": "foxglove.FrameTransforms",
     "/tf_static": "foxglove.FrameTransforms",
     **{f"/robots/r{k}/pose": "foxglove.PoseInFrame" for k in (1, 2, 3, 4)},
+    **{f"/robots/r{k}/tick": "robofleet.RobotTick" for k in (1, 2, 3, 4)},
 }
 
 
@@ -57,7 +58,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 def test_every_message_of_the_bus_is_in_the_file_and_beside_it_what_viewers_draw(written: Written) -> None:
     counts = {topic: count for topic, count in written.counts.items() if count}
-    assert {topic for topic in counts if not topic.startswith("rf/")} == set(FOXGLOVE)
+    assert {topic for topic in counts if not topic.startswith("rf/")} == set(DECODED)
     assert {topic: count for topic, count in counts.items() if topic.startswith("rf/")} == dict(written.own)
     assert counts["/camera/image"] == counts["/camera/annotations"] > 5
 
@@ -66,19 +67,19 @@ def test_the_mcap_packages_reader_decodes_all_that_is_not_ours(written: Written)
     read: Counter[str] = Counter()
     with written.file.open("rb") as stream:
         reader: McapReader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for schema, channel, message, decoded in reader.iter_decoded_messages(topics=list(FOXGLOVE)):
+        for schema, channel, message, decoded in reader.iter_decoded_messages(topics=list(DECODED)):
             read[channel.topic] += 1
             assert schema is not None
-            assert schema.name == decoded.DESCRIPTOR.full_name == FOXGLOVE[channel.topic]
+            assert schema.name == decoded.DESCRIPTOR.full_name == DECODED[channel.topic]
             assert message.log_time > EPOCH_NS
-    assert dict(read) == {topic: written.counts[topic] for topic in FOXGLOVE}
+    assert dict(read) == {topic: written.counts[topic] for topic in DECODED}
 
 
 def test_frames_are_told_before_shapes_lie_in_them(written: Written) -> None:
     frames, used = {"world"}, set()
     with written.file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for _, channel, _, decoded in reader.iter_decoded_messages(topics=list(FOXGLOVE), log_time_order=False):
+        for _, channel, _, decoded in reader.iter_decoded_messages(topics=list(DECODED), log_time_order=False):
             if channel.topic.startswith("/tf"):
                 frames |= {frame.child_frame_id for frame in decoded.transforms}
             for entity in getattr(decoded, "entities", ()):

@@ -10,6 +10,7 @@ from google.protobuf.message_factory import GetMessageClass
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import TICK, key
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.recording.run import Recording
 from robofleet.recording.scene import Scene
@@ -23,7 +24,7 @@ class Viewer:
     """Plays recordings to a scene, and keeps what it makes of them: messages by topic."""
 
     def __init__(self, config: Config) -> None:
-        self._scene = Scene(config, epoch_ns=EPOCH_NS)
+        self._scene = Scene(config, groups.descriptions(config), epoch_ns=EPOCH_NS)
         self._kinds = {}
         for topic, schema, descriptor in self._scene.channels:
             pool = DescriptorPool()

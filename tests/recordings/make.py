@@ -56,7 +56,7 @@ def _two_controllers(run: Run) -> bool:
 _ARMED, _RUNNING, _HOLD, _IDLE = Phase.ARMED, Phase.RUNNING, Phase.HOLD, Phase.IDLE
 SCENARIOS = {
     "platoon": Scenario(("groups.0.robots=[r1, r2, r3]",), asked=((3.5, b"stop"),)),
-    "centre": Scenario(("groups.0.track=centre",)),
+    "centre": Scenario(("groups.0.settings.track=centre",)),
     "euler": Scenario(("controller.integrator=euler",)),
     "disturbed": Scenario(("controller.disturbance=estimated",), "{kind: slip, robot: r2, at_s: 1}"),
     "lost": Scenario((), "{kind: pose_dropout, robot: r2, at_s: 1, duration_s: 1.2}", shows=_lost_and_found),
@@ -71,11 +71,11 @@ SCENARIOS = {
         shows=lambda run: _phases(run) == [_ARMED, _RUNNING, _IDLE, _ARMED, _RUNNING, _IDLE],
     ),
     "barrier": Scenario(
-        ("groups.0.spacing_m=0.215",),
+        ("groups.0.settings.spacing_m=0.215",),
         "{kind: motor_stuck, robot: r1, at_s: 1}",
         shows=lambda run: bool(run.items["filtered"].any()),
     ),
-    "excitation": Scenario(("groups.0.behaviour=excitation",)),
+    "excitation": Scenario(("groups.0.behaviour=excitation", "groups.0.settings={}")),
     "lossy": Scenario(
         (),
         "{kind: lost, topics: [poses, state], share: 0.2}, {kind: late, topics: [poses, state]}, "

@@ -108,7 +108,7 @@ class Rows(NamedTuple):
     b: Array
 
 
-def rows(s: Scene, i: int) -> Rows:
+def rows(s: Scene, i: int, apart_m: float = D) -> Rows:
     """Return a robot's rows by numerical differentiation of where it would stop."""
     at = [stop_point(pose, turning) for pose, turning in zip(s.poses, s.turning, strict=True)]
     units = [
@@ -126,7 +126,7 @@ def rows(s: Scene, i: int) -> Rows:
         if j != i:
             distance = float(np.linalg.norm(at[j] - at[i]))
             a.append(tuple((at[j] - at[i]) / distance @ moves))
-            b.append(max(KEEPOUT.rate * (distance - D) / 2, -0.1))  # withdrawing at half its top speed at most
+            b.append(max(KEEPOUT.rate * (distance - apart_m) / 2, -0.1))  # withdrawing at half its top speed at most
     return Rows(np.array(a, dtype=float), np.array(b, dtype=float))
 
 

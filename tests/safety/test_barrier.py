@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, apart, from_edge
+from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, apart, apart_at_rest, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from tests.robots import GTERNAL
 from tests.safety import barrier_scenes
@@ -333,3 +333,50 @@ def test_a_bystander_that_nobody_sees_grows_and_one_that_never_was_seen_is_nowhe
     ]
     expected = [0.15, 0.15, 0.05, -0.1, -0.1, 0.16]
     assert granted == pytest.approx(expected, abs=1e-6)
+
+
+AT_REST = apart_at_rest(KEEPOUT, BODY, BODY)
+BELIEVED_S = KEEPOUT.age + BODY.delay + GTERNAL.motor_lag
+
+
+def rested() -> Barrier:
+    """Return the barrier of two robots that have stood for a while."""
+    barrier = Barrier(KEEPOUT, (BODY,) * 2)
+    for _ in range(10):
+        answer(face_to_face(1.0)._replace(wheels=np.zeros((2, 2))), barrier)
+    return barrier
+
+
+def test_robots_that_stand_may_be_nearer_than_robots_that_drive() -> None:
+    s = face_to_face(AT_REST + 2 * KEEPOUT.ahead + 0.001)._replace(wheels=np.zeros((2, 2)))
+    assert not answer(s, rested()).wheels.any()
+    assert answer(s).wheels.all(), "of those who were fast lately it is not known that they stand"
+
+
+@pytest.mark.parametrize("left_m", [0.01, 0.02, 0.03])
+def test_beside_another_a_robot_is_no_faster_than_their_distance_allows(left_m: float) -> None:
+    """It drives past, so that no row of the pair holds it."""
+    apart_m = AT_REST + left_m
+    poses = np.array([(0.0, 0.0, math.pi / 2), (apart_m, 0.0, math.pi / 2)])
+    s, barrier = Scene(poses, np.zeros((2, 2)), np.array([(12.0, 12.0), (0.0, 0.0)])), rested()
+    v, omega = body(answer(s, barrier).wheels[0])
+    assert v == pytest.approx((1 - KEEPOUT.rate * KEEPOUT.tick) * left_m / BELIEVED_S, rel=1e-6)
+    assert omega == pytest.approx(0.0, abs=1e-9)
+
+
+def test_however_near_a_robot_may_creep() -> None:
+    poses = np.array([(0.0, 0.0, math.pi / 2), (AT_REST + 1e-6, 0.0, math.pi / 2)])
+    s = Scene(poses, np.zeros((2, 2)), np.array([(12.0, 12.0), (0.0, 0.0)]))
+    v, _ = body(answer(s, rested()).wheels[0])
+    assert v == pytest.approx(0.075 * GTERNAL.max_speed)
+
+
+def test_who_was_fast_is_believed_to_be_until_an_image_would_tell() -> None:
+    """A robot at top speed beside the way, and then at rest: the other may come as near as before 0.215 s later."""
+    far, barrier = face_to_face(1.0), rested()
+    answer(far._replace(wheels=np.full((2, 2), 12.5)), barrier)
+    near = face_to_face(AT_REST + 2 * KEEPOUT.ahead + 0.02)._replace(wheels=np.zeros((2, 2)))
+    withdrawing = [bool(answer(near, barrier).wheels.any()) for _ in range(30)]
+    ticks = math.ceil(BELIEVED_S / KEEPOUT.tick)
+    assert all(withdrawing[:ticks])
+    assert not withdrawing[-1]

@@ -5,23 +5,24 @@ import math
 import numpy as np
 import pytest
 
-from robofleet.safety.barrier import CHANGED, Barrier
-from robofleet.vehicles.differential_drive import wheels_from_body
+from robofleet.safety.barrier import CHANGED, Barrier, Body, apart
+from robofleet.vehicles.differential_drive import arc, wheels_from_body
 from tests.robots import GTERNAL
 from tests.safety.barrier_scenes import (
-    BODY,
     KEEPOUT,
-    D,
     L,
     Scene,
     answer,
     body,
     face_to_face,
+    feasible,
     nearest,
     rows,
 )
 
 TICKS_3_S = 91
+BODY = Body(GTERNAL, 0.055, 1e-6 - KEEPOUT.age - GTERNAL.motor_lag)  # next to nothing is believed at any speed
+D = apart(KEEPOUT, BODY, BODY)
 
 
 @pytest.mark.parametrize("bearing_deg", [0, 20, 40, 60, 75])
@@ -29,7 +30,7 @@ def test_who_turns_aside_keeps_its_rows_too(bearing_deg: float) -> None:
     bearing = math.radians(bearing_deg)
     poses = np.array([(0.0, 0.0, 0.0), (D * math.cos(bearing), D * math.sin(bearing), 0.0)])
     s, barrier = Scene(poses, np.zeros((2, 2)), np.array([(8.0, 8.0), (0.0, 0.0)])), Barrier(KEEPOUT, (BODY,) * 2)
-    r = rows(s, 0)
+    r = rows(s, 0, D)
     for _ in range(40):
         got = answer(s, barrier)
         v, omega = body(got.wheels[0])
@@ -82,7 +83,7 @@ def test_held_for_half_a_second_it_asks_for_the_same_speed_eighty_degrees_to_the
     z, right = np.array([v, L * omega]), math.radians(80.0)
     aside = np.array([[math.cos(right), math.sin(right)], [-math.sin(right), math.cos(right)]]) @ z
     for wish in [z] * 15 + [aside] * 5:
-        expected = nearest(rows(s, 0), wish)
+        expected = nearest(rows(s, 0, D), wish)
         assert expected is not None
         got_v, got_omega = body(answer(s, barrier).wheels[0])
         assert (got_v, L * got_omega) == pytest.approx(expected.tolist(), abs=2e-4)
@@ -105,8 +106,8 @@ def test_who_did_not_drive_was_not_held() -> None:
     assert ticks_until_it_turns(held, barrier) == 15
 
 
-@pytest.mark.parametrize(("size", "blocked"), [(0.105, True), (0.095, False)])
-def test_who_asks_for_more_than_half_its_top_speed_is_held_turning_included(size: float, blocked: bool) -> None:
+@pytest.mark.parametrize(("size", "turns"), [(0.105, True), (0.095, False)])
+def test_who_asks_for_more_than_half_its_top_speed_is_held_turning_included(size: float, turns: bool) -> None:
     """A robot beside it keeps its point from where it asks to go: forwards and sideways."""
     towards = np.array([0.1, math.sqrt(0.99)])
     row = towards * (1.0, KEEPOUT.ahead / L)
@@ -114,8 +115,8 @@ def test_who_asks_for_more_than_half_its_top_speed_is_held_turning_included(size
     wheels = wheels_from_body(v, sideways / L, GTERNAL.wheel_radius, GTERNAL.wheel_base)
     poses = np.array([(0.0, 0.0, 0.0), (*(D * towards), 0.0)])
     s, barrier = Scene(poses, np.zeros((2, 2)), np.array([wheels, (0.0, 0.0)])), Barrier(KEEPOUT, (BODY,) * 2)
-    told = [bool(answer(s, barrier).blocked[0]) for _ in range(TICKS_3_S + 5)]
-    assert any(told) is blocked
+    straight = answer(s, barrier).wheels[0]
+    assert any(np.abs(answer(s, barrier).wheels[0] - straight).max() > 0.1 for _ in range(20)) is turns
 
 
 def test_who_gets_half_of_what_it_asks_for_is_not_held() -> None:
@@ -124,3 +125,33 @@ def test_who_gets_half_of_what_it_asks_for_is_not_held() -> None:
         got = answer(s, barrier)
         assert not got.blocked.any()
         assert body(got.wheels[0]) == pytest.approx((0.064, 0.0), abs=1e-6)
+
+
+def test_whose_way_a_wall_of_standing_robots_bars_from_edge_to_edge_is_blocked() -> None:
+    n = 13
+    wall = [(0.5, y, 0.0) for y in np.linspace(-0.93, 0.93, n - 1)]
+    poses = np.array([(0.2, 0.0, 0.0), *wall])
+    wheels, barrier = np.zeros((n, 2)), Barrier(KEEPOUT, (BODY,) * n)
+    turning = np.zeros((n, 2))
+    told: list[bool] = []
+    for _ in range(round(60.0 / KEEPOUT.tick)):
+        psi = poses[0, 2]
+        v, omega = 0.15 * math.cos(psi), -0.15 * math.sin(psi) / L  # the point ahead is to go along x
+        wheels[0] = feasible(np.array(wheels_from_body(v, omega, GTERNAL.wheel_radius, GTERNAL.wheel_base)))
+        got = answer(Scene(poses, turning, wheels), barrier)
+        told.append(bool(got.blocked[0]))
+        turning[0] = got.wheels[0]
+        poses[0] = arc(*poses[0].tolist(), *body(got.wheels[0]), KEEPOUT.tick)
+    assert any(told)
+    assert poses[0, 0] < 0.5
+
+
+def test_two_that_press_each_other_and_both_wait_are_not_blocked() -> None:
+    n = 7  # each of six in a ring presses the one in the middle, which presses one of them
+    size = D + KEEPOUT.ahead
+    ring = [(size * math.cos(k), size * math.sin(k), k + math.pi) for k in np.arange(6) * math.tau / 6]
+    s = Scene(np.array([(-KEEPOUT.ahead, 0.0, 0.0), *ring]), np.zeros((n, 2)), np.full((n, 2), 8.0))
+    barrier = Barrier(KEEPOUT, (BODY,) * n)
+    for _ in range(3 * TICKS_3_S):
+        s.poses[:, 1] += 0.002  # all drift together: nobody stalls
+        assert not answer(s, barrier).blocked[0]

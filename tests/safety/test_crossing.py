@@ -1,28 +1,29 @@
-"""Robots on crossing paths, seen late, one of them stalled: the program's figures hold for a few seeds."""
+"""Robots on crossing ways, seen late, one of them stalled: the program's figures hold for a few seeds."""
 
 import pytest
 
-from robofleet.config.tree import Config
-from tests.safety.crossing import configuration, cross
+from tests.safety.crossing import SCENARIOS, Crossing, configuration, cross
 
 
-@pytest.fixture(scope="module")
-def config() -> Config:
-    return configuration()
-
-
-@pytest.mark.parametrize("seed", [3, 4, 11, 12, 17, 49])
-def test_bodies_stay_apart_whoever_stalls_and_who_cannot_arrive_is_said_to_be_blocked(
-    config: Config, seed: int
-) -> None:
-    crossing = cross(config, seed)
+def crossed(name: str, seed: int) -> Crossing:
+    """Return what came of a scenario, in which bodies kept apart and inside the arena."""
+    scenario = SCENARIOS[name]
+    crossing = cross(configuration(scenario.robots), seed, scenario)
     assert crossing.gap >= 0.010
     assert crossing.edge >= 0.0
     assert crossing.no_answer == 0
+    return crossing
+
+
+@pytest.mark.parametrize("seed", [3, 4, 11, 12, 17, 49])
+def test_bodies_stay_apart_whoever_stalls_and_who_cannot_arrive_is_said_to_be_blocked(seed: int) -> None:
+    crossing = crossed("circle, 8, one stalls", seed)
     assert crossing.arrived + crossing.blocked == crossing.moving == 7
 
 
-def test_where_nobody_stalls_all_arrive(config: Config) -> None:
-    crossing = cross(config, 1, stalled=False)
-    assert crossing.gap >= 0.010
-    assert (crossing.arrived, crossing.moving) == (8, 8)
+@pytest.mark.parametrize("name", ["ellipse, 10", "consensus, 8"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_nobody_stalls_all_arrive_and_nobody_is_blocked(name: str, seed: int) -> None:
+    crossing = crossed(name, seed)
+    assert crossing.arrived == crossing.moving
+    assert crossing.ever_blocked == 0

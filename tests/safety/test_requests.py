@@ -18,10 +18,11 @@ THERE = RobotView(heard_ns=NOW)
 HELD = THERE._replace(latch=Latch.EMERGENCY_STOP)
 WISHES = {  # what an operator may ask for, and where it was met already, or is heard
     Event.ARM_REQUESTED: {Phase.ARMED},
-    Event.START_REQUESTED: {Phase.ARMED, Phase.RUNNING},
+    Event.START_REQUESTED: {Phase.ARMED, Phase.POSITIONING, Phase.RUNNING},
     Event.STOP_REQUESTED: {Phase.IDLE},
     Event.HOLD_REQUESTED: {Phase.HOLD},
-    Event.RESUME_REQUESTED: {Phase.RUNNING},
+    Event.RESUME_REQUESTED: {Phase.RUNNING, Phase.POSITIONING, Phase.PARKING},
+    Event.PARK_REQUESTED: {Phase.PARKING},
     Event.ESTOP_REQUESTED: {Phase.ESTOP},
     Event.RESET: {Phase.IDLE},
 }
@@ -62,7 +63,7 @@ def test_every_phase_has_a_way_out_in_words() -> None:
         ({"faults": WIRED_STOP | 4}, "b: its own e-stop is pressed: release it, then reset"),
         (
             {"faults": RobotFault.UNREACHABLE, "left_speed": 3.0},
-            "b: its driver has lost it: plug it in, switch it on, then reset",
+            "b: its driver has lost the connection to it: plug it in, switch it on, then reset",
         ),
     ],
 )

@@ -6,6 +6,7 @@ import pytest
 
 from robofleet.safety.supervisor import (
     CAUSES,
+    MOVING,
     NOBODY,
     TRANSITIONS,
     Event,
@@ -28,22 +29,34 @@ HOLDS = {  # it may pass, and the run can be resumed
     Event.TRACKER_SILENT, Event.TRACKER_RESTARTED, Event.CAMERA_STALLED, Event.CAMERA_FROZEN, Event.TAG_TWICE,
     Event.TOO_CLOSE, Event.DISK_FULL, Event.BYSTANDER_LOST, Event.BYSTANDER_MOVED,
 }  # fmt: skip
-OF_MOTION = {Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED}  # mean something while the fleet drives
-OF_CHECKS = {event for event in Event if 50 <= event < 60} | {Event.ARMED_TOO_LONG}  # the fifties are the checks'
+OF_MOTION = {  # mean something while the fleet drives
+    Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED, Event.UNDER_WAY_TOO_LONG,
+    Event.BEHAVIOUR_RAISED, Event.BEHAVIOUR_NOT_FINITE, Event.BEHAVIOUR_SHAPE, Event.BEHAVIOUR_LATE,
+}  # fmt: skip
+OF_CHECKS = {event for event in Event if 50 <= event < 60} | {  # the fifties are the checks'
+    Event.ARMED_TOO_LONG, Event.WRONG_ORDER, Event.WAYS_CROSS,
+}  # fmt: skip
 WISHES = {
     (Phase.IDLE, Event.ARM_REQUESTED): Phase.ARMED,
     (Phase.IDLE, Event.START_REQUESTED): Phase.ARMED,
     (Phase.ARMED, Event.PROVED): Phase.RUNNING,
+    (Phase.ARMED, Event.SET_OUT): Phase.POSITIONING,
+    (Phase.POSITIONING, Event.AT_START): Phase.RUNNING,
+    (Phase.RUNNING, Event.ACCOMPLISHED): Phase.IDLE,
+    (Phase.RUNNING, Event.OFF_TO_PARK): Phase.PARKING,
+    **dict.fromkeys(product((Phase.RUNNING, Phase.POSITIONING, Phase.HOLD), (Event.PARK_REQUESTED,)), Phase.PARKING),
+    (Phase.PARKING, Event.PARKED): Phase.IDLE,
     (Phase.ARMED, Event.STOP_REQUESTED): Phase.IDLE,
-    (Phase.RUNNING, Event.STOP_REQUESTED): Phase.IDLE,
+    **dict.fromkeys(product(MOVING, (Event.STOP_REQUESTED,)), Phase.IDLE),
     (Phase.HOLD, Event.STOP_REQUESTED): Phase.IDLE,
     (Phase.ARMED, Event.NOT_STARTED): Phase.IDLE,  # nothing is wrong
-    (Phase.RUNNING, Event.HOLD_REQUESTED): Phase.HOLD,
+    **dict.fromkeys(product(MOVING, (Event.HOLD_REQUESTED,)), Phase.HOLD),
     (Phase.HOLD, Event.RESUME_REQUESTED): Phase.RUNNING,
+    (Phase.HOLD, Event.CAUGHT_UP): Phase.RUNNING,  # what may say so is in test_busy.py
     (Phase.FAULT, Event.RESET): Phase.IDLE,
     (Phase.ESTOP, Event.RESET): Phase.IDLE,
 }
-UNDER_WAY = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
+UNDER_WAY = (Phase.ARMED, Phase.HOLD, *MOVING)
 
 
 def expected(phase: Phase, event: Event) -> Phase | None:
@@ -52,8 +65,8 @@ def expected(phase: Phase, event: Event) -> Phase | None:
         (Phase.ESTOP, event in EMERGENCIES and phase is not Phase.ESTOP),
         (Phase.ESTOP, event is Event.OPERATOR_LOST and phase in UNDER_WAY),
         (Phase.FAULT, event in ENDS - {Event.TAG_LOST} and phase in UNDER_WAY),
-        (Phase.FAULT, event is Event.TAG_LOST and phase in (Phase.ARMED, Phase.RUNNING)),  # in HOLD it stands anyway
-        (Phase.HOLD, event in HOLDS | OF_MOTION and phase is Phase.RUNNING),
+        (Phase.FAULT, event is Event.TAG_LOST and phase in (Phase.ARMED, *MOVING)),  # in HOLD it stands anyway
+        (Phase.HOLD, event in HOLDS | OF_MOTION and phase in MOVING),
         (Phase.FAULT, event in HOLDS | OF_CHECKS and phase is Phase.ARMED),
         (Phase.FAULT, event is Event.HELD_TOO_LONG and phase is Phase.HOLD),
     ]
@@ -68,12 +81,27 @@ def test_every_cell(phase: Phase, event: Event) -> None:
     if to is None:
         assert after is before  # neither phase nor cause nor robot
     else:
-        assert after == RunStatus(to, event, 1, 2.5)
+        assert after[:4] == (to, event, 1, 2.5)
 
 
-def test_only_a_proof_and_the_operator_start_the_wheels() -> None:
+def test_only_a_proof_the_operator_and_a_machine_that_caught_up_start_the_wheels() -> None:
     starts = {cell for cell, phase in TRANSITIONS.items() if phase is Phase.RUNNING}
-    assert starts == {(Phase.ARMED, Event.PROVED), (Phase.HOLD, Event.RESUME_REQUESTED)}
+    assert starts == {
+        (Phase.ARMED, Event.PROVED), (Phase.HOLD, Event.RESUME_REQUESTED), (Phase.HOLD, Event.CAUGHT_UP),
+        (Phase.POSITIONING, Event.AT_START),
+    }  # fmt: skip
+    ways = {cell for cell, phase in TRANSITIONS.items() if phase in (Phase.POSITIONING, Phase.PARKING)}
+    assert ways == {
+        (Phase.ARMED, Event.SET_OUT), (Phase.RUNNING, Event.OFF_TO_PARK), (Phase.RUNNING, Event.PARK_REQUESTED),
+        (Phase.POSITIONING, Event.PARK_REQUESTED), (Phase.HOLD, Event.PARK_REQUESTED),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("moving", MOVING)
+@pytest.mark.parametrize("event", [Event.RESUME_REQUESTED, Event.CAUGHT_UP])
+def test_what_was_held_goes_on(moving: Phase, event: Event) -> None:
+    held = step(RunStatus(moving), Happening(Event.HOLD_REQUESTED))
+    assert step(held, Happening(event)).phase is moving
 
 
 def test_only_a_reset_leaves_an_emergency_stop_and_it_leads_to_idle() -> None:

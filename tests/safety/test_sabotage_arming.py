@@ -33,7 +33,7 @@ ARMING: list[tuple[str, str, By]] = [
     ("view.now_ns - state.since_ns >= _PATIENCE_NS", "True", "a lease comes after 4 s"),
     ("view.now_ns - state.since_ns >= _PATIENCE_NS", "False", "no lease"),
     ("clear=drilled", "clear=False", "a start was broken off in its drill"),
-    ("if cramped is not None:", "if False:", "two too close"),
+    ("if misplaced is not None:", "if False:", "two too close"),
     ("if _silent(now_ns, view.controller_ns)", "if False", "controller silent"),
     ("if _silent(now_ns, view.tracker_ns)", "if False", "tracker silent"),
     ("r.driven and now_ns - r.heard_ns >= _SILENT_NS", "False", "driver silent"),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.drift import DriftMonitor, Landmark
-from robofleet.tracking.events import NO_TAG, Happening, TrackerEvent
+from robofleet.tracking.events import NO_TAG, Notice, TrackerEvent
 from robofleet.tracking.tracker import TagSighting
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +71,7 @@ class Lab:
         self.tags = np.array([mark[1:4] for mark in marks])
         self.tags += self._rng.normal(0, 1, self.tags.shape) * SURVEY
         self.monitor = DriftMonitor(used, marks)
-        self.news: list[Happening] = []
+        self.news: list[Notice] = []
         self.given = 0
 
     def see(self, true: CameraGeometry, images: int = 1, hidden: Sequence[int] = ()) -> None:

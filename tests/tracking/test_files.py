@@ -259,11 +259,11 @@ def test_a_camera_is_called_after_its_file(recorded: Config) -> None:
         ("exposure_ns", [*STAMPS_NS, STAMPS_NS[-1] + 1], 10, "is for frame 8"),
         ("exposure_ns", [*STAMPS_NS[:4], STAMPS_NS[3], *STAMPS_NS[5:]], 6, "is not later"),
         ("exposure_ns", [*STAMPS_NS[:4], 17, *STAMPS_NS[5:]], 6, "is not later"),
-        ("exposure_ns", [*STAMPS_NS[:2], "soon", *STAMPS_NS[3:]], 4, "'soon' is no time"),
-        ("exposure_ns", [*STAMPS_NS[:2], "nan", *STAMPS_NS[3:]], 4, "'nan' is no time"),
-        ("exposure_ns", [*STAMPS_NS[:2], "-inf", *STAMPS_NS[3:]], 4, "'-inf' is no time"),
-        ("exposure_ns", [*STAMPS_NS[:2], "1e999999999", *STAMPS_NS[3:]], 4, "is no time"),
-        ("exposure_s", [1, 2, "1e999999999999999999", 4, 5, 6, 7, 8], 4, "is no time"),
+        ("exposure_ns", [*STAMPS_NS[:2], "soon", *STAMPS_NS[3:]], 4, "'soon' is not a time"),
+        ("exposure_ns", [*STAMPS_NS[:2], "nan", *STAMPS_NS[3:]], 4, "'nan' is not a time"),
+        ("exposure_ns", [*STAMPS_NS[:2], "-inf", *STAMPS_NS[3:]], 4, "'-inf' is not a time"),
+        ("exposure_ns", [*STAMPS_NS[:2], "1e999999999", *STAMPS_NS[3:]], 4, "is not a time"),
+        ("exposure_s", [1, 2, "1e999999999999999999", 4, 5, 6, 7, 8], 4, "is not a time"),
         ("exposure_ns", [*STAMPS_NS[:2], "", *STAMPS_NS[3:]], 4, "0 columns, must be 1"),
         ("exposure_ns", [*STAMPS_NS[:2], f"{STAMPS_NS[2]},1", *STAMPS_NS[3:]], 4, "2 columns, must be 1"),
         ("exposure", STAMPS_NS, 1, "must be 'exposure_ns' or 'exposure_s'"),
@@ -330,10 +330,10 @@ def test_stamps_of_a_folder_name_each_image_once(tmp_path: Path) -> None:
 def test_names_that_are_no_times(tmp_path: Path) -> None:
     path = folder(tmp_path / "shots", ["1.png", "2.png", "last.png"])
     message = refused(lambda: camera_of(config(path), SimulatedClock()))
-    assert message.startswith(f"{path / 'last.png'}: this name is no time in ns")
+    assert message.startswith(f"{path / 'last.png'}: this name is not a time in ns")
     (path / "last.png").rename(path / "02.png")
     message = refused(lambda: camera_of(config(path), SimulatedClock()))
-    assert message.endswith("is not later than the one before: they go by time")
+    assert message.endswith("is not later than the one before: sort the lines by time")
 
 
 # robofleet check

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.simulated import SimulatedRobot
 from robofleet.clock import MS, S
 from robofleet.config.controller import FilterSettings
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.tracking.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
 from robofleet.vehicles.interface import DriverContext, Simulation, WheelSpeeds
 from tests.robots import GTERNAL, WORN

@@ -239,7 +239,7 @@ def test_a_file_is_no_device(tmp_path: Path) -> None:
 def test_a_lens_that_nobody_measured_is_refused() -> None:
     ((where, why),) = V4L2Camera.refusals(config("camera.v4l2.device=/dev/null"))
     assert where == "camera.source"
-    assert "calibrate.py intrinsics" in why
+    assert "robofleet calibrate intrinsics" in why
 
 
 @pytest.fixture

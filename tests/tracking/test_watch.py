@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S
-from robofleet.tracking.events import Happening, TrackerEvent
+from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.watch import CameraWatch
 
 WIDTH, HEIGHT = 160, 120
@@ -62,7 +62,7 @@ def test_the_same_picture_again_is_never_believed_and_soon_has_a_name() -> None:
     ((event, _, repeats),) = sight.watch.news()
     assert (event, repeats) == (E.CAMERA_FROZEN, 3)
     assert sight.look()
-    assert sight.watch.news() == (Happening(E.CAMERA_BACK, value=pytest.approx(53 * PERIOD_NS / S)),)
+    assert sight.watch.news() == (Notice(E.CAMERA_BACK, value=pytest.approx(53 * PERIOD_NS / S)),)
 
 
 def test_pictures_that_come_twice_are_not_frozen() -> None:
@@ -129,7 +129,7 @@ def test_an_image_of_another_size_or_kind(image: NDArray[np.uint8], width: int) 
     sight = Sight()
     sight.look()
     assert not any(sight.look(image) for _ in range(20))
-    assert sight.watch.news() == (Happening(E.CAMERA_RESIZED, value=width),)
+    assert sight.watch.news() == (Notice(E.CAMERA_RESIZED, value=width),)
     assert sight.look()
     assert sight.events() == [E.CAMERA_BACK]
 
@@ -182,7 +182,7 @@ def test_a_camera_that_is_gone_is_told_once_and_not_waited_for(event: TrackerEve
     for _ in range(5):
         sight.watch.lose(event)
         sight.wait(S)
-    assert sight.watch.news() == (Happening(event, value=7 if event is E.CAMERA_ENDED else 0),)
+    assert sight.watch.news() == (Notice(event, value=7 if event is E.CAMERA_ENDED else 0),)
     assert sight.watch.deadline_ns is None
     sight.look()
     assert sight.events() == [E.CAMERA_BACK]
@@ -193,7 +193,7 @@ def test_a_camera_that_is_gone_is_told_once_and_not_waited_for(event: TrackerEve
 WAYS = st.lists(st.sampled_from(["good", "again", "small", "wait", "untriggered", "unplugged", "strange"]), max_size=40)
 
 
-def played(ways: list[str]) -> Iterator[tuple[str, bool | None, tuple[Happening, ...]]]:
+def played(ways: list[str]) -> Iterator[tuple[str, bool | None, tuple[Notice, ...]]]:
     """Play what a camera may do, and give what was made of it."""
     sight = Sight()
     sight.look()

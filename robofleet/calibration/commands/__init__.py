@@ -1,1 +1,1 @@
-"""The commands of ``tools/calibrate.py``: what they ask, write and say."""
+"""The commands of ``robofleet calibrate`` and ``robofleet sheet``: what they ask, write and say."""

@@ -1,6 +1,5 @@
-"""``calibrate.py intrinsics``."""
+"""``robofleet calibrate intrinsics``."""
 
-import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,55 +8,79 @@ import typer
 from rich.console import Console
 
 from robofleet.calibration.board import Board
-from robofleet.calibration.commands.shared import ReportFile, report_file
+from robofleet.calibration.commands.shared import (
+    CameraName,
+    ConfigsFolder,
+    Live,
+    Overrides,
+    ReportFile,
+    camera_file,
+    report_file,
+)
+from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.floor import Ceiling
 from robofleet.calibration.frames import open_camera
 from robofleet.calibration.gathering import Gathering, gather
 from robofleet.calibration.intrinsics import Asked, Measured, measure
 from robofleet.calibration.intrinsics_page import page
-from robofleet.calibration.live import Screen, capture, live_config
+from robofleet.calibration.live import Screen, capture, lens_config
+from robofleet.calibration.sizes import count, size
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
-from robofleet.config.patterns import NAME_PATTERN
 
 
 def intrinsics(
-    name: Annotated[str, typer.Argument(help="The camera's name: CONFIGS/cameras/NAME.yaml is written.")],
-    source: Annotated[Path | None, typer.Argument(help="Folder of images, or a video, of the board.")] = None,
-    live: Annotated[Path | None, typer.Option(metavar="CONFIG", help="Read the camera of a configuration.")] = None,
-    squares: Annotated[str, typer.Option(help="The board's squares, across x down.")] = "11x8",
-    square_mm: Annotated[float, typer.Option()] = 40.0,
-    marker_mm: Annotated[float, typer.Option()] = 30.0,
+    camera: CameraName,
+    source: Annotated[
+        Path | None, typer.Argument(metavar="[IMAGES]", help="Folder of images, or a video, of the board.")
+    ] = None,
+    live: Live = None,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Of the board.")] = "11x8",
+    square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 40.0,
+    marker_mm: Annotated[float, typer.Option(help="Side of a marker in it.")] = 30.0,
     dictionary: Annotated[str, typer.Option(help="The markers'.")] = "DICT_5X5_250",
-    lens: Annotated[Literal["pinhole", "fisheye"], typer.Option()] = "pinhole",
-    coefficients: Annotated[int | None, typer.Option(help="Of a pinhole's distortion: 4, 5, 8, 12 or 14.")] = None,
-    height_m: Annotated[float, typer.Option(help="Of the camera over the floor, for figures in mm.")] = 2.5,
-    tag_height_m: Annotated[float, typer.Option(help="Of the robots' tags.")] = 0.08,
-    arena_m: Annotated[str, typer.Option(help="For example 3.2x2.0; default: all seen within 45 degrees.")] = "",
-    camera: Annotated[str, typer.Option(help="Which camera it is, as its source names it.")] = "",
-    configs: Annotated[Path, typer.Option()] = Path("configs"),
+    lens: Annotated[Literal["pinhole", "fisheye"], typer.Option(help="OpenCV's model of the lens.")] = "pinhole",
+    coefficients: Annotated[
+        int | None, typer.Option(help="Number of a pinhole's distortion coefficients: 4, 5, 8, 12 or 14.")
+    ] = None,
+    height_m: Annotated[float, typer.Option(help="Height of the camera above the floor, for figures in mm.")] = 2.5,
+    tag_height_m: Annotated[float, typer.Option(help="Height of the robots' tags above the floor.")] = 0.08,
+    arena_m: Annotated[
+        str,
+        typer.Option(metavar="LONGxSHORT", help="Sides of the arena, as 3.5x2.3; default: all seen within 45 degrees."),
+    ] = "",
+    device: Annotated[
+        str,
+        typer.Option("--device", help="The device, as camera.source names it; --live finds it out."),
+    ] = "",
+    configs: ConfigsFolder = None,
     report: ReportFile = None,
 ) -> None:
-    """Measure a lens from views of a ChArUco board (tools/tag_sheet.py prints it)."""
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise CalibrationError(f"{name!r} is no name: a small letter, then small letters, digits, - or _")
+    """Measure a lens from views of a ChArUco board (robofleet sheet prints it).
+
+    $ robofleet calibrate intrinsics ceiling photos/ --squares 9x6
+
+    $ robofleet calibrate intrinsics ceiling --live configs/lab.yaml --squares 9x6
+
+    The camera's file is written: configs/cameras/ceiling.yaml.
+    """
+    file = camera_file(camera, configs, live)
     if (source is None) == (live is None):
         raise CalibrationError("name a folder or a video, or a configuration with --live")
-    if not re.fullmatch(r"\d{1,3}x\d{1,3}", squares):
-        raise CalibrationError(f"--squares: {squares!r} is not two whole numbers with an x between them")
-    across, down = map(int, squares.split("x"))
-    board = Board((across, down), square_mm / 1e3, marker_mm / 1e3, dictionary)
-    arena = _pair(arena_m, "--arena-m") if arena_m else None
+    config = live_camera(live, overrides, lens_config)
+    board = Board(count(squares, "--squares"), square_mm / 1e3, marker_mm / 1e3, dictionary)
+    arena = size(arena_m, "--arena-m") if arena_m else None
     if not 0.0 <= tag_height_m < height_m < 1000.0:
         raise CalibrationError("--tag-height-m must lie between the floor and the camera's --height-m")
-    ceiling, count = Ceiling(height_m, tag_height_m, arena), _coefficients(lens, coefficients)
+    ceiling, coefficient_count = Ceiling(height_m, tag_height_m, arena), _coefficients(lens, coefficients)
 
-    def ask(size: tuple[int, int]) -> Asked:
-        return Asked(board, lens, count, size, ceiling)
+    def ask(pixels: tuple[int, int]) -> Asked:
+        return Asked(board, lens, coefficient_count, pixels, ceiling)
 
-    file, shown = configs / "cameras" / f"{name}.yaml", report_file(report, "intrinsics")
-    if live is not None:
-        source_camera = open_camera(live_config(live))
+    shown = report_file(report, "intrinsics")
+    if config is not None:
+        source_camera = open_camera(config)
         gathering, identity = Gathering(board, film=True), source_camera.identity
         try:
             with Screen(Console(stderr=True)) as screen:
@@ -74,7 +97,7 @@ def intrinsics(
     page(measured, gathering, faults).write(shown)
     if faults:
         raise CalibrationError([*faults, f"nothing was written; report: {shown}"])
-    _write(file, measured, camera or identity)
+    _write(file, measured, device or identity)
     print(f"report: {shown}")
 
 
@@ -104,7 +127,7 @@ def _write(file: Path, measured: Measured, camera: str) -> None:
     print(f"places are known to {measured.arena_mm:.2f} mm rms over the arena, as far as the lens goes")
     print(f"written: {file}" + (f"; the one before: {kept}" if kept else ""))
     if earlier is not None and earlier.T_world_camera is not None:
-        print("the camera's place belonged to the earlier lens and was dropped: run tools/calibrate.py arena again")
+        print("the camera's place belonged to the earlier lens and was dropped: run robofleet calibrate arena again")
 
 
 def _earlier(file: Path) -> CameraModel | None:
@@ -119,13 +142,3 @@ def _coefficients(lens: str, asked: int | None) -> int:
     if asked is not None and asked not in allowed:
         raise CalibrationError(f"--coefficients: a {lens} lens has {', '.join(map(str, sorted(allowed)))}, not {asked}")
     return asked or allowed[0]
-
-
-def _pair(text: str, option: str) -> tuple[float, float]:
-    try:
-        a, b = (float(part) for part in text.split("x"))
-    except ValueError as error:
-        raise CalibrationError(f"{option}: {text!r} is not two numbers with an x between them") from error
-    if not (0 < a < 1000 and 0 < b < 1000):
-        raise CalibrationError(f"{option}: {text!r} is not two sizes")
-    return a, b

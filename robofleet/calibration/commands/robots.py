@@ -1,4 +1,4 @@
-"""``calibrate.py offsets`` and ``latency``: what a drive tells of each robot."""
+"""``robofleet calibrate offsets`` and ``latency``: what a drive tells of each robot."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from robofleet.calibration import drive_file
 from robofleet.calibration import latency as latencies
 from robofleet.calibration import offsets as tag_offsets
 from robofleet.calibration import robots as robot_files
-from robofleet.calibration.commands.shared import report_file
+from robofleet.calibration.commands.shared import Overrides, report_file
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.clock import S
@@ -26,7 +26,9 @@ from robofleet.config.tree import Config
 
 DriveConfig = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Drive simulated robots on a simulated clock.")]
-DriveRobots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Default: all of the group.")]
+DriveRobots = Annotated[
+    str, typer.Option("--robots", metavar="r1,r2", help="Ids of the robots. Default: those of all groups.")
+]
 DriveFolder = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="For drive.npz and report.html. Default: runs/<UTC time>-..."),
@@ -40,13 +42,19 @@ Found = TypeVar("Found")
 
 def offsets(
     config: DriveConfig,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
     lockstep: DriveLockstep = False,
     robots: DriveRobots = "",
     out: DriveFolder = None,
     recording: DriveRecording = None,
 ) -> None:
-    """Let the robots drive, one after the other, and find where their tags sit, and their wheels' radius and base."""
-    tree, driven, folder, data = _drive("offsets", config, lockstep, robots, out, recording)
+    """Let the robots drive, one after the other, and find where their tags sit, and their wheels' radius and base.
+
+    $ robofleet calibrate offsets configs/lab.yaml
+
+    $ robofleet calibrate offsets configs/platoon.yaml --lockstep --robots r1 --set tracker.source=truth
+    """
+    tree, driven, folder, data = _drive("offsets", config, overrides, lockstep, robots, out, recording)
     found = _each(driven, lambda one: tag_offsets.find(one, slices.drive(tree.robot(one.robot))))
     before = _each(driven, lambda one: robot_files.earlier(robot_files.file_of(config, one.robot), one.robot))
     after = [robot_files.with_offsets(b, f, data) for b, f in zip(before, found, strict=True)]
@@ -57,13 +65,17 @@ def offsets(
 
 def latency(
     config: DriveConfig,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
     lockstep: DriveLockstep = False,
     robots: DriveRobots = "",
     out: DriveFolder = None,
     recording: DriveRecording = None,
 ) -> None:
-    """Let the robots drive, one after the other, and find how late their wheels follow: delay and motor lag."""
-    tree, driven, folder, data = _drive("latency", config, lockstep, robots, out, recording)
+    """Let the robots drive, one after the other, and find how late their wheels follow: delay and motor lag.
+
+    $ robofleet calibrate latency configs/lab.yaml
+    """
+    tree, driven, folder, data = _drive("latency", config, overrides, lockstep, robots, out, recording)
     found = _each(driven, latencies.find)
     before = _each(driven, lambda one: robot_files.earlier(robot_files.file_of(config, one.robot), one.robot))
     after = [robot_files.with_latency(b, f, data) for b, f in zip(before, found, strict=True)]
@@ -74,21 +86,27 @@ def latency(
 
 
 def _drive(
-    command: str, config: Path, lockstep: bool, robots: str, out: Path | None, recording: Path | None
+    command: str,
+    config: Path,
+    overrides: Sequence[str],
+    lockstep: bool,
+    robots: str,
+    out: Path | None,
+    recording: Path | None,
 ) -> tuple[Config, list[RobotDrive], Path, bytes]:
     """Return the configuration, what the robots did, the folder for the page, and the recording's bytes."""
     names = [name.strip() for name in robots.split(",") if name.strip()]
     folder = out or report_file(None, command).parent
     if recording is not None:
-        tree, driven = load_config(config), drive_file.chosen(recording, names)
+        tree, driven = load_config(config, overrides), drive_file.chosen(recording, names)
         for unknown in (one.robot for one in driven if one.robot not in {robot.id for robot in tree.robots}):
             raise CalibrationError(
                 f"{recording}: {unknown} drove, but {config} has no such robot: name its configuration"
             )
         return tree, driven, folder, recording.read_bytes()
-    tree, count = drives.configure(config, names, lockstep=lockstep)
+    tree, count = drives.configure(config, names, overrides, lockstep=lockstep)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CalibrationError(f"--out: {folder} is there already and not empty: name another folder")
+        raise CalibrationError(f"--out: {folder} exists already and is not empty: name another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,17 +1,78 @@
-"""What the commands share."""
+"""What the commands share: how a camera, a size and a configuration's changes are given, and where pages go."""
 
+import re
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from robofleet.calibration.frames import live_config
+from robofleet.calibration.store import CalibrationError
 from robofleet.clock import utc_now
+from robofleet.config.tree import Config
+from robofleet.patterns import NAME_PATTERN
 
 ReportFile = Annotated[
     Path | None, typer.Option("--report", metavar="FILE", help="Default: runs/<UTC time>-<command>/report.html.")
+]
+CameraName = Annotated[
+    str,
+    typer.Argument(
+        metavar="CAMERA",
+        help="The camera's name in `camera.model` (ceiling: the file cameras/ceiling.yaml), or its file, NAME.yaml.",
+    ),
+]
+ConfigsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--configs", metavar="DIR", help="Folder that holds cameras/. Default: beside --live's CONFIG, else configs."
+    ),
+]
+Live = Annotated[Path | None, typer.Option(metavar="CONFIG", help="Take images with this configuration's camera.")]
+Overrides = Annotated[
+    list[str],
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Change a key of CONFIG, e.g. camera.exposure_s=0.002. Repeatable."
+    ),
 ]
 
 
 def report_file(asked: Path | None, command: str) -> Path:
     """Return where the page goes."""
     return asked or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
+
+
+def live(
+    config: Path | None, overrides: Sequence[str], read: Callable[[Path, Sequence[str]], Config] = live_config
+) -> Config | None:
+    """Return the configuration whose camera takes the images; None if files are given."""
+    if config is not None:
+        return read(config, overrides)
+    if overrides:
+        raise CalibrationError("--set: it changes a configuration: name one with --live")
+    return None
+
+
+def camera_file(camera: str, configs: Path | None, config: Path | None) -> Path:
+    """Return the file of a camera that is given by its name or by its file; it need not be there."""
+    if camera.endswith(".yaml"):
+        return Path(camera)
+    if not re.fullmatch(NAME_PATTERN, camera):
+        raise CalibrationError(
+            f"{camera!r} is not a camera: give its name (a small letter, then small letters, digits, - or _), "
+            "or its file, which ends in .yaml"
+        )
+    return (configs or (Path("configs") if config is None else config.parent)) / "cameras" / f"{camera}.yaml"
+
+
+def known_camera(camera: str, configs: Path | None, config: Path | None) -> Path:
+    """Return the file of a camera that was calibrated before."""
+    file = camera_file(camera, configs, config)
+    if not file.exists():
+        others = sorted(other.stem for other in file.parent.glob("*.yaml"))
+        near = get_close_matches(file.stem, others, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(others) or 'none'}"
+        raise CalibrationError(f"there is no camera {file} ({hint}): `robofleet calibrate intrinsics` writes one")
+    return file

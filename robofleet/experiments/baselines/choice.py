@@ -5,11 +5,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from robofleet.config.model import Model, NonNegative, Positive
 from robofleet.experiments.baselines.flow import Flow
 from robofleet.experiments.baselines.geometric import CurvatureLqr, PurePursuit, Stanley
 from robofleet.experiments.baselines.problem import Controller, Problem, RollForward
 from robofleet.experiments.driving import FlowParameters
+from robofleet.settings import Model, NonNegative, Positive
 
 Key = Literal[
     "flow-paper", "flow", "lqr", "osqp", "osqp-sharp", "fatrop", "ipopt", "do-mpc", "pure-pursuit", "stanley"

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 def rest_within_s(robot: Robot) -> float:
     """Return how long a robot may roll on after its output is zero: its lag from top speed, and its firmware."""
     plant = robot.vehicle.simulated
+    assert plant is not None
     decay = math.log(robot.vehicle.max_wheel_speed_rad_s / _REST_RAD_S)
     return plant.actuation_delay_s + plant.motor_lag_s * decay + 2 * plant.loop_period_s
 

@@ -17,7 +17,7 @@ from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.log_lines import Unfailing
@@ -30,7 +30,7 @@ from robofleet.processes.storm.schedule import Plan, plan
 from robofleet.processes.storm.stops import going_on, out_of_reach, stops, unlatched
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.supervisor import Event, Phase
-from robofleet.simulation.faults import FaultyLog
+from robofleet.simulation.faulty_disk import FaultyLog
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first
@@ -80,7 +80,7 @@ class _Player:
         self._ledger = Ledger()
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
-        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.platoon}
+        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.members}
         self._forger = Forger(config.arena.name, self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
@@ -140,7 +140,7 @@ class _Player:
         turned: set[str] = set()
         while lockstep.clock.now_ns() / S < end_s:
             self._look()
-            everybody = len(turned) == len(self._config.platoon)
+            everybody = len(turned) == len(self._config.members)
             lockstep.advance(stay_s if everybody else _LOOK_S)
             if lockstep.status.phase is not Phase.RUNNING:
                 turned.clear()
@@ -213,7 +213,7 @@ class _Player:
             unheard += unreached
             self._found += unlatched(robot.id, ledger.decisions[robot.id], asked, unreached)
             runaways = self._acting("motor_runs", robot=robot.id)
-            if row < len(config.platoon):  # a hand moves bystanders
+            if row < len(config.members):  # a hand moves bystanders
                 self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
             unwatched = outages + self._acting("motor_stuck", robot=robot.id)
             self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, unwatched)
@@ -222,10 +222,10 @@ class _Player:
         if self._longest_queue > _MOST_QUEUED:
             self._fail("a queue grows without bound", f"{self._longest_queue} steps")
         self._found += going_on(self._states, asked, self._outages("supervisor"), unheard)
-        self._found += without_cause(self._states, config.groups[0].robots)
-        self._found += unanswered(self._states, len(config.platoon), self._of_the_fleet(), run_ns)
+        self._found += without_cause(self._states, config.ids[: len(config.members)])
+        self._found += unanswered(self._states, len(config.members), self._of_the_fleet(), run_ns)
 
-    def _of_the_fleet(self) -> list[Fault]:
+    def _of_the_fleet(self) -> list[InjectedFault]:
         """Return the faults but those of bystanders, which need stop nobody."""
         parked = {robot.id for robot in self._plan.parked}
         return [fault for fault in self._plan.faults if getattr(fault, "robot", None) not in parked]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from robofleet.clock import MS, S
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import RUN_STATE
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
 from robofleet.processes.storm.gates import intervals
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.supervisor import CAUSES, Event, Phase
@@ -87,7 +87,7 @@ def without_cause(states: States, robots: tuple[str, ...]) -> list[Violation]:
     return found
 
 
-def unanswered(states: States, robots: int, faults: Iterable[Fault], run_ns: int) -> list[Violation]:
+def unanswered(states: States, robots: int, faults: Iterable[InjectedFault], run_ns: int) -> list[Violation]:
     """Find faults that must stop one of so many robots or the run, and during which all were free to move."""
     free = np.logical_and.reduce([states.free(row) for row in range(robots)])
     free &= states.running()

@@ -1,29 +1,29 @@
-"""Robots that a storm parks beside the path: bodies that the fleet has to keep clear of, and that a hand pushes."""
+"""Robots that a storm parks beside the robots' ways: bodies that the fleet keeps clear of, and that a hand pushes."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config import barrier, slices
-from robofleet.config.model import LAST_TAG
+from robofleet.behaviours.interface import Line
+from robofleet.config import barrier, groups, slices
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
-from robofleet.config.troubles import Fault, PoseFault, Push
-from robofleet.control.path import Path
-from robofleet.processes.check import drive_lap
+from robofleet.config.troubles import InjectedFault, PoseFault, Push
 from robofleet.safety.arming import free_m
 from robofleet.safety.barrier import apart
+from robofleet.settings import LAST_TAG
 
 Array = NDArray[np.float64]
 
 _SHARE = 0.4  # of the seeds
 _MOST = 2
-_SPARE_M = 0.12  # further from the path than they must, at most
+_SPARE_M = 0.12  # further from a way than they must, at most
 _MARGIN_M = 0.003
-_AHEAD = (-0.6, 1.0)  # of the path's beginning: where a fleet is in the time of a storm [sides]
+_REACH_M = 0.8  # from a start: where a fleet is in the time of a storm
 _TRIES = 40
 _PUSH_S, _PUSH_M = (0.5, 2.0), 0.15
 _PUSHED, _HIDDEN = 0.5, 0.3  # shares of the bystanders
@@ -35,20 +35,18 @@ class Parking:
     def __init__(self, config: Config, rng: np.random.Generator, window_s: float) -> None:
         self._config, self._rng, self._window_s = config, rng, window_s
         self._robots: list[Robot] = []
-        self._faults: list[Fault] = []
+        self._faults: list[InjectedFault] = []
 
-    def draw(self) -> tuple[tuple[Robot, ...], tuple[Fault, ...]]:
+    def draw(self) -> tuple[tuple[Robot, ...], tuple[InjectedFault, ...]]:
         """Return the bystanders of a seed, in most seeds none, and what befalls them."""
         if self._rng.random() < _SHARE:
-            group = self._config.groups[0]
-            self._path = Path.hermite(*slices.knots(group))
-            self._lap = drive_lap(self._path, group, self._config.controller.point_ahead_m).centre
+            self._lines = _lines(self._config)
             for number in range(1 + int(self._rng.integers(_MOST))):
                 self._park(number)
         return tuple(self._robots), tuple(self._faults)
 
     def _park(self, number: int) -> None:
-        like = self._config.platoon[int(self._rng.integers(len(self._config.platoon)))]
+        like = self._config.members[int(self._rng.integers(len(self._config.members)))]
         places = self._places(like)
         first = next(places, None)
         if first is None:
@@ -72,36 +70,50 @@ class Parking:
         return like.model_copy(update={"id": f"parked{number + 1}", "tag": tag, "start": start, **plain})
 
     def _places(self, like: Robot) -> Iterator[tuple[float, float]]:
-        """Yield places beside the path where such a robot may stand."""
-        for _ in range(_TRIES):
-            sigma = np.array([self._rng.uniform(*_AHEAD) % self._path.sides])
-            side = float(self._rng.choice((-1.0, 1.0))) * (self._near(like) + _SPARE_M * self._rng.random())
-            (x, y), (along, across) = self._path.position(sigma)[0], self._path.tangent(sigma)[0]
-            at = round(float(x - side * across), 4), round(float(y + side * along), 4)
-            if self._free(like, np.array(at)):
-                yield at
+        """Yield places beside the robots' ways where such a robot may stand."""
+        away = self._near(like) + _SPARE_M * self._rng.random(_TRIES)
+        sides, ways = self._rng.choice((-1.0, 1.0), _TRIES) * away, self._rng.choice(self._ways(), _TRIES)
+        beside = ways[:, :2] + sides[:, None] * np.column_stack([-ways[:, 3], ways[:, 2]])
+        places = [(round(x, 4), round(y, 4)) for x, y in beside.tolist() if self._free(like, np.array((x, y)))]
+        yield from self._accepted(like, places)
+
+    def _ways(self) -> Array:
+        """Return points of the robots' ways near their starts (K, 4): x, y [m], and the way's direction there."""
+        starts = np.array([slices.start_pose(robot) for robot in self._config.members])
+        near = np.hypot(*(self._lines[:, None, :2] - starts[None, :, :2]).transpose(2, 0, 1)).min(axis=1) < _REACH_M
+        return self._lines[near] if near.any() else _headed(starts)
+
+    def _accepted(self, like: Robot, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        """Return the places at which every behaviour accepts such a robot: all are judged at once."""
+        its, refused = barrier.body(self._config, like), set()
+        parked = tuple((f"parked.{k}", its, (*at, 0.0)) for k, at in enumerate(places))
+        for group in self._config.groups:
+            behaviour = groups.made(group, replace(groups.team(self._config, group), bystanders=parked))
+            refused |= {bound.path for bound in behaviour.bounds() if not bound.holds}
+        return [at for at, (name, _, _) in zip(places, parked, strict=True) if f"{name}.start" not in refused]
 
     def _near(self, like: Robot) -> float:
         config = self._config
         its, keepout = barrier.body(config, like), barrier.keepout(config)
-        return max(apart(keepout, barrier.body(config, robot), its) for robot in config.platoon) + _MARGIN_M
+        return max(apart(keepout, barrier.body(config, robot), its) for robot in config.members) + _MARGIN_M
 
     def _free(self, like: Robot, at: Array) -> bool:
-        """Return whether a robot may stand there: inside, clear of the path, of the starts and of the others."""
+        """Return whether a robot may stand there: inside, clear of the ways, of the starts and of the others."""
         radius, half = like.vehicle.body_radius_m, np.array(self._config.arena.size_m) / 2
-        if (np.abs(at) + radius + _MARGIN_M > half).any() or self._off_the_path(at) < self._near(like):
+        near = self._near(like) - self._config.controller.point_ahead_m  # ways may be those of the points ahead
+        if (np.abs(at) + radius + _MARGIN_M > half).any() or self._off_the_ways(at) < near:
             return False
         for robot in (*self._config.robots, *self._robots):
             room = free_m(slices.drive(robot).wheel_radius) + robot.vehicle.body_radius_m + radius + _PUSH_M
-            if math.dist((robot.start.x_m, robot.start.y_m), at) < room:
+            if math.dist(slices.start_pose(robot)[:2], at) < room:
                 return False
         return True
 
-    def _off_the_path(self, at: Array) -> float:
-        return float(np.hypot(*(self._lap - at).T).min())
+    def _off_the_ways(self, at: Array) -> float:
+        return float(np.hypot(*(self._lines[:, :2] - at).T).min(initial=math.inf))
 
     def _pushable(self, like: Robot, here: Array, there: Array) -> bool:
-        """Return whether a hand may push it from one place to another one: straight, and never onto the path."""
+        """Return whether a hand may push it from one place to another one: straight, and never onto a way."""
         middles = (here + share * (there - here) for share in (0.25, 0.5, 0.75))
         return math.dist(here, there) <= 2 * _PUSH_M and all(self._free(like, at) for at in middles)
 
@@ -114,3 +126,16 @@ class Parking:
     def _when(self, shortest_s: float, longest_s: float) -> tuple[float, float]:
         duration_s = round(float(self._rng.uniform(shortest_s, longest_s)), 3)
         return round(float(self._rng.uniform(0.0, self._window_s - duration_s)), 3), duration_s
+
+
+def _lines(config: Config) -> Array:
+    """Return the points (K, 4) of the lines that are drawn for the groups: x, y [m], and the line's direction there."""
+    lines = [shape for group in groups.descriptions(config) for shape in group.shapes if isinstance(shape, Line)]
+    along = [np.gradient(line.points, axis=0) for line in lines]
+    ways = [np.column_stack([line.points, np.arctan2(d[:, 1], d[:, 0])]) for line, d in zip(lines, along, strict=True)]
+    return _headed(np.concatenate([np.empty((0, 3)), *ways]))
+
+
+def _headed(poses: Array) -> Array:
+    """Return poses (K, 3) as x, y [m] and the direction of their heading (K, 4)."""
+    return np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])])

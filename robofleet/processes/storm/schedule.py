@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from robofleet.config.robots import Robot
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
-from robofleet.config.troubles import Fault
+from robofleet.config.troubles import InjectedFault
 from robofleet.processes.storm.parking import Parking
 
 WINDOW_S = 10.0  # of faults, from the first moment of running; with the checks before and the new start after it, 20 s
@@ -20,7 +20,7 @@ _CALM = 0.5  # share of seeds with gentle faults only, inside the envelope
 _TOPICS = ("cmd", "enable", "status", "poses", "state", "tick")
 _FROZEN, _FROZEN_S = 0.3, (0.1, 2.0)  # share of seeds whose supervisor is frozen at an emergency stop, and how long
 _REQUESTS = (b"hold", b"resume", b"estop", b"reset", b"stop", b"start", b"status", b"\xff nonsense")
-_FAULTS: TypeAdapter[Fault] = TypeAdapter(Fault)
+_FAULTS: TypeAdapter[InjectedFault] = TypeAdapter(InjectedFault)
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ class Act(NamedTuple):
 class Plan(NamedTuple):
     """One seed's storm. Times count from the first moment of running [s]."""
 
-    faults: tuple[Fault, ...]
+    faults: tuple[InjectedFault, ...]
     acts: tuple[Act, ...]
     healed_s: float  # nothing is wrong any more, and the operator is sober
     outside_s: float  # from here on bodies may touch; inf: never

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from robofleet.comms.messages import RunState, TrackerNews
 from robofleet.processes.web.frames import Frame, event
 from robofleet.processes.web.hearing import Hearing
-from robofleet.recording.lines import Line, latch_line, news_line, state_lines
+from robofleet.recording.lines import Line, busy_line, latch_line, news_line, state_lines
 from robofleet.safety.gate import Latch
 
 _KEPT = 100  # lines, for who opens the page later
@@ -19,6 +19,7 @@ class Diary:
         self._robots = robots
         self._lines: deque[Frame] = deque(maxlen=_KEPT)
         self._state: RunState | None = None
+        self._busy = False
         self._latches: list[int] = [Latch.NONE] * len(robots)
         self.written = 0
 
@@ -33,6 +34,9 @@ class Diary:
         if hearing.state is not None:
             lines += state_lines(self._state, hearing.state, self._robots)
             self._state = hearing.state
+        if hearing.busy is not None and not self._busy:
+            self._busy = True
+            lines.append(busy_line(hearing.busy, self._robots))
         lines += self._gates(hearing)
         lines += map(news_line, news)
         for level, name, words in lines:

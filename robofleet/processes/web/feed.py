@@ -12,6 +12,7 @@ from pathlib import Path
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.processes.web import frames
 from robofleet.processes.web.diary import Diary
@@ -33,10 +34,14 @@ Say = Callable[[str], Awaitable[None]]
 class Feed:
     """Hears the run, and wakes the pages when there is something to show."""
 
-    def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock) -> None:
-        self._config, self._clock = config, clock
+    def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, said: Callable[[], str]) -> None:
+        """``said``: what the launcher does, for as long as the supervisor has not spoken."""
+        self._config, self._clock, self._said = config, clock, said
+        self.folder = folder
+        self.ended: Frame | None = None  # how the run did, once it has
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
-        self.hello = dumps(frames.hello(config, folder))
+        self._groups = groups.descriptions(config)
+        self.hello = dumps(frames.hello(config, self._groups, folder))
         self.hearing = Hearing(config, bus, clock, self._wake)
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
@@ -57,10 +62,17 @@ class Feed:
             self._woken.clear()
             self._look()
 
+    def end(self, frame: Frame | None) -> None:
+        """Tell every page how the run ended, those too that come later."""
+        self.ended = frame
+        for page in self.pages:
+            page.wake()
+
     def tick(self) -> str:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
-            frame = frames.tick(self.hearing, self._config, self.seq, self._clock.now_ns())
+            now_ns = self._clock.now_ns()
+            frame = frames.tick(self.hearing, self._config, self._groups, self.seq, now_ns, self._said())
             self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
 
@@ -121,6 +133,7 @@ class Page:
         self._beat_ns = 0
         self._written = 0  # lines of the diary sent
         self._exposure_ns = 0  # of the newest picture sent
+        self._ended: Frame | None = None  # that it was told
         self._left = False
         self.wants_picture = False
 
@@ -139,10 +152,8 @@ class Page:
             self._undrawn.popleft()
         self.wake()
 
-    def leave(self, last: Frame | None) -> None:
-        """Let ``follow`` return, after a last word."""
-        if last is not None:
-            self.tell(last)
+    def leave(self) -> None:
+        """Let ``follow`` return, when what is owed is sent."""
         self._left = True
         self.wake()
 
@@ -162,6 +173,9 @@ class Page:
         feed = self._feed
         while self._answers:
             yield dumps(self._answers.popleft())
+        if feed.ended is not None and feed.ended is not self._ended:
+            self._ended = feed.ended
+            yield dumps(feed.ended)
         if self._tick_due():
             self._seq, self._sent_ns, self._phase = feed.seq, feed.now_ns(), feed.phase
             self._undrawn.append((feed.seq, feed.record_ns))

@@ -5,19 +5,22 @@ A value that is not known is null, never 0.
 
 import base64
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from robofleet.behaviours.described import Group
+from robofleet.behaviours.interface import Dots, Figure, Shape, with_unit
 from robofleet.clock import MS, S
 from robofleet.comms.messages import FleetPoses, RobotStatus, RobotTick, RunState
-from robofleet.config import barrier, slices
+from robofleet.config import barrier
 from robofleet.config.tree import Config
-from robofleet.control import path as paths
+from robofleet.figures import robot_colours
+from robofleet.processes import live_figures
 from robofleet.processes.web.hearing import Hearing
-from robofleet.processes.web.words import ENDED, phase_name, stage, what_next
-from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.processes.web.words import phase_name, stage, what_next
+from robofleet.recording import busy_machine
+from robofleet.recording.causes import named, own_halt
 from robofleet.safety.barrier import apart
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.tracking.outlines import TagOutlines
@@ -25,25 +28,34 @@ from robofleet.tracking.outlines import TagOutlines
 Frame = dict[str, Any]
 
 COLUMNS = (
-    "x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "reference_x_m", "reference_y_m", "control_mm", "spacing_mm",
-    "left_rad_s", "right_rad_s", "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered",
+    "x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "reference_x_m", "reference_y_m", "left_rad_s", "right_rad_s",
+    "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "figures",
 )  # fmt: skip
-_PATH_POINTS = 400
 _LONGEST_MS = 1000.0  # two hosts' stamps give any number: more is no latency
+_DIGITS = 6  # of a figure that is shown
 
 
-def hello(config: Config, folder: Path) -> Frame:
+def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
     """Return what does not change in a run."""
-    group, camera = config.groups[0], config.camera
-    path = paths.Path.hermite(*slices.knots(group))
-    points = path.position(np.linspace(0.0, path.sides, _PATH_POINTS, endpoint=False))
+    camera = config.camera
     seen = config.tracker.source == "camera"
+    bounds = config.run.bounds.model_dump(exclude_none=True)
     return {
         "type": "hello",
         "arena": {"name": config.arena.name, "size_m": config.arena.size_m},
-        "robots": [_robot(config, row) for row in range(len(config.bodies))],
-        "path": [[_rounded(x, 3), _rounded(y, 3)] for x, y in points.tolist()],
-        "spacing_m": group.spacing_m,
+        "robots": [
+            {**_robot(config, row), "colour": colour} for row, colour in enumerate(robot_colours(len(config.bodies)))
+        ],
+        "groups": [
+            {
+                "name": group.name,
+                "behaviour": group.behaviour,
+                "robots": group.robots,
+                "shapes": [_shape(shape) for shape in group.shapes],
+            }
+            for group in groups
+        ],
+        "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
@@ -53,19 +65,42 @@ def hello(config: Config, folder: Path) -> Frame:
     }
 
 
-def tick(hearing: Hearing, config: Config, seq: int, now_ns: int) -> Frame:
-    """Return the run as it stands."""
+def _shape(shape: Shape) -> Frame:
+    """Return what is drawn on the floor; points that are not finite are left out."""
+    points = [[_rounded(x, 4), _rounded(y, 4)] for x, y in shape.points.tolist() if math.isfinite(x + y)]
+    if isinstance(shape, Dots):
+        return {"kind": "dots", "name": shape.name, "points": points}
+    return {"kind": "line", "name": shape.name, "points": points, "closed": shape.closed, "directed": shape.directed}
+
+
+def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -> Frame:
+    """Return what a column of the table and a plot are named, whose they are, and the bounds of their figure."""
+    unit, key = live_figures.unit(figure), figure.shown_key
+    robots = [group.robots for group in groups if key in (its.shown_key for its in group.figures if its.live)]
+    return {
+        "key": key,
+        "title": live_figures.title(figure),
+        "unit": unit,
+        "meaning": figure.meaning,
+        "digits": live_figures.digits(figure),
+        "robots": [robot for own in robots for robot in own],
+        "bounds": {of: bounds.get(with_unit(f"{figure.name}_{of}", unit)) for of in ("mean", "max")},
+    }
+
+
+def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
+    """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
     state, robots = hearing.state, config.ids
     return {
         "type": "tick",
         "seq": seq,
         "t_s": _rounded(hearing.t_s, 3),
         "phase": phase_name(state),
-        "cause": None if state is None else run_cause(state, robots),
-        "stage": stage(state, robots),
-        "what_next": what_next(state, hearing.statuses.newest, config),
+        "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
+        "stage": stage(state, robots) if state is not None else launcher or None,
+        "what_next": what_next(state, hearing.busy, hearing.statuses.newest, config),
         "health": _health(hearing),
-        "robots": _rows(hearing, state, now_ns),
+        "robots": _rows(hearing, groups, state, now_ns),
     }
 
 
@@ -86,14 +121,6 @@ def event(at_s: float | None, level: str, text: str) -> Frame:
 def answer(to: str, ok: bool, text: str) -> Frame:
     """Return what came of something that the page asked for."""
     return {"type": "answer", "to": to, "ok": ok, "text": text}
-
-
-def ended(hearing: Hearing, config: Config) -> Frame | None:
-    """Return the last word of a run that has ended; None where the server leaves a run that may go on."""
-    if hearing.state is None or hearing.state.phase not in ENDED:
-        return None
-    last = f"{phase_name(hearing.state)}: {run_cause(hearing.state, config.ids)}"
-    return {"type": "ended", "text": last}
 
 
 def picture(hearing: Hearing, outlines: TagOutlines) -> Frame:
@@ -124,7 +151,8 @@ def _robot(config: Config, row: int) -> Frame:
         "id": robot.id,
         "tag": robot.tag,
         "reality": robot.reality,
-        "driven": row < len(config.platoon),
+        "driven": row < len(config.members),
+        "group": config.ids.group_of(row) or None,
         "body_radius_m": body.radius,
         "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
     }
@@ -163,26 +191,22 @@ def _tracker(images: list[FleetPoses], robots: int) -> tuple[float | None, float
     return _rounded(rate, 1), _rounded(100.0 * min(1.0, measured / robots), 1)
 
 
-def _rows(hearing: Hearing, state: RunState | None, now_ns: int) -> list[list[Any]]:
+def _rows(hearing: Hearing, groups: Sequence[Group], state: RunState | None, now_ns: int) -> list[list[Any]]:
     ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
+    told = live_figures.told(groups, ticks)
+    unknown = [None] * told.figures.shape[1]
     rows: list[list[Any]] = []
-    ahead: tuple[float, float] | None = None
     for row, status in enumerate(hearing.statuses.newest):
         its = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
-        point = (its.point_x_m, its.point_y_m) if its is not None and hearing.placed[row] else None
-        spacing_m = math.dist(point, ahead) if point is not None and ahead is not None else None
-        running = ticks is not None and ticks.run_tick >= 0
-        halted = "" if state is None else halt_cause(state, row)
-        age_ms = _age_ms(hearing.heard_ns[row], now_ns)
+        driven, placed = row < len(told.references), its is not None and hearing.placed[row]
         rows.append([
-            *(_place(its) if its is not None and point is not None else _standing(hearing, row)),
-            *(_aim(its) if its is not None and running else [None] * 3),
-            None if spacing_m is None else _rounded(spacing_m * 1e3, 1),
+            *(_place(its) if its is not None and placed else _standing(hearing, row)),
+            *([_known(value, 4) for value in told.references[row]] if driven else [None] * 2),
             *(_drive(its) if its is not None else [None] * 2),
-            *_gate(status), halted or None, _battery(status), age_ms,
+            *_gate(status), own_halt(state, row, its) or None, _battery(status), _age_ms(hearing.heard_ns[row], now_ns),
             *((int(its.measured), int(its.lost), int(its.filtered)) if its is not None else [None] * 3),
+            [_known(value, _DIGITS) for value in told.figures[row]] if driven else unknown,
         ])  # fmt: skip
-        ahead = point
     return rows
 
 
@@ -197,10 +221,6 @@ def _standing(hearing: Hearing, row: int) -> list[float | None]:
     if pose is None:
         return [None] * 5
     return [_rounded(pose.x_m, 4), _rounded(pose.y_m, 4), _rounded(pose.psi_rad, 4), None, None]
-
-
-def _aim(its: RobotTick) -> list[float | None]:
-    return [_rounded(its.reference_x_m, 4), _rounded(its.reference_y_m, 4), _rounded(its.control_error_m * 1e3, 2)]
 
 
 def _drive(its: RobotTick) -> list[float | None]:
@@ -219,6 +239,10 @@ def _battery(status: RobotStatus | None) -> float | None:
 
 def _age_ms(heard_ns: int, now_ns: int) -> int | None:
     return (now_ns - heard_ns) // MS if heard_ns else None
+
+
+def _known(value: float, digits: int) -> float | None:
+    return _rounded(value, digits) if math.isfinite(value) else None
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

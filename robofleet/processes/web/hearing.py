@@ -4,13 +4,15 @@ from collections import deque
 from typing import NamedTuple
 
 from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.keys import CAMERA, NEWS, PICTURE, POSES, STATE, TICK, key
+from robofleet.comms.bus import Bus, Inbox, Wake
+from robofleet.comms.keys import BUSY, CAMERA, NEWS, PICTURE, POSES, STATE, TICK, key
 from robofleet.comms.messages import (
+    BUSY_MACHINE,
     FLEET_POSES,
     RUN_STATE,
     TICK_RECORD,
     TRACKER_NEWS,
+    BusyMachine,
     FleetPoses,
     Picture,
     RunState,
@@ -40,7 +42,7 @@ class Hearing:
     """``wake`` is called, from any thread, when a tick's record or a state of the run came."""
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, wake: Wake) -> None:
-        robots, arena, driven = config.bodies, config.arena.name, len(config.platoon)
+        robots, arena, driven = config.bodies, config.arena.name, len(config.members)
         self._clock, self._tick_s = clock, config.controller.tick_s
         self.tags = {robot.tag: robot.id for robot in robots}
         self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
@@ -48,6 +50,8 @@ class Hearing:
         self._frames = bus.stream(key(arena, POSES, CAMERA), capacity=_IMAGES)
         self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_NEWS)
         self._pictures = bus.newest(PICTURE, CAMERA)
+        self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE)
+        self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
         self._pending: tuple[int, Picture] | None = None  # and when it came
         self.record: TickRecord | None = None
         self.record_ns = 0  # its arrival; 0: none yet
@@ -69,6 +73,7 @@ class Hearing:
         state = None if (payload := self._states.take()) is None else RUN_STATE.decode(payload)
         if record is not None and len(record.robots) == len(self.placed):
             self._take(record)
+        self.busy = self._busy.take() or self.busy
         changed = False
         if state is not None:
             changed = self.state is None or self.state._replace(seq=0) != state._replace(seq=0)

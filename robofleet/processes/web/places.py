@@ -122,8 +122,8 @@ class Connection(H11Protocol):
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is no HTTP."""
-        self._places.complaints.add(f"what {self.host} says is no HTTP")
+        """Answer what is not HTTP."""
+        self._places.complaints.add(f"what {self.host} says is not HTTP")
         super().send_400_response(msg)
 
     @property

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,20 +17,22 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from robofleet.clock import Clock, WallClock
+from robofleet.clock import Clock
 from robofleet.comms.bus import Bus
-from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.tree import Config
-from robofleet.processes.node import Lifeline
-from robofleet.processes.web import frames
+from robofleet.files import read_plain
 from robofleet.processes.web.controls import ASKED, ESTOP, Controls
+from robofleet.processes.web.ending import Ending
 from robofleet.processes.web.feed import Feed, Page
-from robofleet.processes.web.guard import Guard, authorities, new_token
+from robofleet.processes.web.guard import OPEN, Guard, authorities, new_token
 from robofleet.processes.web.places import Complaints, Connection, Places
+from robofleet.processes.web.ticket import Ticket
+from robofleet.processes.web.verdict import REPORT
 
 LOOPBACK = "127.0.0.1"
-_NICE = 5  # the page waits for the run, never the other way round
 _PAGE = Path(__file__).parent / "page"
+_LARGEST_REPORT = 1 << 26  # [bytes]
+_OF_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
 _LARGEST_MESSAGE = 1024  # of a page [bytes]
 _LARGEST_HEAD = 16384  # of a request [bytes]
 _PAGES = 16
@@ -43,21 +44,6 @@ _LEAVING_S = 0.005
 _POLICY_VIOLATION, _TRY_LATER, _GOING_AWAY = 1008, 1013, 1001
 
 
-def web(config: Config, folder: Path, lifeline: Lifeline, listening: socket.socket, name: str, *, of_run: bool) -> None:
-    """Serve the page of a run until the lifeline is cut.
-
-    ``name`` is how browsers call this host; ``of_run``: this process ends with its run.
-    """
-    os.nice(_NICE)
-    clock = WallClock()
-    bus = ZenohBus(config.arena.name, config.bus.endpoint, "web", clock)
-    try:
-        served = Served(config, folder, bus, clock, name, of_run)
-        asyncio.run(serve(served, listening, lifeline.ready, lambda: lifeline.cut))
-    finally:
-        bus.close()
-
-
 class Served(NamedTuple):
     """What a server shows."""
 
@@ -66,37 +52,53 @@ class Served(NamedTuple):
     bus: Bus
     clock: Clock
     name: str  # how browsers call this host
-    of_run: bool  # the server ends with its run
+    over: Callable[[], bool]  # whether the run is
+    by_hand: bool = False  # somebody waits for this server beside its run
+    said: Callable[[], str] = str  # what the launcher does while nobody else speaks
+    stays: Callable[[], object] = str  # called when the run is over and somebody looks
+
+
+class Addresses(NamedTuple):
+    """Where the page is."""
+
+    page: str  # with its token: nobody else may see it
+    once: str  # for the command line of a browser, which others may see: it opens the page once
 
 
 async def serve(
-    served: Served, listening: socket.socket, ready: Callable[[str], None], cut: Callable[[], bool]
-) -> None:
-    """Serve until ``cut`` says so; ``ready`` is given the page's address, with its token."""
-    config, folder, bus, clock, name, of_run = served
+    served: Served, listening: socket.socket, ready: Callable[[Addresses], None], cut: Callable[[], bool]
+) -> Ending:
+    """Serve until ``cut`` says so, or until the run is over and nobody looks; returns how the run ended."""
+    config, folder, bus, clock = served.config, served.folder, served.bus, served.clock
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else an event behind a tick waits for 40 ms
     address, port = listening.getsockname()[:2]
-    names = {name, address} | ({"localhost"} if address == LOOPBACK else set())
-    token = new_token()
-    feed = Feed(config, folder, bus, clock)
+    names = {served.name, address} | ({"localhost"} if address == LOOPBACK else set())
+    token, ticket = new_token(), Ticket()
+    feed = Feed(config, folder, bus, clock, served.said)
     controls = Controls(bus, clock, config.ids)
     complaints = Complaints(clock)
-    guard = Guard(application(feed, controls), authorities(names, port), token, complaints)
+    guard = Guard(application(feed, controls), authorities(names, port), port, token, ticket, complaints)
     server = uvicorn.Server(_settings(guard, Places(complaints)))
+    ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
         while not server.started:
             await asyncio.sleep(_POLL_S)
         listening.listen(_QUEUE)
-        ready(f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}")
-        while not (cut() or feeding.done() or serving.done()):
+        root = f"http://{f'[{served.name}]' if ':' in served.name else served.name}:{port}"
+        ready(Addresses(f"{root}/?token={token}", f"{root}{OPEN}?ticket={ticket.secret}"))
+        while not (cut() or ending.done or feeding.done() or serving.done()):
             await asyncio.sleep(_POLL_S)
+            if ending.look(feed.hearing.state, config.ids, watched=bool(feed.pages)):
+                feed.end(ending.frame)
+                if not ending.done:
+                    served.stays()
         if feeding.done():
             feeding.result()  # raises: a page that shows nothing must not look as if it did
+        return ending
     finally:
-        last = frames.ended(feed.hearing, config) if of_run else None
         for page in feed.pages:
-            page.leave(last)
+            page.leave()
         with suppress(TimeoutError):
             async with asyncio.timeout(_LEAVE_WITHIN_S):
                 while feed.pages:  # a server that exits cuts off what is on its way to them
@@ -114,6 +116,13 @@ def application(feed: Feed, controls: Controls) -> Starlette:
     async def index(_request: Request) -> Response:
         return FileResponse(_PAGE / "index.html")
 
+    async def report(_request: Request) -> Response:
+        try:
+            page = await asyncio.to_thread(read_plain, feed.folder / REPORT, _LARGEST_REPORT)
+        except OSError:
+            return Response("This run has no report yet.", 404, media_type="text/plain")
+        return Response(page, media_type="text/html", headers={"Content-Security-Policy": _OF_REPORT})
+
     async def stop(_request: Request) -> Response:
         return JSONResponse(await controls.do(ESTOP))
 
@@ -127,6 +136,7 @@ def application(feed: Feed, controls: Controls) -> Starlette:
     return Starlette(
         routes=[
             Route("/", index),
+            Route("/report", report),
             Route("/estop", stop, methods=["POST"]),
             WebSocketRoute("/live", live),
             Mount("/", StaticFiles(directory=_PAGE)),

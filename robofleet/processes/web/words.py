@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
-from robofleet.comms.messages import RobotStatus, RunState
+from robofleet.comms.messages import BusyMachine, RobotStatus, RunState
 from robofleet.config.tree import Config
 from robofleet.processes.live_state import arming
+from robofleet.recording.busy_machine import goes_on
 from robofleet.recording.causes import named
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Phase
@@ -12,11 +13,14 @@ from robofleet.safety.supervisor import Phase
 _NEXT = {
     Phase.IDLE: "Arm: every robot's wheels and its emergency stop are tried, one after the other.",
     Phase.ARMED: "Wait for the checks, or stop.",
+    Phase.POSITIONING: "The robots drive to their start by themselves; then the run begins. Hold them, or stop.",
     Phase.RUNNING: "Hold the run, or stop it.",
+    Phase.PARKING: "The robots drive to where they are parked by themselves. Hold them, or stop.",
     Phase.HOLD: "Every robot stands. Look, mend what is wrong, then resume; or stop.",
     Phase.FAULT: "Every robot stands. Mend the cause, then reset.",
     Phase.ESTOP: "Every robot has latched its gate. Look at the robots, then reset.",
 }
+_GOES_ON = "Every robot stands. Everything is simulated: the run goes on by itself."
 ENDED = (Phase.IDLE, Phase.FAULT, Phase.ESTOP)  # nothing moves, and nothing will by itself
 
 
@@ -30,7 +34,9 @@ def stage(state: RunState | None, robots: tuple[str, ...]) -> str | None:
     return arming(state, robots) if state is not None and state.phase == Phase.ARMED else None
 
 
-def what_next(state: RunState | None, statuses: Sequence[RobotStatus | None], config: Config) -> str:
+def what_next(
+    state: RunState | None, busy: BusyMachine | None, statuses: Sequence[RobotStatus | None], config: Config
+) -> str:
     """Return what the operator can do now."""
     if state is None:
         return "Wait: the processes are starting."
@@ -45,6 +51,7 @@ def what_next(state: RunState | None, statuses: Sequence[RobotStatus | None], co
         return by_itself if state.phase == Phase.IDLE else "Every robot stands and this run ends: look at the robots."
     if state.phase == Phase.IDLE and latched:
         return f"The gate of {', '.join(latched)} is latched: look at the robots, then reset."
+    words = next((words for phase, words in _NEXT.items() if phase == state.phase), "")
     if state.phase == Phase.ARMED and state.stage == Stage.DONE:
-        return "Every check is passed: start the run, or stop."
-    return next((words for phase, words in _NEXT.items() if phase == state.phase), "")
+        words = "Every check is passed: start the run, or stop."
+    return _GOES_ON if goes_on(state, busy) else words

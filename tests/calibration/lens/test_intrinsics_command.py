@@ -1,6 +1,5 @@
-"""`calibrate.py intrinsics`: what it writes, what it refuses with which words, and what the operator sees."""
+"""`robofleet calibrate intrinsics`: what it writes, what it refuses with which words, and what the operator sees."""
 
-import importlib.util
 import io
 import sys
 from collections.abc import Callable
@@ -12,7 +11,9 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
+from typer.testing import CliRunner
 
+from robofleet import cli
 from robofleet.calibration.board import Board
 from robofleet.calibration.floor import Ceiling
 from robofleet.calibration.gathering import Gathering, gather
@@ -44,21 +45,12 @@ def photos(true_camera, tmp_path_factory: pytest.TempPathFactory) -> Path:  # ty
 
 
 @pytest.fixture
-def calibrate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Said]:
+def calibrate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Said]:
     monkeypatch.chdir(tmp_path)
-    spec = importlib.util.spec_from_file_location("calibrate_tool", ROOT / "tools" / "calibrate.py")
-    assert spec is not None and spec.loader is not None
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
 
     def run(*arguments: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["calibrate.py", "intrinsics", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as done:
-            tool.main()
-        return Said(int(done.value.code or 0), *capsys.readouterr())
+        done = CliRunner().invoke(cli.app, ["calibrate", "intrinsics", *map(str, arguments)])
+        return Said(done.exit_code, done.stdout, done.stderr)
 
     return run
 
@@ -70,13 +62,13 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
         T_world_camera=PoseSettings(position_m=(0.0, 0.0, 2.0), rotation_rad=(3.0, 0.0, 0.0)),
     )  # fmt: skip
     save(file, earlier)
-    said = calibrate("ceiling", photos, "--camera", "serial 7", "--report", "page.html")
+    said = calibrate("ceiling", photos, "--device", "serial 7", "--report", "page.html")
     assert said.code == 0 and said.err == ""
     model = load(file, CameraModel)
     assert (model.camera, model.width, model.height, model.lens) == ("serial 7", 800, 600, "pinhole")
     # Its place belonged to the earlier lens; the shutter is the same.
     assert model.T_world_camera is None and model.arena is None and model.line_time_s == 2e-5
-    assert "run tools/calibrate.py arena again" in said.out
+    assert "run robofleet calibrate arena again" in said.out
     (kept,) = (file.parent / "earlier").iterdir()
     assert load(kept, CameraModel) == earlier
     assert str(kept.relative_to(tmp_path)) in said.out and "report: page.html" in said.out
@@ -164,6 +156,7 @@ def no_video(folder: Path) -> Path:
         (no_video, (), "input"),
         (lambda folder: folder, (), "input"),  # is not there
         (mixed, ("--squares", "11"), "--squares: '11'"),
+        (mixed, ("--squares", "11.5x8"), "--squares: '11.5x8'"),
         (mixed, ("--squares", "3x3"), "too few corners"),
         (mixed, ("--marker-mm", "50"), "do not fit"),
         (mixed, ("--dictionary", "DICT_NONE"), "no dictionary DICT_NONE"),
@@ -188,7 +181,8 @@ def test_bad_input_ends_at_the_edge(  # type: ignore[no-untyped-def]
 
 
 def test_a_name_that_is_none_and_no_source(calibrate) -> None:  # type: ignore[no-untyped-def]
-    assert "'../x' is no name" in calibrate("../x", "folder").err
+    assert "'../x' is not a camera" in calibrate("../x", "folder").err
+    assert "--set: it changes a configuration: name one with --live" in calibrate("x", "f", "--set", "run.seed=1").err
     assert "name a folder or a video" in calibrate("ceiling").err
 
 
@@ -242,7 +236,7 @@ def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted,
     config = scripted()
     said = calibrate("ceiling", "--live", config, "--report", "out/page.html")
     assert said.code == 0
-    model = load(tmp_path / "configs" / "cameras" / "ceiling.yaml", CameraModel)
+    model = load(tmp_path / "cameras" / "ceiling.yaml", CameraModel)  # beside the configuration, which looks there
     assert model.camera == "scripted"
     assert model.intrinsics is not None and 12 <= model.intrinsics.figures["views"] < 18  # type: ignore[operator]
     assert "next: show the board" in said.err and said.err.rstrip().endswith("done")
@@ -257,7 +251,7 @@ def test_a_capture_that_is_broken_off_is_judged_by_what_it_has(calibrate, script
     said = calibrate("ceiling", "--live", scripted("KeyboardInterrupt", only="0[0-4].png"))
     assert said.code == 2
     assert "5 views can be used: 12 or more are needed" in said.err
-    assert "nothing was written" in said.err and not (tmp_path / "configs").exists()
+    assert "nothing was written" in said.err and not (tmp_path / "cameras").exists()
     (views,) = (tmp_path / "runs").rglob("views")
     assert len(list(views.iterdir())) == 5
 
@@ -270,6 +264,12 @@ def test_the_live_configuration_needs_no_calibration_but_all_the_rest(calibrate,
     config.write_text(text.replace("scripted_", "nowhere_"))
     assert "camera.source: 'nowhere_" in calibrate("ceiling", "--live", config).err
     assert "there is no such file" in calibrate("ceiling", "--live", "none.yaml").err
+    changed = calibrate("ceiling", "--live", config, "--set", "camera.width=1.5")
+    assert "camera.width" in changed.err
+    config.write_text(text.replace("width: 800", "width: 640"))
+    again = calibrate("ceiling", "--live", config, "--set", "camera.width=800", "--set", "camera.rate_hz=-1")
+    assert len(again.err.splitlines()) == 1  # the size is right now
+    assert "camera.rate_hz" in again.err
     config.write_text("camera: [")
     assert "lab.yaml" in calibrate("ceiling", "--live", config).err
 

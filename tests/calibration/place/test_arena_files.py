@@ -1,8 +1,6 @@
-"""From images and a survey to a camera's file and back: `calibrate.py arena` and `verify` on rendered floors."""
+"""From images and a survey to a camera's file and back: `robofleet calibrate arena` and `verify` on rendered floors."""
 
-import importlib.util
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,9 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
+from robofleet import cli
 from robofleet.calibration.fiducials import look
 from robofleet.calibration.placing import moved
 from robofleet.calibration.survey import Survey
@@ -89,15 +89,8 @@ class Lab:
 
     def run(self, *arguments: object) -> tuple[int, str]:
         """Exit code, and what was printed: all that a user sees."""
-        spec = importlib.util.spec_from_file_location("calibrate_tool", ROOT / "tools/calibrate.py")
-        assert spec is not None and spec.loader is not None
-        tool = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(tool)
-        self._monkeypatch.setattr(sys, "argv", ["calibrate.py", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            tool.main()
-        said = self._capsys.readouterr()
-        return int(ended.value.code or 0), said.out + said.err
+        done = CliRunner().invoke(cli.app, ["calibrate", *map(str, arguments)])
+        return done.exit_code, done.output
 
     def arena(self, *more: object) -> tuple[int, str]:
         return self.run("arena", self.camera, self.survey, self.image, "--report", self.report, *more)
@@ -169,7 +162,7 @@ def test_print_that_only_reads_like_a_tag_is_not_taken() -> None:
 def test_camera_is_placed_and_verified(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
-    code, said = lab.arena("--arena-m", 3.2, 2.0)
+    code, said = lab.arena("--arena-m", "3.2x2.0")
     assert (code, error_mm(lab) < 0.6) == (0, True), said
     tree = yaml.safe_load(lab.camera.read_text())
     figures = tree["arena"]["figures"]
@@ -182,8 +175,35 @@ def test_camera_is_placed_and_verified(lab: Lab, floor: Image) -> None:
     assert "http" not in page.split("<svg")[0]
     assert lab.verify(lab.image)[0] == 0
     first = lab.camera.read_bytes()
-    assert lab.arena("--arena-m", 3.2, 2.0)[0] == 0
+    assert lab.arena("--arena-m", "3.2x2.0")[0] == 0
     assert first in [kept.read_bytes() for kept in (lab.folder / "earlier").iterdir()]
+
+
+def test_a_camera_is_named_as_a_configuration_names_it(lab: Lab, floor: Image, monkeypatch: pytest.MonkeyPatch) -> None:
+    cv2.imwrite(str(lab.image), floor)
+    lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
+    file = lab.folder / "configs" / "cameras" / "overhead.yaml"
+    file.parent.mkdir(parents=True)
+    lab.camera.rename(file)
+    monkeypatch.chdir(lab.folder)
+    code, said = lab.run("arena", "overhead", "survey.yaml", "floor.png", "--arena-m", "3.2x2.0")
+    assert (code, "configs/cameras/overhead.yaml: written" in said) == (0, True), said
+    assert lab.run("verify", "overhead", "survey.yaml", "floor.png")[0] == 0
+    monkeypatch.chdir("/")
+    assert lab.run("verify", "overhead", lab.survey, lab.image, "--configs", lab.folder / "configs")[0] == 0
+    code, said = lab.run("verify", "overhaed", lab.survey, lab.image, "--configs", lab.folder / "configs")
+    assert (code, "overhaed.yaml (did you mean overhead?)" in said) == (2, True)
+    code, said = lab.run("verify", lab.folder / "other.yaml", lab.survey, lab.image)
+    assert (code, f"there is no camera {lab.folder / 'other.yaml'}" in said) == (2, True)
+
+
+def test_the_live_camera_is_changed_by_set(lab: Lab) -> None:
+    lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
+    platoon = ROOT / "configs" / "platoon.yaml"
+    code, said = lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.source=nothing")
+    assert (code, "there is no camera 'nothing'" in said) == (2, True), said
+    code, said = lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.sorce=v4l2")
+    assert (code, "unknown key" in said) == (2, True), said
 
 
 def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
@@ -313,7 +333,10 @@ def _line(tags: list[dict[str, Any]]) -> None:
         (_side, "side_m or the survey's unit is wrong"),
         (_mirror, ""),
         (_line, "lie on one line"),
-        (lambda tags: tags.__delitem__(slice(3, None)), "has 3 tags and points: 4 or more"),
+        (
+            lambda tags: tags.__delitem__(slice(3, None)),
+            "4 tags and points or more place a camera, and this survey has 3",
+        ),
         (lambda tags: tags.__delitem__(slice(4, None)), "state it with --survey-mm"),
         (lambda tags: tags[1].update(tag=tags[0]["tag"]), "floor_tags.1: 100 is floor_tags.0's already"),
         (lambda tags: tags[1].update(x_m=tags[0]["x_m"], y_m=tags[0]["y_m"]), "floor_tags.1: lies where floor_tags.0"),
@@ -355,9 +378,11 @@ def test_what_is_no_survey_is_refused(lab: Lab, text: str, reason: str) -> None:
 def test_arena_must_be_one(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(13))})
-    code, said = lab.arena("--arena-m", 0, 2)
-    assert (code, "0 x 2 m is no arena" in said) == (2, True)
-    code, said = lab.arena("--arena-m", 8, 2)
+    code, said = lab.arena("--arena-m", "0x2")
+    assert (code, "--arena-m: '0x2': each side must be more than 0" in said) == (2, True)
+    code, said = lab.arena("--arena-m", "3.2")
+    assert (code, "--arena-m: '3.2' is not a size: write two numbers" in said) == (2, True)
+    code, said = lab.arena("--arena-m", "8X2")
     assert (code, "% of the arena" in said) == (0, True)
 
 
@@ -369,7 +394,7 @@ def test_arena_must_be_one(lab: Lab, floor: Image) -> None:
         ({"distrotion": []}, "did you mean 'distortion'?"),
         ({"focal_px": [0.0, 830.0]}, "focal_px.0: must be at least 1"),
         ({"intrinsics": {"covariance": [[1.0]]}}, "intrinsics.covariance: must have 9 rows of 9 numbers"),
-        ({"intrinsics": {"covariance": (-np.eye(9)).tolist()}}, "intrinsics.covariance: no errors can have it"),
+        ({"intrinsics": {"covariance": (-np.eye(9)).tolist()}}, "intrinsics.covariance: is not a valid covariance"),
     ],
 )
 def test_impossible_cameras_are_refused(lab: Lab, floor: Image, change: dict[str, Any], reason: str) -> None:

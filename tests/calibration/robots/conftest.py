@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.simulated import SimulatedRobot
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.config.calibrated import TagOffset
-from robofleet.control.excitation import Excitation, ExcitationSettings
-from robofleet.control.platoon import WHEELS
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.tracking.offset import tag_from_centre
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
+from tests.behaviours.excited import Excited
 from tests.robots import GTERNAL, WORN
 
 MS, S = 1_000_000, 1_000_000_000
@@ -41,8 +40,7 @@ def drive(
 ) -> RobotDrive:
     """``late``: a command comes up to so many nanoseconds after its tick."""
     rng = np.random.default_rng(seed)
-    settings = ExcitationSettings(TICK / S, 0.08, (3.2, 2.0), (0.055,))
-    excitation = Excitation(settings, (GTERNAL,), np.random.default_rng(seed))
+    excitation = Excited(1, seed)
     now_ns = 0
     simulation = Simulation(GTERNAL, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
     robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: now_ns))
@@ -65,7 +63,7 @@ def drive(
         elif what == 2:
             turned, since_ns = turned + wheels * (now_ns - since_ns) / S, now_ns
             at_s = now_ns // TICK * TICK / S
-            wheels = excitation.tick(at_s, np.array([truth[:3]]), np.array([True]))[0, WHEELS]
+            wheels = excitation.tick(at_s, np.array([truth[:3]]), np.array([True]))[0][0]
             robot.write(WheelSpeeds(*wheels.tolist()))
             commands.append((at_s, *wheels))
     asked, seen_poses, counted, meant = (np.array(rows) for rows in (commands, poses, encoders, told))

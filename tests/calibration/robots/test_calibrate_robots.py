@@ -1,13 +1,14 @@
-"""``tools/calibrate.py offsets`` and ``latency``: files written whole, kept, and used; bad input refused."""
+"""``robofleet calibrate offsets`` and ``latency``: files written whole, kept, and used; bad input refused."""
 
-import importlib.util
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from robofleet import cli
 from robofleet.calibration import drive_file
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import load
@@ -25,18 +26,13 @@ Calibrate = Callable[..., int]
 @pytest.fixture
 def calibrate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Calibrate:
     """Return what runs the tool in this process and gives its exit code."""
-    spec = importlib.util.spec_from_file_location("calibrate", ROOT / "tools" / "calibrate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: object) -> int:
-        monkeypatch.setattr(sys, "argv", ["calibrate.py", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            tool.main()
-        return end.value.code if isinstance(end.value.code, int) else 0
+        done = CliRunner().invoke(cli.app, ["calibrate", *map(str, arguments)])
+        print(done.stdout, end="")
+        print(done.stderr, end="", file=sys.stderr)
+        return done.exit_code
 
     return run
 
@@ -110,6 +106,17 @@ def test_a_drive_in_lockstep_is_kept_and_calibrates(
 
 
 @pytest.mark.parametrize("command", ["offsets", "latency"])
+def test_a_drives_configuration_is_changed_by_set(
+    calibrate: Calibrate, lab: Path, recorded: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrate(command, lab, "--recording", recorded, "--set", "robots.0.id=x1") == 2
+    assert "groups.0.robots" in capsys.readouterr().err
+    assert calibrate(command, lab, "--lockstep", "--set", "groups.0.settings.spacing_m=9") == 2
+    assert "spacing_m" in capsys.readouterr().err
+    assert not (lab.parent / "robots").exists()
+
+
+@pytest.mark.parametrize("command", ["offsets", "latency"])
 def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
     calibrate: Calibrate, lab: Path, recorded: Path, worn: RobotDrive, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -122,7 +129,7 @@ def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
 
     other = lab.parent / "other.npz"
     other.write_bytes(b"not a recording")
-    assert "is no recording" in refusal("--recording", other)
+    assert "is not a recording" in refusal("--recording", other)
     assert "No such file" in refusal("--recording", lab.parent / "nothing.npz")
     assert "no robot 'r7'" in refusal("--robots", "r7", "--lockstep")
     assert "Not a directory" in refusal("--lockstep", "--out", lab / "out")

@@ -134,7 +134,13 @@ def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: 
     """The delay that was found is the one that the filter predicts with."""
 
     def pose_error_mm(*overrides: str) -> float:
-        lively = ["groups.0.robots=[r3]", "groups.0.behaviour=excitation", "run.seed=5", "run.duration_s=48"]
+        lively = [
+            "groups.0.robots=[r3]",
+            "groups.0.behaviour=excitation",
+            "groups.0.settings={}",
+            "run.seed=5",
+            "run.duration_s=48",
+        ]
         config: Config = _unlimited(load_config(late_platoon, [*lively, *overrides]))
         run = Lockstep(config)
         outcome, cause = run.run()
@@ -152,7 +158,7 @@ def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: 
 
 def test_what_is_believed_of_a_simulated_robot_does_not_change_it(late_platoon: Path) -> None:
     def end(*overrides: str) -> bytes:
-        spin = ["groups.0.robots=[r3]", "groups.0.behaviour=excitation", "run.duration_s=3"]
+        spin = ["groups.0.robots=[r3]", "groups.0.behaviour=excitation", "groups.0.settings={}", "run.duration_s=3"]
         run = Lockstep(load_config(late_platoon, [*spin, *overrides]))
         assert run.run() == ("completed", None)
         return run.recording.messages[key(run.recording.config.arena.name, TRUTH, "r3")][-1]
@@ -177,8 +183,8 @@ def test_a_drive_that_breaks_off_says_why(late_platoon: Path, monkeypatch: pytes
 Spoil = Callable[[dict[str, Any]], object]
 SPOILT: list[tuple[Spoil, str]] = [
     (lambda a: a.update(version=np.array(1)), "version 1, this reads 3"),
-    (lambda a: a.pop("version"), "is no recording"),
-    (lambda a: a.pop("robots"), "is no recording"),
+    (lambda a: a.pop("version"), "is not a recording"),
+    (lambda a: a.pop("robots"), "is not a recording"),
     (lambda a: a.pop("r3/poses"), "r3/poses is missing"),
     (lambda a: a.update({"r3/poses": a["r3/poses"][:, :2]}), "r3/poses has shape"),
     (lambda a: a.update({"r3/poses_s": a["r3/poses_s"][::-1]}), "r3/poses_s has shape"),
@@ -214,7 +220,7 @@ def test_what_is_no_recording_is_refused(kept: Path, tmp_path: Path, content: by
 def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
     file = tmp_path / "evil.npz"
     np.savez(file, version=np.array(drive_file.VERSION), robots=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(CalibrationError, match="is no recording"):
+    with pytest.raises(CalibrationError, match="is not a recording"):
         drive_file.load(file)
 
 

@@ -15,6 +15,8 @@ from tests.robots import GTERNAL
 
 from .conftest import LATE, OFFSET, Make
 
+pytestmark = pytest.mark.slow
+
 TRUE_TAG = np.array([OFFSET.forward_m, OFFSET.left_m, OFFSET.heading_deg])
 
 

@@ -14,7 +14,7 @@ Make = Callable[..., Any]
 @pytest.fixture
 def stand_of(bench_of: Make, platoon_of: Make, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Stand]:
     monkeypatch.setattr(arming, "step", arming.step)  # put back at the end
-    return lambda **keys: Stand(bench_of(platoon_of()), **keys)
+    return lambda *overrides, **keys: Stand(bench_of(platoon_of(*overrides)), **keys)
 
 
 @pytest.fixture

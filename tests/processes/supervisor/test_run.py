@@ -16,7 +16,7 @@ def test_a_run_starts_when_asked_and_stops_when_asked(stand: Stand) -> None:
     assert stand.ask("start") == "ok"
     stand.run(S)
     assert stand.cause == (Phase.RUNNING, Event.PROVED, NOBODY)
-    fastest = [robot.vehicle.max_wheel_speed_rad_s for robot in stand.bench.config.platoon]
+    fastest = [robot.vehicle.max_wheel_speed_rad_s for robot in stand.bench.config.members]
     assert stand.limits() == fastest
     assert all(robot.permitted == 1 for robot in stand.state.robots)
     assert stand.ask("stop") == "ok"
@@ -165,8 +165,8 @@ def test_blocked_robots_and_missed_ticks_hold_the_run(stand: Stand) -> None:
     stand.stopped = {}
     stand.run(100 * MS)
     stand.ask("resume")
-    head = (3, stand.build, 10**6, -1, stand.bench.now_ns, *[0] * 6, 0, 3, 0, 0)
-    stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 18),) * 4))
+    head = (3, stand.build, 10**6, -1, stand.bench.now_ns, *[0] * 6, 0, 0, 3, 0, 0)
+    stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 15),) * 4, ()))
     stand.node.step(stand.bench.now_ns)
     assert stand.cause == (Phase.HOLD, Event.TICKS_OVERRUN, NOBODY)
     assert stand.state.detail == 3.0
@@ -196,7 +196,7 @@ def test_a_recorder_that_cannot_write_is_a_full_disk_whatever_the_disk_says(stan
 
 def test_a_tick_of_another_fleet_is_another_build_and_no_end(stand: Stand) -> None:
     stand.running()
-    stand.bench.say(TICK, TickRecord(3, 1, 10**6, -1, 0, *[0] * 6, 200, 0, 0, 0, (RobotTick(*[0.0] * 18),) * 9))
+    stand.bench.say(TICK, TickRecord(3, 1, 10**6, -1, 0, *[0] * 6, 200, 0, 0, 0, 0, (RobotTick(*[0.0] * 15),) * 9, ()))
     stand.node.step(stand.bench.now_ns)
     assert stand.cause == (Phase.FAULT, Event.OTHER_BUILD, NOBODY)
 
@@ -235,8 +235,8 @@ def test_a_restarted_controller_ends_the_run(stand: Stand) -> None:
 
 def test_a_tick_that_was_overtaken_says_nothing(stand: Stand) -> None:
     stand.running()
-    head = (3, stand.build, stand.tick - 1, -1, 0, *[0] * 10)
-    stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 18)._replace(blocked=1.0),) * 4))
+    head = (3, stand.build, stand.tick - 1, -1, 0, *[0] * 11)
+    stand.bench.say(TICK, TickRecord(*head, (RobotTick(*[0.0] * 15)._replace(blocked=1.0),) * 4, ()))
     stand.node.step(stand.bench.now_ns)
     assert stand.state.phase == Phase.RUNNING
 

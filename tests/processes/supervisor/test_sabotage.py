@@ -37,7 +37,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
     # who may move
     (supervisor, "0.0 if row in causes else self._limit(row)", "self._limit(row)",
      "test_a_robot_whose_tag_is_hidden_stands_alone_and_goes_on_when_it_is_seen"),
-    (supervisor, "if self._status.phase is Phase.RUNNING:\n            return self._limits[row]",
+    (supervisor, "if self._status.phase in MOVING:\n            return self._limits[row]",
      "if self._status.phase is not Phase.IDLE:\n            return self._limits[row]",
      "test_a_held_run_stands_and_goes_on_when_asked"),
     (supervisor, "self._checks.probed == row", "True", "test_the_probed_robot_alone_may_move_while_armed"),

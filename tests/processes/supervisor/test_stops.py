@@ -10,8 +10,6 @@ from robofleet.clock import MS, S
 from robofleet.comms import bus
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
 from robofleet.comms.messages import LEASE_REQUEST, Enable, LeaseRequest, WheelCommand
-from robofleet.processes.driver import DriverProcess
-from robofleet.processes.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch, LeaseAction
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.vehicles.interface import STOP, WIRED_STOP, RobotFault
@@ -135,7 +133,7 @@ def test_an_emergency_stop_during_a_reset_wins(stand: Stand) -> None:
         ({"left_output_rad_s": 0.06}, "r3 is not at rest"),
         ({"right_output_rad_s": -0.06}, "r3 is not at rest"),
         ({"faults": WIRED_STOP}, "r3: its own e-stop is pressed"),
-        ({"faults": RobotFault.UNREACHABLE, "left_rad_s": 3.0}, "r3: its driver has lost it"),
+        ({"faults": RobotFault.UNREACHABLE, "left_rad_s": 3.0}, "r3: its driver has lost the connection to it"),
         ({"latch": Latch.NONE}, "r3 has not acknowledged"),
         ({"latch": Latch.DRILL}, "r3 has not acknowledged"),
     ],
@@ -211,12 +209,10 @@ def test_a_run_that_needs_no_operator_goes_on_without_one(stand: Stand) -> None:
 
 
 def test_the_stop_is_repeated_while_the_gate_is_closed(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any
+    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
 ) -> None:
     bench = bench_of(platoon_of(*recorded(0)))
-    node = DriverProcess(
-        bench.config, ("r1",), bench.bus, bench.clock, lambda _: None, np.random.default_rng(1), MemoryKeeping()
-    )
+    node = driver_of(bench, "r1")
     bench.run(node, S // 10)
     bench.bus.ask(LEASE, "r1", LEASE_REQUEST.encode(LeaseRequest(5, LeaseAction.ACQUIRE)))
     bench.run(node, S // 10)

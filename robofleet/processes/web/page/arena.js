@@ -2,13 +2,15 @@
 
 import { drawFloor } from "./floor.js";
 import { Labels } from "./labels.js";
+import { Look } from "./look.js";
 import { FINE, HALTED, LATCHED, LOST, SLOWED } from "./robots.js";
 import { arrow, circle, line } from "./shapes.js";
-import { View } from "./view.js";
+import { View, dark, robotColours } from "./view.js";
 
 const TRAIL_EVERY = 3; // ticks
 const TRAIL_MS = 4000;
-const TRAIL_BANDS = 4; // of one opacity each: one stroke a band, however many robots
+const TRAIL_BANDS = 4; // of one opacity each
+const FEW = 20; // robots whose trails have their own colours; more share one stroke a band
 
 export class Arena {
   #floor = document.getElementById("arena-floor");
@@ -20,10 +22,13 @@ export class Arena {
   #taken = 0;
   #labels = new Labels();
   #view = null;
+  #colours = [];
+  #turning = false; // a picture of another part of the arena is to be drawn
+  #look = new Look(() => this.#view, () => this.#turn());
 
   constructor() {
     new ResizeObserver(() => this.#resize()).observe(this.#stage);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#resize());
+    dark.addEventListener("change", () => this.#resize());
     matchMedia("(resolution: 1dppx)").addEventListener("change", () => this.#resize());
   }
 
@@ -33,6 +38,7 @@ export class Arena {
     this.#trails = hello.robots.map(() => []);
     const [width, height] = hello.arena.size_m;
     this.#stage.style.aspectRatio = `${width} / ${height}`;
+    this.#look.begin(hello.arena.size_m);
     this.#resize();
   }
 
@@ -44,6 +50,11 @@ export class Arena {
     this.#drawRobots();
   }
 
+  /** Where a place [m] is on the stage [CSS px]. */
+  place(x_m, y_m) {
+    return [this.#view.x(x_m), this.#view.y(y_m)];
+  }
+
   #remember(robots) {
     const now = performance.now();
     for (const { row, x_m, y_m } of robots) {
@@ -51,6 +62,16 @@ export class Arena {
       if (x_m !== null) trail.push([x_m, y_m, now]);
       while (trail.length > 0 && trail[0][2] < now - TRAIL_MS) trail.shift();
     }
+  }
+
+  // However many events of a wheel or a finger come: one picture a refresh of the screen.
+  #turn() {
+    if (this.#turning) return;
+    this.#turning = true;
+    requestAnimationFrame(() => {
+      this.#turning = false;
+      this.#see();
+    });
   }
 
   #resize() {
@@ -61,7 +82,14 @@ export class Arena {
       canvas.height = Math.round(height * devicePixelRatio);
       canvas.getContext("2d").setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     }
-    this.#view = new View(this.#hello.arena.size_m, width, height);
+    this.#colours = robotColours(this.#hello);
+    this.#see();
+  }
+
+  #see() {
+    if (this.#hello === null) return;
+    const { clientWidth: width, clientHeight: height } = this.#stage;
+    this.#view = new View(this.#hello.arena.size_m, width, height, this.#look.now);
     drawFloor(this.#floor.getContext("2d"), this.#view, this.#hello);
     if (this.#tick) this.#drawRobots();
   }
@@ -70,18 +98,24 @@ export class Arena {
     const [g, view] = [this.#top.getContext("2d"), this.#view];
     const seen = this.#tick.filter((robot) => robot.x_m !== null);
     g.clearRect(0, 0, view.width, view.height);
-    drawTrails(g, view, this.#trails);
+    drawTrails(g, view, this.#trails, this.#colours);
     drawAims(g, view, seen);
-    drawBodies(g, view, seen);
+    drawBodies(g, view, seen, this.#colours);
     this.#labels.draw(g, view, seen);
   }
 }
 
-function drawTrails(g, view, trails) {
-  g.strokeStyle = view.colour.accent;
+function drawTrails(g, view, trails, colours) {
   g.lineWidth = 2;
+  if (trails.length > FEW) drawBands(g, view, trails, view.colour.accent);
+  else trails.forEach((trail, row) => drawBands(g, view, [trail], colours[row]));
+  g.globalAlpha = 1;
+}
+
+function drawBands(g, view, trails, colour) {
+  g.strokeStyle = colour;
   for (let band = 0; band < TRAIL_BANDS; band++) {
-    g.globalAlpha = 0.45 * (1 - band / TRAIL_BANDS);
+    g.globalAlpha = 0.5 * (1 - band / TRAIL_BANDS);
     g.beginPath();
     for (const trail of trails) {
       const points = Math.ceil(trail.length / TRAIL_BANDS);
@@ -94,7 +128,6 @@ function drawTrails(g, view, trails) {
     }
     g.stroke();
   }
-  g.globalAlpha = 1;
 }
 
 // From point p (a dot) to its reference (a cross).
@@ -117,30 +150,40 @@ function drawAims(g, view, robots) {
   g.fill(dots);
 }
 
-// Each kind of trouble has a shape of its own: colour alone tells nothing.
-function drawBodies(g, view, robots) {
-  const { accent, amber, red } = view.colour;
-  const colours = { [FINE]: accent, [SLOWED]: accent, [HALTED]: amber, [LOST]: amber, [LATCHED]: red };
+// Each kind of trouble has a shape of its own: colour alone tells nothing. A robot without trouble has its own colour.
+function drawBodies(g, view, robots, own) {
+  const { accent, muted, amber, red } = view.colour;
+  const colours = { [FINE]: muted, [SLOWED]: accent, [HALTED]: amber, [LOST]: amber, [LATCHED]: red };
   for (const trouble of [FINE, SLOWED, HALTED, LOST, LATCHED]) {
     const some = robots.filter((robot) => robot.trouble === trouble);
     if (some.length === 0) continue;
     g.strokeStyle = g.fillStyle = colours[trouble];
     drawRings(g, view, some, trouble);
+    if (trouble <= SLOWED) drawOwn(g, view, some, own);
     const bodies = new Path2D();
     for (const robot of some) circle(bodies, view.x(robot.x_m), view.y(robot.y_m), view.radius(robot));
     g.lineWidth = trouble === FINE ? 1 : 2.5;
     g.setLineDash(trouble === LOST ? [5, 4] : []);
     if (trouble === LOST) g.fillStyle = view.colour.floor;
-    g.fill(bodies);
-    g.stroke(bodies);
+    if (trouble > SLOWED) g.fill(bodies);
+    if (trouble > FINE) g.stroke(bodies);
     g.setLineDash([]);
     g.strokeStyle = g.fillStyle = trouble === LOST ? amber : view.colour["on-accent"];
     drawMarks(g, view, some, trouble);
   }
 }
 
+function drawOwn(g, view, robots, own) {
+  for (const robot of robots) {
+    g.fillStyle = own[robot.row];
+    g.beginPath();
+    circle(g, view.x(robot.x_m), view.y(robot.y_m), view.radius(robot));
+    g.fill();
+  }
+}
+
 function drawRings(g, view, robots, trouble) {
-  g.globalAlpha = trouble === FINE ? 0.35 : 1;
+  g.globalAlpha = trouble === FINE ? 0.6 : 1;
   g.lineWidth = trouble === FINE ? 1 : 2.5;
   g.beginPath();
   for (const robot of robots) {

@@ -95,7 +95,7 @@ export class Controls {
   }
 }
 
-function isEstop({ key, code, target, ctrlKey, metaKey, altKey }) {
-  const typing = target instanceof Element && target.matches("input, textarea, select, [contenteditable]");
-  return !typing && !ctrlKey && !metaKey && !altKey && (code === "Space" || key.toLowerCase() === "e");
+// Wherever the focus is: the page has no field to type into.
+function isEstop({ key, code, ctrlKey, metaKey, altKey }) {
+  return !ctrlKey && !metaKey && !altKey && (code === "Space" || key.toLowerCase() === "e");
 }

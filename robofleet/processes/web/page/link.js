@@ -13,7 +13,7 @@ export class Link {
   #ages = {}; // of the supervisor's and the controller's newest word, as the server said [ms]
   #answered = true; // the newest request for the emergency stop
   #token = new URLSearchParams(location.search).get("token") ?? "";
-  ended = null; // how the run ended, in words
+  ended = null; // how the run ended: the server's frame
 
   /** `onFrame` takes every frame of the server's but its beats. */
   constructor(onFrame) {
@@ -33,7 +33,7 @@ export class Link {
     const closed = this.#everOpen && !this.isOpen;
     if (closed || silentMs > SILENT_MS) return { why: this.#silence(), ms: silentMs };
     for (const [process, ms] of Object.entries(this.#ages)) {
-      if (ms > SILENT_MS) return { why: `Nothing is heard of the ${process}.`, ms: ms + silentMs };
+      if (ms > SILENT_MS) return { why: `The ${process} is silent.`, ms: ms + silentMs };
     }
     return null;
   }
@@ -41,6 +41,11 @@ export class Link {
   #silence() {
     if (!this.#everOpen) return NEVER_OPEN;
     return this.isOpen ? "The page's server is silent." : "The page's server cannot be reached.";
+  }
+
+  /** The address of something that the server has, for the page alone. */
+  address(path) {
+    return `${path}?token=${encodeURIComponent(this.#token)}`;
   }
 
   send(message) {
@@ -89,7 +94,7 @@ export class Link {
       this.#ages = { supervisor: frame.supervisor, controller: frame.controller };
       return;
     }
-    if (frame.type === "ended") this.ended = frame.text;
+    if (frame.type === "ended") this.ended = frame;
     if (frame.type === "answer" && frame.to === "estop") this.#answered = true;
     this.onFrame(frame);
   }

@@ -4,9 +4,11 @@ import { Arena } from "./arena.js";
 import { Camera } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
+import { Legend } from "./legend.js";
 import { Link } from "./link.js";
+import { Plots } from "./plots.js";
 import { LATCHED, robotsOf } from "./robots.js";
-import { RobotTable } from "./table.js";
+import { RobotTables } from "./table.js";
 
 const LOOK_MS = 100;
 const FIGURES_MS = 200; // between two writings of what is read, not watched
@@ -15,7 +17,9 @@ const PHASES = {
   starting: "Starting",
   idle: "Idle",
   armed: "Arming",
+  positioning: "Going to start",
   running: "Running",
+  parking: "Parking",
   hold: "HOLD",
   fault: "FAULT",
   estop: "EMERGENCY STOP",
@@ -25,9 +29,10 @@ const id = (name) => document.getElementById(name);
 /** What the page shows now, for whoever looks at it from outside. */
 const state = { hello: null, tick: null, robots: [], phase: null, lost: null, drawn: 0 };
 const link = new Link((frame) => frames[frame.type]?.(frame));
-const [arena, table, charts] = [new Arena(), new RobotTable(), new Charts()];
+const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
+const [legend, plots] = [new Legend(), new Plots()];
 const [controls, camera] = [new Controls(link), new Camera(link)];
-window.robofleet = { state };
+window.robofleet = { state, place: (x_m, y_m) => arena.place(x_m, y_m) };
 
 let drawing = false;
 let writtenAt = -Infinity;
@@ -35,11 +40,11 @@ let writtenAt = -Infinity;
 const frames = {
   hello(hello) {
     state.hello = hello;
-    for (const part of [arena, table, charts, camera]) part.begin(hello);
+    for (const part of [arena, tables, charts, legend, plots, camera]) part.begin(hello);
     id("events-list").replaceChildren();
     write("arena-name", hello.arena.name);
     write("config-name", hello.config);
-    write("lap-length", hello.duration_s.toFixed(0));
+    write("time-whole", hello.duration_s.toFixed(0));
     look();
   },
   tick(tick) {
@@ -75,10 +80,12 @@ function draw(now) {
   state.robots = robotsOf(state.hello, tick);
   arena.draw(state.robots);
   charts.add(tick.health);
+  plots.add(state.robots, now);
   if (now - writtenAt >= FIGURES_MS) {
     writtenAt = now;
-    table.draw(state.robots);
+    tables.draw(state.robots);
     charts.draw();
+    plots.draw(now);
     writeFigures(tick);
   }
   link.send({ ack: tick.seq });
@@ -86,8 +93,8 @@ function draw(now) {
 }
 
 function writeFigures({ t_s: t, health }) {
-  write("lap-time", t === null ? "–" : t.toFixed(1));
-  id("lap-progress").value = Math.min(1, (t ?? 0) / state.hello.duration_s);
+  write("time-now", t === null ? "–" : t.toFixed(1));
+  id("time-progress").value = Math.min(1, (t ?? 0) / state.hello.duration_s);
   write("health-overruns", `${health.overruns ?? "–"}`);
   write("health-tracker", health.tracker_hz === null ? "–" : `${health.tracker_hz.toFixed(1)} Hz`);
   write("health-seen", health.seen_pct === null ? "–" : `${health.seen_pct.toFixed(1)} %`);
@@ -117,11 +124,27 @@ function look() {
     write("lost-why", lost.why);
     write("lost-since", `For ${(lost.ms / 1000).toFixed(lost.ms < 10_000 ? 1 : 0)} s.`);
   }
-  if (link.ended !== null) write("ended-text", link.ended);
+  if (link.ended !== null) writeEnd(link.ended);
   const title = `${lost ? "LINK LOST" : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
   if (document.title !== title) document.title = title;
   const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
   controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+}
+
+/** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
+function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
+  write("ended-text", text);
+  id("ended-banner").dataset.good = `${good}`;
+  id("ended-lines").hidden = lines.length === 0;
+  if (id("ended-lines").childElementCount !== lines.length) {
+    const items = lines.map((line) => Object.assign(document.createElement("li"), { textContent: line }));
+    id("ended-lines").replaceChildren(...items);
+  }
+  const isServed = report !== null && link.isOpen;
+  id("ended-report").hidden = !isServed;
+  if (isServed) id("ended-report").href = link.address("report");
+  const place = report === null ? `The run is kept in ${folder}.` : `It is ${report}.`;
+  write("ended-place", isServed ? `It is served for ${stays} minutes while this page is open.` : place);
 }
 
 function write(name, text) {
@@ -129,6 +152,11 @@ function write(name, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+// What has the focus does not hide under the head, which is higher when it has something to say.
+const head = document.querySelector(".head");
+new ResizeObserver(() => {
+  document.documentElement.style.setProperty("--head", `${head.offsetHeight}px`);
+}).observe(head);
 setInterval(look, LOOK_MS);
 document.addEventListener("visibilitychange", look);
 look();

@@ -8,15 +8,15 @@ export class View {
   #x;
   #y;
 
-  /** A floor of a size [m] in the middle of a canvas [CSS px]. */
-  constructor([length, depth], width, height) {
+  /** A floor of a size [m] in a canvas [CSS px]; `look`: how much larger than whole, and what is in the middle [m]. */
+  constructor([length, depth], width, height, look) {
     const { left, right, top, bottom } = MARGIN_PX;
-    this.scale = Math.min((width - left - right) / length, (height - top - bottom) / depth); // [px/m]
-    this.#x = (width + left - right) / 2;
-    this.#y = (height + top - bottom) / 2;
+    const whole = Math.min((width - left - right) / length, (height - top - bottom) / depth);
+    this.scale = whole * look.factor; // [px/m]
+    this.#x = (width + left - right) / 2 - look.x_m * this.scale;
+    this.#y = (height + top - bottom) / 2 + look.y_m * this.scale;
     [this.width, this.height] = [width, height];
-    const style = getComputedStyle(document.documentElement);
-    this.colour = Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`)]));
+    this.colour = coloursOfTheDay(COLOURS);
   }
 
   x(x_m) {
@@ -27,8 +27,32 @@ export class View {
     return this.#y - y_m * this.scale;
   }
 
+  /** The place on the floor [m] under a place on the canvas [CSS px]. */
+  floor(x, y) {
+    return [(x - this.#x) / this.scale, (this.#y - y) / this.scale];
+  }
+
   /** A robot's radius on the screen; also in a large arena it is seen [px]. */
   radius(robot) {
     return Math.max(robot.body_radius_m * this.scale, LEAST_RADIUS_PX);
   }
+}
+
+export const dark = matchMedia("(prefers-color-scheme: dark)");
+
+/** The style sheet's colours by their names. */
+export function coloursOfTheDay(names) {
+  const style = getComputedStyle(document.documentElement);
+  return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+}
+
+const LIGHTER = 0.35; // on a dark ground: of the way to white
+
+/** Each robot's own colour, as the report has it; lighter where the ground is dark. */
+export function robotColours(hello) {
+  return hello.robots.map(({ colour }) => {
+    if (!dark.matches) return colour;
+    const parts = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+    return `rgb(${parts.map((part) => Math.round(part + LIGHTER * (255 - part))).join()})`;
+  });
 }

@@ -6,12 +6,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from robofleet.control.excitation import Excitation, ExcitationSettings
-from robofleet.control.platoon import WHEELS, Column
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
+from tests.behaviours.excited import ARENA, RADIUS, TICK, Excited
 from tests.robots import GTERNAL
 
-RADIUS, TICK, ARENA = 0.055, 0.033, (3.2, 2.0)
 # as configs/platoon.yaml has them: the nearest two are 0.19 m apart
 PLATOON = [(-1.212, 0.5, 0.93), (-1.382, 0.254, 0.7), (-1.478, 0.091, 1.4), (-1.408, -0.23, 1.82)]
 
@@ -22,19 +20,20 @@ class Floor:
     """Robots that do as they are told, with a motor lag, and everything that became of it."""
 
     def __init__(self, poses: list[Pose], seed: int = 1) -> None:
-        settings = ExcitationSettings(TICK, 0.08, ARENA, (RADIUS,) * len(poses))
-        self.drive = Excitation(settings, (GTERNAL,) * len(poses), np.random.default_rng(seed))
+        self.drive = Excited(len(poses), seed)
         self.poses, self._wheels = list(poses), np.zeros((len(poses), 2))
         self.driving = np.ones(len(poses), dtype=np.bool_)
         self.track: list[list[Pose]] = []
-        self.decisions: list[np.ndarray] = []
+        self.commands: list[np.ndarray] = []
+        self.held: list[np.ndarray] = []
 
     def run(self, duration: float | None = None) -> None:
         for k in range(round((duration or float(self.drive.ends[-1]) + 1.0) / TICK)):
-            decisions = self.drive.tick(k * TICK, np.array(self.poses), self.driving)
-            self.decisions.append(decisions)
+            commands, held = self.drive.tick(k * TICK, np.array(self.poses), self.driving)
+            self.commands.append(commands)
+            self.held.append(held)
             for _ in range(3):
-                self._wheels += (decisions[:, WHEELS] - self._wheels) * -math.expm1(-TICK / 3 / GTERNAL.motor_lag)
+                self._wheels += (commands - self._wheels) * -math.expm1(-TICK / 3 / GTERNAL.motor_lag)
                 for row, (left, right) in enumerate(self._wheels.tolist()):
                     body = body_from_wheels(left, right, GTERNAL.wheel_radius, GTERNAL.wheel_base)
                     self.poses[row] = arc(*self.poses[row], *body, TICK / 3)
@@ -58,7 +57,7 @@ def platoon() -> Floor:
 
 
 def test_robots_drive_one_after_the_other_and_rest_at_the_end(platoon: Floor) -> None:
-    moving = (np.array(platoon.decisions)[..., WHEELS] != 0.0).any(axis=2)
+    moving = (np.array(platoon.commands) != 0.0).any(axis=2)
     assert (moving.sum(axis=1) <= 1).all()
     ends = (platoon.drive.ends / TICK).astype(int)
     for row, (start, end) in enumerate(zip([0, *ends], ends, strict=False)):
@@ -81,7 +80,7 @@ def test_every_robot_spins_both_ways_and_drives_forth_and_back(platoon: Floor) -
 
 
 def test_wheel_speeds_keep_their_limits_and_change_all_the_time(platoon: Floor) -> None:
-    wheels = np.array(platoon.decisions)[..., WHEELS]
+    wheels = np.array(platoon.commands)
     assert np.abs(wheels).max() <= GTERNAL.max_wheel_speed
     assert GTERNAL.wheel_radius * np.abs(wheels.mean(axis=2)).max() <= GTERNAL.max_speed
     for row in range(4):
@@ -110,13 +109,13 @@ def test_a_robot_without_room_is_held_and_says_so() -> None:
     ]
     floor = Floor(ring)
     floor.run(float(floor.drive.ends[0]))
-    held = np.array(floor.decisions)[:, :, Column.SATURATED]
+    held = np.array(floor.held)
     assert held[:, 0].sum() * TICK > 3.0
     assert not held[:, 1:].any()
     assert floor.gap > 0.01
     free = Floor([(0.0, 0.0, 0.3)])
     free.run()
-    assert not np.array(free.decisions)[..., Column.SATURATED].any()
+    assert not np.array(free.held).any()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -132,18 +131,18 @@ def test_a_robot_that_is_lost_stands_still() -> None:
     floor = Floor(PLATOON)
     floor.driving[0] = False
     floor.run(10.0)
-    assert not np.array(floor.decisions)[..., WHEELS].any()
+    assert not np.array(floor.commands).any()
 
 
 def test_the_same_seed_is_the_same_drive_and_a_restart_begins_anew() -> None:
     def wheels(floor: Floor) -> np.ndarray:
         floor.run(45.0)
-        return np.array(floor.decisions)[..., WHEELS]
+        return np.array(floor.commands)
 
     first, again, other = (Floor(PLATOON, seed) for seed in (1, 1, 2))
     expected = wheels(first)
     assert np.array_equal(expected, wheels(again))
     assert not np.array_equal(expected, wheels(other))
     first.drive.restart()
-    first.poses, first._wheels, first.decisions = list(PLATOON), np.zeros((4, 2)), []
+    first.poses, first._wheels, first.commands = list(PLATOON), np.zeros((4, 2)), []
     assert np.array_equal(expected, wheels(first))

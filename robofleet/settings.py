@@ -1,4 +1,4 @@
-"""What every part of the configuration is made of: a frozen model, and numbers that cannot be impossible.
+"""What settings are made of, those of the configuration and those of behaviours: a frozen model, numbers with limits.
 
 Every number has a least and a greatest value: what is outside exists in no laboratory, and would overflow or divide by
 nothing somewhere far from the line that says it. Every text and every list has a longest.
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from robofleet.config.patterns import NAME_PATTERN
+from robofleet.patterns import NAME_PATTERN
 
 LAST_TAG = 586  # AprilTag 36h11 has 587 ids
 TAGS = LAST_TAG + 1  # so many robots can be told apart
@@ -46,7 +46,7 @@ Named = Annotated[str, Field(min_length=1, max_length=4096)]  # a file, an entry
 class Model(BaseModel):
     """A frozen part of the tree; unknown keys are refused, and a number must be a number.
 
-    What stands below a key describes it: in ``configs/README.md``, and in the schema that editors read.
+    What stands below a key describes it: in ``configs/keys``, and in the schema that editors read.
     """
 
     model_config = ConfigDict(

@@ -7,21 +7,14 @@ robot that would come too near another one or the arena's edge is held.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.control.platoon import Column
-from robofleet.vehicles.differential_drive import (
-    DifferentialDrive,
-    arc,
-    body_from_wheels,
-    feasible_ratio,
-    point_from_pose,
-)
+from robofleet.behaviours.interface import Behaviour, Decision, Figure, Situation, Team
+from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, feasible_ratio
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
@@ -58,24 +51,16 @@ class Part(NamedTuple):
     right: float = 0.0
 
 
-@dataclass(frozen=True)
-class ExcitationSettings:
-    """What the drive must know of its surroundings."""
-
-    tick: float  # control step [s]
-    point_ahead: float  # l of the points that are reported [m]
-    arena: tuple[float, float]  # size [m]
-    body_radii: tuple[float, ...]  # [m]
-
-
-class Excitation:
+class Excitation(Behaviour):
     """The drive of all robots, in their group's order: each its script, while the others stand."""
 
-    def __init__(
-        self, settings: ExcitationSettings, vehicles: tuple[DifferentialDrive, ...], rng: np.random.Generator
-    ) -> None:
-        self._settings, self._vehicles = settings, vehicles
-        self._scripts = [list(_script(vehicle, settings.tick, rng)) for vehicle in vehicles]
+    figures = (Figure("held", meaning="1: the robot would come too near to something, and is held", live=False),)
+
+    def __init__(self, settings: Any, team: Team) -> None:
+        """Draw every robot's script."""
+        super().__init__(settings, team)
+        self._radii = tuple(body.radius for body in team.bodies)
+        self._scripts = [list(_script(drive, team.tick, team.rng)) for drive in team.drives]
         self.ends = np.cumsum([script[-1].until for script in self._scripts])  # of each robot's script [s]
         self.restart()
 
@@ -86,40 +71,23 @@ class Excitation:
         self._length = 0.0
         self._anchor: tuple[float, float] | None = None  # of the random motion
 
-    def carried(self, robot: int) -> None:
-        """Nothing is remembered of where a robot was."""
-
-    def changed(self, u: Array) -> None:
-        """Nothing is remembered of what was asked for."""
-
-    def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
-        """Return what all robots do in the next tick: (N, 11), columns as in :class:`Column`.
-
-        Arguments as of :meth:`Platoon.tick`. SATURATED is 1 where a robot is held.
-        """
-        decisions = np.zeros((len(poses), len(Column)))
-        ahead = self._settings.point_ahead
-        for row, (x, y, psi) in enumerate(poses.tolist()):
-            point = point_from_pose(x, y, psi, ahead)
-            decisions[row, : Column.REFERENCE_PARAMETER] = *point, *point
-        row = int(np.searchsorted(self.ends, t, side="right"))
-        if row >= len(poses) or not driving[row]:
-            return decisions
-        x, y, psi = poses[row].tolist()
-        pose = x, y, psi
-        others = np.delete(np.column_stack([poses[:, :2], self._settings.body_radii]), row, axis=0)
-        surroundings = _Surroundings(others, self._settings.arena, self._settings.body_radii[row])
-        left, right, held = self._wheels(row, t, pose, surroundings)
-        vehicle = self._vehicles[row]
-        v, omega = body_from_wheels(left, right, vehicle.wheel_radius, vehicle.wheel_base)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        u = c * v - s * ahead * omega, s * v + c * ahead * omega
-        decisions[row, Column.U_X :] = *u, 0.0, left, right, float(held)
-        return decisions
+    def decide(self, now: Situation) -> Decision:
+        """Return v and omega of the robot whose turn it is; the others stand."""
+        bodies, held = np.zeros((len(now.poses), 2)), np.zeros(len(now.poses))
+        row = int(np.searchsorted(self.ends, now.t, side="right"))
+        if row < len(now.poses) and now.driving[row]:
+            x, y, psi = now.poses[row].tolist()
+            others = np.delete(np.column_stack([now.poses[:, :2], self._radii]), row, axis=0)
+            surroundings = _Surroundings(np.concatenate([others, now.others]), self.team.arena, self._radii[row])
+            left, right, stands = self._wheels(row, now.t, (x, y, psi), surroundings)
+            drive = self.team.drives[row]
+            bodies[row] = body_from_wheels(left, right, drive.wheel_radius, drive.wheel_base)
+            held[row] = stands
+        return Decision(bodies, of="body", figures={"held": held})
 
     def _wheels(self, row: int, t: float, pose: Pose, around: "_Surroundings") -> tuple[float, float, bool]:
         """Return the wheel speeds of the robot whose turn it is, and whether it is held."""
-        script, vehicle = self._scripts[row], self._vehicles[row]
+        script, vehicle = self._scripts[row], self.team.drives[row]
         local = t - (self.ends[row - 1] if row else 0.0)
         if row != self._row:
             self.restart()
@@ -136,7 +104,7 @@ class Excitation:
         if part.act is Act.RANDOM:
             self._anchor = self._anchor or pose[:2]
             wanted.append((-right, -left))
-        reach = self._settings.tick + 2.0 * vehicle.motor_lag  # [s] in which a moving robot still comes to rest
+        reach = self.team.tick + 2.0 * vehicle.motor_lag  # [s] in which a moving robot still comes to rest
         for left, right in wanted:
             v, omega = body_from_wheels(left, right, vehicle.wheel_radius, vehicle.wheel_base)
             if around.allow(pose, arc(*pose, v, omega, reach), self._anchor):

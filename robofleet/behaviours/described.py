@@ -1,0 +1,89 @@
+"""What groups tell at each tick, and what is drawn for them: data, by which everybody reads a tick's figures.
+
+A recording keeps it beside its messages, so that it is read without the behaviours that made it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.behaviours.interface import Behaviour, Dots, Figure, Line, Shape
+
+Array = NDArray[np.float64]
+
+
+class Group(NamedTuple):
+    """A group as others see it."""
+
+    name: str
+    behaviour: str  # as the configuration names it
+    robots: tuple[str, ...]
+    figures: tuple[Figure, ...]
+    shapes: tuple[Shape, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """How many numbers a tick has of each of its robots: the reference's x and y, then the figures."""
+        return 2 + len(self.figures)
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        shapes = [
+            {"kind": type(s).__name__, **s._asdict(), "points": np.round(s.points, 6).tolist()} for s in self.shapes
+        ]
+        figures = [figure._asdict() for figure in self.figures]
+        return {**self._asdict(), "robots": list(self.robots), "figures": figures, "shapes": shapes}
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> "Group":
+        """Return what ``plain`` returned; KeyError or TypeError where it is something else."""
+        shapes = []
+        for given in plain["shapes"]:
+            shape = dict(given)
+            kind = {"Line": Line, "Dots": Dots}[shape.pop("kind")]
+            shapes.append(kind(**shape | {"points": np.array(shape["points"]).reshape(-1, 2)}))
+        figures = tuple(Figure(**figure) for figure in plain["figures"])
+        return cls(plain["name"], plain["behaviour"], tuple(plain["robots"]), figures, tuple(shapes))
+
+
+class Told(NamedTuple):
+    """What a group told over K ticks."""
+
+    references: Array  # (K, n, 2) [m]; NaN: none
+    figures: Mapping[str, Array]  # (K, n) by the figures' names; NaN: not told
+
+
+def size(groups: Sequence[Group]) -> int:
+    """Return how many numbers a tick has of all groups."""
+    return sum(group.width * len(group.robots) for group in groups)
+
+
+def names(groups: Sequence[Group]) -> list[str]:
+    """Return what each of a tick's numbers is, in words."""
+    own = "reference_x_m", "reference_y_m"
+    return [f"{robot}: {name}" for g in groups for robot in g.robots for name in (*own, *(f.key for f in g.figures))]
+
+
+def told(groups: Sequence[Group], numbers: Array) -> list[Told]:
+    """Return what each group told, from the ticks' numbers (K, size)."""
+    return [
+        Told(of[..., :2], {figure.name: of[..., 2 + k] for k, figure in enumerate(group.figures)})
+        for group, of in zip(groups, parts(groups, numbers), strict=True)
+    ]
+
+
+def parts(groups: Sequence[Group], numbers: Array) -> Iterator[Array]:
+    """Yield each group's part (K, n, width) of the ticks' numbers (K, size): views of them."""
+    first = 0
+    for group in groups:
+        last = first + group.width * len(group.robots)
+        yield numbers[:, first:last].reshape(len(numbers), len(group.robots), group.width)
+        first = last
+
+
+def described(behaviour: Behaviour, name: str) -> Group:
+    """Return a behaviour's group as others see it; ``name``: the behaviour's, as the configuration has it."""
+    figures, shapes = tuple(behaviour.figures), tuple(behaviour.shapes())
+    return Group(behaviour.team.name, name, behaviour.team.robots, figures, shapes)

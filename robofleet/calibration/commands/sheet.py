@@ -1,0 +1,139 @@
+"""Draws sheets to print, as PDF or SVG, true to scale: AprilTags for robots and floor, boards to calibrate a camera.
+
+$ robofleet sheet tags --ids 1-4,10 --side-mm 70 --paper a4 --out tags.pdf
+
+$ robofleet sheet floor configs/lab.yaml --out floor.pdf
+
+$ robofleet sheet board --squares 11x8 --paper a2 --out board.pdf
+
+Print at 100 % ("actual size"), and check both rulers. An SVG holds one page: several become NAME-1.svg, NAME-2.svg.
+Exit 0: drawn; 2: cannot be drawn, one line says why.
+"""
+
+import math
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robofleet.calibration import floor_sheet
+from robofleet.calibration.sheets import PAPERS, board_page, tag_pages, write
+from robofleet.calibration.sizes import count as columns_and_rows
+from robofleet.calibration.store import CalibrationError
+from robofleet.config.load import load_config
+from robofleet.settings import LAST_TAG
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+
+PaperName = Annotated[str, typer.Option("--paper", help=", ".join(PAPERS))]
+OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.pdf or FILE.svg")]
+
+
+@app.command()
+def tags(
+    ids: Annotated[str, typer.Option("--ids", help="As 1-4,10")],
+    out: OutFile,
+    side_mm: Annotated[float, typer.Option("--side-mm", help="Side of the black square")] = 70.0,
+    paper: PaperName = "a4",
+) -> None:
+    """AprilTags 36h11, to cut out. A print's right is its robot's forward.
+
+    $ robofleet sheet tags --ids 1-4,10 --side-mm 70 --out tags.pdf
+    """
+    _check(paper, out, {"--side-mm": side_mm})
+    command = f"tags --ids {ids} --side-mm {side_mm:g} --paper {paper.lower()}"
+    for file in write(tag_pages(parse_ids(ids), side_mm, paper.lower(), _command(command, out)), out):
+        print(file)
+
+
+@app.command()
+def floor(
+    config: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG", help="The configuration: its arena, its path, and its floor tags if it has any."
+        ),
+    ],
+    out: OutFile,
+    overrides: Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG.")] = [],  # noqa: B006 - typer copies it
+    count: Annotated[int, typer.Option("--count", help="Number of tags, 4 to 8")] = floor_sheet.MOST,
+    side_mm: Annotated[float, typer.Option("--side-mm", help="Side of the black square")] = 100.0,
+    first_id: Annotated[
+        int, typer.Option("--first-id", min=0, max=LAST_TAG, help="First id; robots' ids are left out")
+    ] = 500,
+    paper: PaperName = "a4",
+) -> None:
+    """Tags for the floor, and a sheet for their survey: where they lie, what to measure.
+
+    $ robofleet sheet floor configs/lab.yaml --out floor.pdf
+
+    Where CONFIG has `tracker.floor_tags`, those are printed again; --count, --side-mm and --first-id are for new ones.
+    """
+    _check(paper, out, {"--side-mm": side_mm})
+    tree = load_config(config, overrides)
+    tags = floor_sheet.planned(tree, count, side_mm, first_id)
+    changes = [f"--set {shlex.quote(change)}" for change in overrides]
+    new = [] if tags.surveyed else [f"--count {count} --side-mm {side_mm:g} --first-id {first_id}"]
+    command = " ".join(["floor", shlex.quote(config.name), *changes, *new, f"--paper {paper.lower()}"])
+    for file in write(floor_sheet.pages(tree, tags, paper.lower(), _command(command, out)), out):
+        print(file)
+    if not tags.surveyed:
+        print("Lay them, measure them as the first sheet says, and write survey.yaml:", *tags.survey(), sep="\n")
+        print(f"Then: robofleet calibrate arena CAMERA survey.yaml --live {shlex.quote(str(config))}")
+
+
+@app.command()
+def board(
+    out: OutFile,
+    squares: Annotated[str | None, typer.Option("--squares", help="COLUMNSxROWS; default: 11x8, or what fits")] = None,
+    square_mm: Annotated[float, typer.Option("--square-mm")] = 40.0,
+    marker_mm: Annotated[float, typer.Option("--marker-mm")] = 30.0,
+    paper: PaperName = "a3",
+) -> None:
+    """A ChArUco board for `robofleet calibrate intrinsics`. Glue it to something flat and stiff.
+
+    $ robofleet sheet board --paper a3 --out board.pdf
+    """
+    _check(paper, out, {"--square-mm": square_mm, "--marker-mm": marker_mm})
+    if marker_mm >= square_mm:
+        raise CalibrationError(f"--marker-mm {marker_mm:g}: must be smaller than its square of {square_mm:g} mm")
+    named = "" if squares is None else f"--squares {squares} "
+    command = f"board {named}--square-mm {square_mm:g} --marker-mm {marker_mm:g} --paper {paper.lower()}"
+    asked = None if squares is None else columns_and_rows(squares, "--squares")
+    page, (columns, rows) = board_page(asked, square_mm, marker_mm, paper.lower(), _command(command, out))
+    print(*write([page], out))
+    print(
+        f"robofleet calibrate intrinsics --squares {columns}x{rows} --square-mm {square_mm:g} --marker-mm {marker_mm:g}"
+    )
+
+
+def parse_ids(text: str) -> list[int]:
+    """Return the ids of a list of numbers and ranges; CalibrationError for what is none of the family, or twice."""
+    ids: list[int] = []
+    for part in text.split(","):
+        ends = part.strip().split("-")
+        if len(ends) > 2 or not all(end.strip().isdecimal() for end in ends):
+            raise CalibrationError(f"--ids {text}: {part.strip()!r} is neither an id nor a range; write it as 1-4,10")
+        first, last = int(ends[0]), int(ends[-1])
+        if last > LAST_TAG or first > last:
+            raise CalibrationError(f"--ids {text}: {part.strip()!r} is not in 0-{LAST_TAG}, or goes backwards")
+        ids += range(first, last + 1)
+    twice = sorted({tag for tag in ids if ids.count(tag) > 1})
+    if twice:
+        raise CalibrationError(f"--ids {text}: {twice[0]} is there twice, and two equal tags cannot be told apart")
+    return ids
+
+
+def _check(paper: str, out: Path, lengths: dict[str, float]) -> None:
+    if paper.lower() not in PAPERS:
+        raise CalibrationError(f"--paper {paper}: must be {', '.join(PAPERS)}")
+    if out.suffix.lower() not in (".pdf", ".svg"):
+        raise CalibrationError(f"--out {out}: must end in .pdf or .svg")
+    for option, length in lengths.items():
+        if not (math.isfinite(length) and length >= 5.0):
+            raise CalibrationError(f"{option} {length:g}: must be 5 mm or more")
+
+
+def _command(rest: str, out: Path) -> str:
+    return f"robofleet sheet {rest} --out {shlex.quote(out.name)}"

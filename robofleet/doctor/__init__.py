@@ -1,0 +1,1 @@
+"""What a run needs of this machine, looked at without a run: ``robofleet doctor``."""

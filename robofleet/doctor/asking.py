@@ -1,0 +1,105 @@
+"""Which robot answers at a port: its driver is opened there and closed again, as `robofleet check` does.
+
+A driver that is opened asks who is there and tells the robot to stand: no wheel moves. It is done only where the user
+says so: opening a port resets an Arduino, and what is no robot may take a question for a command.
+
+Without a configuration each kind is asked in turn, Create 2 first: it takes single bytes for commands, and nothing else
+is said to one that has answered. The other two act on whole lines of text alone.
+"""
+
+import threading
+from collections.abc import Iterator, Sequence
+from os.path import realpath
+from typing import Any
+
+from robofleet.clock import WallClock
+from robofleet.doctor.findings import Finding, Mark, ok
+from robofleet.doctor.needs import Needs
+from robofleet.doctor.serial_ports import devices, holders
+from robofleet.plugins import load
+from robofleet.processes import driver_settings
+from robofleet.processes.attached import in_words
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.interface import DriverContext, DriverError
+
+ALL = "all"
+_KINDS: dict[str, dict[str, Any]] = {  # in this order; what the driver's settings need and an answer does not depend on
+    "create2": {},
+    "gternal": {},
+    "arduino_bridge": {"counts_per_turn": 1000.0},
+}
+_ANY_DRIVE = DifferentialDrive(
+    wheel_radius=0.03, wheel_base=0.15, max_wheel_speed=1.0, max_speed=0.01, motor_lag=0.1, max_wheel_acceleration=1.0
+)
+_AT_MOST_S = 20.0  # the slowest driver gives a port six seconds
+
+
+def ask(needs: Needs, asked: Sequence[str], at_most_s: float = _AT_MOST_S) -> list[Finding]:
+    """Ask ports at once, ``all``: the configuration's, or without one every USB port."""
+    inquiries = [_Inquiry(path, tuple(_contexts(needs, path))) for path in _paths(needs, asked)]
+    deadline_ns = WallClock().now_ns() + round(at_most_s * 1e9)
+    for inquiry in inquiries:
+        inquiry.join(max(0.0, (deadline_ns - WallClock().now_ns()) * 1e-9))
+    return [inquiry.finding for inquiry in inquiries]
+
+
+def _paths(needs: Needs, asked: Sequence[str]) -> list[str]:
+    paths: list[str] = []
+    for one in asked:
+        if one != ALL:
+            paths.append(one)
+        elif needs.config is not None:
+            paths += [port.path for port in needs.ports()]
+        else:
+            paths += [device.path for device in devices() if device.vendor_id is not None]
+    return list({realpath(path): path for path in reversed(paths)}.values())[::-1]
+
+
+def _contexts(needs: Needs, path: str) -> Iterator[tuple[str, DriverContext]]:
+    """Yield the kinds that are tried at a port: of the robot that has it in the configuration, else each."""
+    clock = WallClock()
+    for port in needs.ports():
+        if needs.config is not None and realpath(port.path) == realpath(path):
+            robot = needs.config.robot(port.robot)
+            yield robot.driver, driver_settings.context(needs.config, robot, clock.now_ns)
+            return
+    for kind, settings in _KINDS.items():
+        made = load("robofleet.drivers", kind).Settings.model_validate({"port": path, **settings})
+        yield kind, DriverContext("", _ANY_DRIVE, None, clock.now_ns, made)
+
+
+class _Inquiry(threading.Thread):
+    """One port, asked in a thread of its own: a driver that hangs holds nobody up."""
+
+    def __init__(self, path: str, contexts: Sequence[tuple[str, DriverContext]]) -> None:
+        super().__init__(daemon=True)
+        self._path, self._contexts = path, contexts
+        self._name = f"answer at {path}"
+        self._whose = contexts[0][1].robot
+        self._grave = Mark.MISSING if self._whose else Mark.WARN
+        cure = "unplug it and plug it in again; mend the driver, if it is yours"
+        self.finding = Finding(self._name, self._grave, "its driver did not finish opening it", cure)
+        self.start()
+
+    def run(self) -> None:
+        """Open the port by each kind until one answers."""
+        if using := holders(self._path):
+            says = f"not asked: process {using[0].pid} ({using[0].command}) has it open"
+            self.finding = Finding(self._name, Mark.WARN, says, "end that program first")
+            return
+        refusals = []
+        for kind, context in self._contexts:
+            try:
+                load("robofleet.drivers", kind)(context).close()
+            except DriverError as error:
+                refusals.append(str(error).removeprefix(f"{self._path}: "))
+            except Exception as error:  # noqa: BLE001 - a driver may be anybody's
+                refusals.append(in_words(error))
+            else:
+                whose = f", which is {self._whose}" if self._whose else f": write `driver: {kind}` for it"
+                self.finding = ok(self._name, f"{kind} answers{whose}")
+                return
+        says, _, cure = refusals[-1].partition(": ")
+        if not self._whose and len(set(refusals)) > 1:
+            says, cure = f"none of {', '.join(_KINDS)} answers", "switch the robot on, and look at its cable"
+        self.finding = Finding(self._name, self._grave, says, cure)

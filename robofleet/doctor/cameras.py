@@ -1,0 +1,137 @@
+"""The cameras of this machine: the kernel's (name, formats, sizes, rates) and Basler's."""
+
+import os
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from itertools import groupby
+from pathlib import Path
+from typing import NamedTuple
+
+from robofleet.config.camera import CameraSettings
+from robofleet.doctor import permission, udev, v4l2_device
+from robofleet.doctor.elsewhere import NoAnswerError, asked_elsewhere
+from robofleet.doctor.findings import Finding, Mark, Paste, ok
+from robofleet.doctor.needs import Needs
+from robofleet.doctor.v4l2_device import Mode
+
+_SYSFS = Path("/sys/class/video4linux")
+_DEVICES = Path("/dev")
+_BASLER = """
+import json
+from pypylon import pylon
+found = pylon.TlFactory.GetInstance().EnumerateDevices()
+print(json.dumps([(one.GetModelName(), one.GetSerialNumber()) for one in found]))
+"""
+_SHOWN = 3  # sizes of a format
+_SAME_RATE = 0.01  # relative
+
+
+class Usb(NamedTuple):
+    """What a camera's plug says."""
+
+    vendor_id: int
+    product_id: int
+    serial_number: str
+    socket: str
+
+
+def kernel_cameras(needs: Needs) -> Iterator[Finding]:
+    """Every camera that the kernel has, and whether the configuration's is there and can do what it asks for."""
+    wanted = needs.camera if needs.camera is not None and needs.camera.source == "v4l2" else None
+    named = None if wanted is None else os.path.realpath(wanted.v4l2.device)
+    found, others = False, []
+    for path in sorted(_DEVICES.glob("video*"), key=lambda path: (len(path.name), path.name)):
+        its = wanted if str(path.resolve()) == named else None
+        finding = _looked_at(path, its)
+        if finding is not None:
+            yield finding
+            found = found or its is not None
+            others.append(str(path))
+    if wanted is not None and not found:
+        says = f"{wanted.v4l2.device} is not there, or is not a camera (there are: {', '.join(others) or 'none'})"
+        yield Finding("camera", Mark.MISSING, says, "plug it in, or name another one in camera.v4l2.device")
+
+
+def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
+    """Return what is to be said of a device; None if it gives no images. ``wanted``: it is the configuration's."""
+    grave = Mark.WARN if wanted is None else Mark.MISSING
+    try:
+        told = v4l2_device.ask(str(path))
+    except PermissionError:
+        refused = f"{permission.user_name()} may not open it"
+        return Finding(str(path), grave, refused, permission.cure(path))
+    except OSError as error:
+        return Finding(
+            str(path), grave, f"it cannot be asked: {error.strerror}", "end what uses it, or plug it in again"
+        )
+    if told is None:
+        return None
+    usb = usb_of(path)
+    pastes = (Paste(udev.FILE, udev.camera_rule(usb, "camera")),) if usb is not None else ()
+    number = f", serial number {usb.serial_number}" if usb is not None and usb.serial_number else ""
+    says = f"{told.name}{number}: {shown(told.modes)}"
+    if wanted is not None and (lacks := lacking(wanted, told.modes)):
+        return Finding(str(path), Mark.MISSING, f"{says}; {lacks}", "take one of these in `camera:`", pastes)
+    return ok(str(path), says, *pastes)
+
+
+def lacking(wanted: CameraSettings, modes: tuple[Mode, ...]) -> str:
+    """Return what a camera cannot do that a configuration asks for; nothing if it can."""
+    letters = wanted.v4l2.format
+    of_format = [mode for mode in modes if mode.format == letters]
+    if not of_format:
+        return f"it has no {letters}"
+    of_size = [mode for mode in of_format if (mode.width, mode.height) == (wanted.width, wanted.height)]
+    if not of_size:
+        return f"its {letters} has no {wanted.width}x{wanted.height}"
+    rates = [rate for mode in of_size for rate in mode.rates_hz]
+    if rates and not any(abs(rate - wanted.rate_hz) <= _SAME_RATE * wanted.rate_hz for rate in rates):
+        return f"its {letters} has {wanted.width}x{wanted.height} not at {wanted.rate_hz:g} Hz"
+    return ""
+
+
+def shown(modes: tuple[Mode, ...]) -> str:
+    """Return formats with their largest sizes and the rates of each."""
+    parts = []
+    for letters, group in groupby(sorted(modes, key=lambda mode: mode.format), lambda mode: mode.format):
+        sizes = sorted(group, key=lambda mode: mode.width * mode.height, reverse=True)
+        words = [
+            f"{one.width}x{one.height}"
+            + (f" at {'/'.join(f'{rate:g}' for rate in one.rates_hz)} Hz" if one.rates_hz else "")
+            for one in sizes[:_SHOWN]
+        ]
+        more = f" and {len(sizes) - _SHOWN} smaller" if len(sizes) > _SHOWN else ""
+        parts.append(f"{letters} {', '.join(words)}{more}")
+    return "; ".join(parts) or "it tells no formats"
+
+
+def usb_of(path: Path, sysfs: Path = _SYSFS) -> Usb | None:
+    """Return what the plug of a camera says; None where it is on no USB."""
+    plug = (sysfs / path.name / "device").resolve().parent
+    try:
+        vendor, product = (int((plug / name).read_text(), 16) for name in ("idVendor", "idProduct"))
+    except (OSError, ValueError):
+        return None
+    try:
+        serial_number = (plug / "serial").read_text().strip()
+    except OSError:
+        serial_number = ""
+    return Usb(vendor, product, serial_number, plug.name)
+
+
+def basler_cameras(needs: Needs) -> Iterator[Finding]:
+    """Basler's cameras, where their library is installed."""
+    if find_spec("pypylon") is None:
+        return  # `packages` says whether it is needed
+    try:
+        found = asked_elsewhere(_BASLER)
+    except NoAnswerError as error:
+        cure = f"`{sys.executable} -c 'from pypylon import pylon'` says why"
+        yield Finding("Basler camera", Mark.WARN, f"their library could not be asked: {error}", cure)
+        return
+    for model, number in found:
+        yield ok("Basler camera", f"{model}, serial number {number}")
+    if not found and needs.camera is not None and needs.camera.source == "basler":
+        cure = "plug it in; one on Ethernet must be in this machine's network"
+        yield Finding("Basler camera", Mark.MISSING, "none is found", cure)

@@ -1,0 +1,96 @@
+"""The command ``robofleet doctor``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from robofleet.processes.refusal import RefusedError, bad_input
+from robofleet.valid_json import dumps
+
+if TYPE_CHECKING:
+    from robofleet.doctor.needs import Needs
+
+app = typer.Typer()
+
+
+@app.command()
+def doctor(
+    config: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="CONFIG", help="Judge this machine by what this configuration needs.", show_default=False
+        ),
+    ] = None,
+    overrides: Annotated[
+        list[str],
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG, e.g. robots.0.driver=create2."),
+    ] = [],  # noqa: B006 - typer copies it
+    robots: Annotated[
+        str, typer.Option(metavar="r1,r2", help="This machine runs only the drivers of these robots of CONFIG.")
+    ] = "",
+    ask: Annotated[
+        list[str],
+        typer.Option(
+            metavar="PORT",
+            help="Open this serial port and say which robot answers; `all`: those of CONFIG, else every USB port. "
+            "No wheel moves; opening resets an Arduino. Repeatable.",
+        ),
+    ] = [],  # noqa: B006 - typer copies it
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """What a run needs of this machine, a line each: ok, warn or missing, and how to mend it.
+
+    $ robofleet doctor
+
+    $ robofleet doctor configs/lab.yaml --ask all
+
+    Exit 0: a run would work; 1: something that it needs is missing.
+    """
+    from robofleet.doctor.asking import ask as answers  # noqa: PLC0415
+    from robofleet.doctor.examination import examine  # noqa: PLC0415
+    from robofleet.doctor.findings import Mark  # noqa: PLC0415
+    from robofleet.doctor.view import show  # noqa: PLC0415
+
+    with bad_input():
+        if not all(ask):
+            raise RefusedError("--ask: name a serial port, as /dev/ttyUSB0, or all")
+        needs = _needs(config, overrides, robots)
+    findings = [*examine(needs), *answers(needs, ask)]
+    missing = sum(finding.mark is Mark.MISSING for finding in findings)
+    what = str(config) if config is not None else "A simulated run"
+    if as_json:
+        print(
+            dumps(
+                {"config": config and str(config), "works": missing == 0, "findings": [f.as_json() for f in findings]}
+            )
+        )
+    elif missing:
+        show(
+            findings, f"{what} would not work here: {missing} of these lines say{'s' * (missing == 1)} what is missing."
+        )
+    else:
+        show(findings, f"{what} would work here." + (f" Next: robofleet check {config}" if config else ""))
+    if missing:
+        raise typer.Exit(1)
+
+
+def _needs(config: Path | None, overrides: list[str], robots: str) -> "Needs":
+    from robofleet.config.load import ConfigFile  # noqa: PLC0415
+    from robofleet.doctor.needs import Needs  # noqa: PLC0415
+    from robofleet.processes import check_drivers  # noqa: PLC0415
+
+    if config is None:
+        if overrides or robots:
+            raise RefusedError(f"{'--set' if overrides else '--robots'}: it belongs to a configuration: name one")
+        return Needs()
+    source = ConfigFile(config, overrides)
+    known = [robot.id for robot in source.config.robots]
+    names = tuple(dict.fromkeys(name.strip() for name in robots.split(",") if name.strip()))
+    for unknown in (name for name in names if name not in known):
+        raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+    complaints = check_drivers.complaints(source.config)
+    source.refuse(
+        one for one in complaints if not one[0].endswith(".driver")
+    )  # a package that is missing is no bad input
+    return Needs(source.config, names or None)

@@ -1,0 +1,77 @@
+"""The computer itself: cores and load, priorities, clock."""
+
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from robofleet.clock import clock_name, date_is_synchronised
+from robofleet.doctor.findings import Finding, Mark, Paste, ok
+from robofleet.doctor.needs import Needs
+from robofleet.doctor.permission import user_name
+from robofleet.processes.node import HIGHEST_PRIORITY, NICE
+
+_LIMITS = "/etc/security/limits.d/robofleet.conf"
+_QUOTA = Path("/sys/fs/cgroup/cpu.max")
+
+
+def cores(_needs: Needs) -> Iterator[Finding]:
+    """How many cores this process may use, and what the machine does already."""
+    count = usable_cores()
+    one_minute, five_minutes, _ = os.getloadavg()
+    says = f"{count:g} cores, load {one_minute:.1f} (over five minutes {five_minutes:.1f})"
+    if one_minute >= count:
+        yield Finding("cores", Mark.WARN, f"{says}: this machine is busy", "end other programs, else ticks come late")
+    elif count < 2:
+        yield Finding("cores", Mark.WARN, says, "take two cores or more: the tracker and the controller work at once")
+    else:
+        yield ok("cores", says)
+
+
+def usable_cores(quota: Path = _QUOTA) -> float:
+    """Return how many cores this process may use: those that it may run on, or a container's share of them."""
+    count = float(len(os.sched_getaffinity(0)))
+    try:
+        share, period = quota.read_text().split()
+        return count if share == "max" else min(count, int(share) / int(period))
+    except (OSError, ValueError):
+        return count
+
+
+def priorities(_needs: Needs) -> Iterator[Finding]:
+    """Whether a process of this user may go before others; a thread of its own tries it, and ends."""
+    refused: list[str] = []
+
+    def attempt() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(HIGHEST_PRIORITY))
+        except OSError as error:
+            refused.append(f"no real-time priority {HIGHEST_PRIORITY} ({error.strerror})")
+        try:
+            os.setpriority(os.PRIO_PROCESS, 0, NICE)
+        except OSError as error:
+            refused.append(f"no nice {NICE} ({error.strerror})")
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    if not refused:
+        yield ok("priorities", f"real-time priority {HIGHEST_PRIORITY} and nice {NICE} are granted")
+        return
+    user = user_name()
+    cure = "ticks may come late on a busy machine: paste the lines below, and log in again"
+    pastes = Paste(_LIMITS, f"{user}  -  rtprio  {HIGHEST_PRIORITY}"), Paste(_LIMITS, f"{user}  -  nice    {NICE}")
+    yield Finding("priorities", Mark.WARN, "; ".join(refused), cure, pastes)
+
+
+def clock(_needs: Needs) -> Iterator[Finding]:
+    """The clock of the ticks, and whether dates are right."""
+    name, right = clock_name(), date_is_synchronised()
+    if name != "CLOCK_BOOTTIME":
+        cure = "do not let this machine sleep during a run: its clock then stands still"
+        yield Finding("clock", Mark.WARN, f"ticks by {name}: there is no CLOCK_BOOTTIME", cure)
+    elif right is False:
+        cure = "`timedatectl set-ntp true`: recordings have this date, ticks do not need it"
+        yield Finding("clock", Mark.WARN, f"ticks by {name}; the date is not synchronised", cure)
+    else:
+        yield ok("clock", f"ticks by {name}; the date is {'synchronised' if right else 'not looked at'}")

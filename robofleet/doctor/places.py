@@ -1,0 +1,77 @@
+"""Where a run writes and where its processes meet: room on the disk, the state folder, the bus's folder, the arena."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from robofleet.comms.endpoint import check_free, settled
+from robofleet.comms.private_folder import PlaceError, private_folder
+from robofleet.doctor.findings import Finding, Mark, ok
+from robofleet.doctor.needs import Needs
+from robofleet.processes import arena_file
+from robofleet.processes.keeping import state_folder
+from robofleet.safety.monitor import LEAST_FREE_BYTES
+
+_BYTES_A_MINUTE = 11_000_000  # of a recording with pictures
+
+
+def disk(needs: Needs) -> Iterator[Finding]:
+    """Room for the recording of this run, and whether its folder can be made here."""
+    if not needs.whole_run:
+        return
+    runs = Path("runs").absolute()
+    there = _nearest(runs)
+    needed = LEAST_FREE_BYTES + round(needs.duration_s / 60 * _BYTES_A_MINUTE)
+    free = shutil.disk_usage(there).free
+    says = f"{free / 1e9:.1f} GB are free in {there}; a run of {needs.duration_s:.0f} s needs {needed / 1e9:.2f} GB"
+    if not os.access(there, os.W_OK | os.X_OK):
+        cure = "start robofleet in a folder of yours, or name one with --out"
+        yield Finding("disk", Mark.MISSING, f"{there} cannot be written to", cure)
+    elif free < needed:
+        yield Finding("disk", Mark.MISSING, says, "make room, or record elsewhere with --out")
+    else:
+        yield ok("disk", says)
+
+
+def state(_needs: Needs) -> Iterator[Finding]:
+    """The folder in which drivers keep leases and latches."""
+    folder = state_folder()
+    there = _nearest(folder)
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        yield ok("state folder", f"{folder} can be written to")
+    else:
+        cure = f"make {there} a folder that you may write to, or name another one in XDG_STATE_HOME"
+        yield Finding("state folder", Mark.MISSING, f"{folder}: {there} cannot be written to", cure)
+
+
+def bus(needs: Needs) -> Iterator[Finding]:
+    """The folder of the bus's socket is this user's alone; what is asked for can be listened at."""
+    try:
+        if needs.config is None:
+            yield ok("bus", f"{private_folder()} is this user's alone")
+            return
+        config = settled(needs.config, listen=needs.whole_run)
+        if needs.whole_run:  # else the router of the run may be there
+            check_free(config)
+        yield ok("bus", f"{config.bus.endpoint} can be used")
+    except PlaceError as error:
+        says, _, cure = str(error).partition(": ")
+        yield Finding("bus", Mark.MISSING, says, cure)
+
+
+def arena(needs: Needs) -> Iterator[Finding]:
+    """The runs that are on; an arena has one at a time."""
+    found = arena_file.found()
+    for trouble in found.troubles:
+        yield Finding("arena", Mark.WARN, trouble)
+    for there in found.runs:
+        says = f"{there.arena} has a run of {there.user} in {there.folder} since {there.started}"
+        mine = needs.config is not None and there.arena == needs.config.arena.name
+        cure = f"end it before you start another one there: Ctrl-C, or `kill {there.pid}`"
+        yield Finding("arena", Mark.MISSING if mine else Mark.OK, says, cure if mine else "")
+
+
+def _nearest(folder: Path) -> Path:
+    """Return the folder itself, or the nearest one above it that is there."""
+    return next(place for place in (folder, *folder.parents) if place.exists())

@@ -1,0 +1,141 @@
+"""The serial ports of this machine: what is plugged in, who may open it, who has it open. None is opened here."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from serial.tools import list_ports
+
+from robofleet.doctor import permission, udev
+from robofleet.doctor.findings import Finding, Mark, Paste, ok
+from robofleet.doctor.needs import Needs
+
+_LINKS = Path("/dev/robofleet"), Path("/dev/serial/by-id"), Path("/dev/serial/by-path")
+_PROCESSES = Path("/proc")
+
+
+class Device(NamedTuple):
+    """A port that the system has. What an adapter does not tell is empty."""
+
+    path: str  # /dev/ttyUSB0
+    says: str  # manufacturer and product
+    vendor_id: int | None  # of USB; None: no USB device
+    product_id: int | None
+    serial_number: str
+    location: str  # the USB socket: 1-2.1, with the interface where the device has several: 1-2.1:1.0
+    links: tuple[str, ...]  # names that stay
+
+
+class Holder(NamedTuple):
+    """A process that has a port open."""
+
+    pid: int
+    command: str
+
+
+def devices() -> list[Device]:
+    """Return the ports, USB's first."""
+    links: dict[str, list[str]] = {}
+    for folder in _LINKS:
+        for link in sorted(folder.glob("*")):
+            links.setdefault(os.path.realpath(link), []).append(str(link))
+    found = [
+        Device(
+            port.device,
+            " ".join(dict.fromkeys(filter(None, (port.manufacturer, port.product)))) or "unnamed adapter",
+            port.vid, port.pid, port.serial_number or "", port.location or "",
+            tuple(links.get(os.path.realpath(port.device), ())),
+        )
+        for port in list_ports.comports()
+    ]  # fmt: skip
+    return sorted(found, key=lambda one: (one.vendor_id is None, one.path))
+
+
+def holders(path: str, processes: Path = _PROCESSES) -> list[Holder]:
+    """Return who has a port open, as far as this user may see."""
+    wanted = os.path.realpath(path)
+    found = []
+    for process in processes.glob("[0-9]*"):
+        try:
+            if any(str(entry.readlink()) == wanted for entry in (process / "fd").iterdir()):
+                command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                found.append(Holder(int(process.name), command[:80]))
+        except OSError:
+            continue  # another user's, or ended
+    return sorted(found)
+
+
+def serial_ports(needs: Needs) -> Iterator[Finding]:
+    """Every port of an adapter, and every one that the configuration names."""
+    there = devices()
+    named = {os.path.realpath(port.path): port for port in needs.ports()}
+    rules = udev.serial_rules([one for one in there if one.vendor_id is not None], _names(needs, there))
+    for device in there:
+        port = named.pop(os.path.realpath(device.path), None)
+        if device.vendor_id is not None or port is not None:
+            yield _judged(device.path, _described(device), port.robot if port else None, rules.get(device.path))
+    for port in named.values():
+        yield _judged(port.path, "no USB adapter", port.robot, None)
+    if any(one.vendor_id is not None for one in there):
+        yield ok("which robot", "`robofleet doctor --ask all` opens the ports and says which robot answers at each")
+    built_in = [one.path for one in there if one.vendor_id is None]
+    if built_in:
+        yield ok("built-in ports", f"{', '.join(built_in)}: looked at only where a configuration names them")
+    if not there:
+        yield ok("serial ports", "no adapter is plugged in")
+    if shutil.which("brltty"):
+        says = "it is installed, and takes the ports of CH340 and CP210x chips for itself"
+        yield Finding("brltty", Mark.WARN, says, "`sudo apt remove brltty`, if nobody here uses a Braille display")
+
+
+def _judged(path: str, says: str, robot: str | None, rule: str | None) -> Finding:
+    """Return what is to be said of a port; ``robot`` is whose it is in the configuration, None if nobody's."""
+    name = path if robot is None else f"{robot}'s port"
+    says = says if robot is None else f"{path}, {says}"
+    pastes = (Paste(udev.FILE, rule),) if rule else ()
+    grave = Mark.MISSING if robot is not None else Mark.WARN
+    if not Path(path).exists():
+        cure = "switch the robot on, plug it in and paste its rule below, or mend settings.port"
+        return Finding(name, grave, f"{path}: there is no such port", cure)
+    if not Path(path).is_char_device():
+        return Finding(name, grave, f"{path}: it is not a serial port", "mend settings.port")
+    if not os.access(path, os.R_OK | os.W_OK):
+        refused = f"{says}; {permission.user_name()} may not open it"
+        return Finding(name, grave, refused, permission.cure(Path(path)), pastes)
+    if using := holders(path):
+        who = ", ".join(f"process {one.pid} ({one.command})" for one in using)
+        cure = "" if robot is None else "end that program before a run"
+        return Finding(name, Mark.OK if robot is None else grave, f"{says}; open in {who}", cure, pastes)
+    return ok(name, f"{says}; free", *pastes)
+
+
+def _described(device: Device) -> str:
+    parts = [device.says]
+    if device.vendor_id is not None:
+        parts.append(f"{device.vendor_id:04x}:{device.product_id or 0:04x}")
+        parts.append(f"serial number {device.serial_number}" if device.serial_number else "no serial number")
+    if device.links:
+        parts.append(device.links[0])
+    return ", ".join(parts)
+
+
+def _names(needs: Needs, there: list[Device]) -> dict[str, str]:
+    """Return the robot that each port shall be named after: the configuration's; then r1, r2, ... in order."""
+    names = {}
+    ports = list(needs.ports())
+    free = [port.robot for port in ports if not Path(port.path).exists()]
+    count = 0
+    for device in there:
+        its = [port.robot for port in ports if os.path.realpath(port.path) == os.path.realpath(device.path)]
+        if its:
+            names[device.path] = its[0]
+        elif free:
+            names[device.path] = free.pop(0)
+        elif device.vendor_id is not None:
+            count += 1
+            while f"r{count}" in {port.robot for port in ports}:
+                count += 1
+            names[device.path] = f"r{count}"
+    return names

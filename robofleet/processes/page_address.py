@@ -1,0 +1,79 @@
+"""Where the operator's page is: the address that it listens at, and what a terminal says of it."""
+
+import os
+import socket
+import sys
+from collections.abc import Mapping
+from urllib.parse import urlsplit
+
+from robofleet.processes.refusal import RefusedError
+
+LOOPBACK = "127.0.0.1"
+_LOCAL = LOOPBACK, "::1", "localhost"
+_ANY = "0.0.0.0", "::"
+
+
+def is_local(host: str) -> bool:
+    """Whether an address is reached from this computer only."""
+    return host in _LOCAL
+
+
+def address_lines(page: str, *, opened: bool, environment: Mapping[str, str] = os.environ) -> str:
+    """Return the page's address and how it is reached."""
+    line = f"the operator's page: {page}"
+    if opened:
+        return f"{line}\n  your browser opens it"
+    parts = urlsplit(page)
+    if not is_local(parts.hostname or ""):
+        return line
+    if server := _reached_by_ssh(environment):
+        forward = f"ssh -N -L {parts.port}:{parts.netloc} {server}"
+        return f"{line}\n  from the computer in front of you: `{forward}`, then open it there"
+    return f"{line}\n  open it in a browser of this computer; for a phone: --web-host {own_address() or 'ADDRESS'}"
+
+
+def own_address() -> str | None:
+    """Return this machine's address in its network; None where it has none. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # an address that nobody has (RFC 5737): it takes the way of all others
+            address: str = probe.getsockname()[0]
+        except OSError:
+            return None
+    return None if is_local(address) or address == "0.0.0.0" else address
+
+
+def _reached_by_ssh(environment: Mapping[str, str]) -> str | None:
+    """Return whom the user's ssh has called; None without ssh."""
+    ends = environment.get("SSH_CONNECTION", "").split()
+    return f"{environment.get('USER') or 'USER'}@{ends[2]}" if len(ends) == 4 else None
+
+
+def listening(host: str, port: int, option: str) -> socket.socket:
+    """Return a socket at one of this machine's addresses; RefusedError, which names the option, where it is none."""
+    try:
+        (family, _, _, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        if address[0] in _ANY:
+            raise RefusedError(
+                f"{option} {host}: name one of this machine's addresses{_for_example()}: "
+                "the page answers to its own address only"
+            )
+        return socket.create_server(address[:2], family=family)
+    except OSError as error:
+        why = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
+        named = f"{option} {host} --port {port}" if port else f"{option} {host}"
+        raise RefusedError(
+            f"{named}: {why}: name an address of this machine{_for_example()}"
+            + (", and a port that is free" * bool(port))
+        ) from error
+
+
+def warn_of_network(host: str, option: str) -> None:
+    """Say what it means to open the page to a network."""
+    if not is_local(host):
+        print(f"{option} {host}: whoever reads this network's traffic can take the token and drive", file=sys.stderr)
+
+
+def _for_example() -> str:
+    address = own_address()
+    return f", for example {address}" if address else ""

@@ -1,0 +1,65 @@
+"""A command that was typed wrongly: one line that names the argument and says how to mend it."""
+
+import difflib
+import re
+import sys
+from typing import Any
+
+import typer
+
+# Typer keeps its own copy of click, in a place that differs between versions: this name leads to it in all of them.
+UsageError: Any = typer.BadParameter.__mro__[1]
+
+_EXAMPLE = re.compile(r"^\s*\$ (robofleet .+)$", re.MULTILINE)
+
+
+def show(error: Any) -> None:
+    """Print the line for a usage error; the help, where nothing was typed."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+        return
+    from robofleet.config.yamlfile import printable  # noqa: PLC0415 - a command in a hurry needs no YAML
+
+    print(printable(_line(error)), file=sys.stderr)
+
+
+def _line(error: Any) -> str:  # noqa: PLR0911 - one answer for each kind of mistake
+    kind, message, ctx = type(error).__name__, str(error.format_message()), error.ctx
+    command = "robofleet" if ctx is None else ctx.command_path
+    see = f"see `{command} --help`"
+    if kind == "NoSuchOption":
+        near = difflib.get_close_matches(error.option_name, _options(ctx), n=1)
+        return f"{error.option_name}: there is no such option: {f'did you mean {near[0]}?' if near else see}"
+    if kind == "BadOptionUsage":
+        return f"{error.option_name}: needs a value: {see}"
+    if kind == "MissingParameter":
+        place = _place(error.param)
+        place = f"{place}: is missing" if place.startswith("-") else f"{command}: {place} is missing"
+        return f"{place}: for example: {_example(ctx) or see}"
+    if kind == "BadParameter":
+        what = re.sub(r"^Input should ", "must ", error.message).partition(", unable")[0].rstrip(".")
+        return f"{_place(error.param)}: {what}: {see}"
+    if unknown := re.match(r"No such command '(.*?)'", message):
+        near = difflib.get_close_matches(unknown[1], list(ctx.command.commands), n=1)
+        return f"{command}: there is no command '{unknown[1]}': {f'did you mean {near[0]!r}?' if near else see}"
+    if extra := re.match(r"Got unexpected extra arguments?(?:\(s\))? \((.*)\)", message):
+        return f"{command}: too many arguments, from '{extra[1]}' on: {see}"
+    return f"{command}: {message}: {see}"
+
+
+def _options(ctx: Any) -> list[str]:
+    return [] if ctx is None else [name for param in ctx.command.params for name in param.opts if name.startswith("--")]
+
+
+def _place(param: Any) -> str:
+    """Return an option's name, or an argument's as the help shows it."""
+    if param is None:
+        return "robofleet"
+    longest = str(max(param.opts, key=len, default=param.name))
+    return longest if longest.startswith("-") else str(param.metavar or param.name).upper()
+
+
+def _example(ctx: Any) -> str:
+    """Return the first example of a command's help."""
+    found = _EXAMPLE.search((ctx.command.help if ctx is not None else None) or "")
+    return "" if found is None else found[1]

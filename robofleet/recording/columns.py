@@ -1,0 +1,149 @@
+"""What is known of each robot at each tick, in columns: ``metrics.csv``, and what viewers plot.
+
+``COLUMNS`` are those of every robot; behind them come those of its group. A name ends with its unit, and its meaning is
+said in a sentence.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from io import BufferedWriter, TextIOWrapper
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from robofleet.files import replaced
+from robofleet.recording.gauge import Gauge
+from robofleet.recording.measures import exposure_to_tick_ms, exposure_to_wheel_ms, told_at_ticks
+from robofleet.recording.run import Array, Part
+from robofleet.recording.series import Series
+
+CSV = "metrics.csv"
+
+
+class Column(NamedTuple):
+    """A figure of every robot at every tick."""
+
+    name: str
+    meaning: str
+    of: Callable[[Series], Array | None]  # (K, N); None: not known
+    running: bool = False  # whether it means something only while the fleet is running
+    whole: bool = False  # whether it is a flag or a count
+    csv: str = ""  # its name in metrics.csv where that is another one
+
+
+def _told(name: str, meaning: str, *, running: bool = False, whole: bool = False, csv: str = "") -> Column:
+    """Return a column of the controller's record of a tick."""
+    return Column(name, meaning, lambda s: s.run.items[csv or name], running, whole, csv)
+
+
+def _true(name: str, axis: int, meaning: str) -> Column:
+    def of(s: Series) -> Array | None:
+        if s.run.truth is None:
+            return None
+        values = s.run.truth[..., axis]
+        return _wrapped(values) if axis == 2 else values
+
+    return Column(name, meaning, of)
+
+
+def _wrapped(psi: Array) -> Array:
+    """Return headings in (-pi, pi]."""
+    return np.asarray(np.pi - (np.pi - psi) % (2 * np.pi))
+
+
+def _reference(name: str, axis: int) -> Column:
+    meaning = "where the followed point is to be, at the behaviour's horizon [m]"
+    return Column(name, meaning, lambda s: s.run.references[..., axis], running=True)
+
+
+def _wheel(side: str) -> Callable[[Series], Array]:
+    return lambda s: told_at_ticks(s.run, lambda status: status[side])
+
+
+COLUMNS = (
+    _told("x_m", "centre in the world, as the filter estimates it at the tick [m]"),
+    _told("y_m", "centre in the world, as the filter estimates it at the tick [m]"),
+    _told("psi_rad", "heading in the world, counter-clockwise positive, as the filter estimates it [rad]"),
+    _true("true_x_m", 0, "true centre in the world; of simulated robots only [m]"),
+    _true("true_y_m", 1, "true centre in the world; of simulated robots only [m]"),
+    _true("true_psi_rad", 2, "true heading in the world; of simulated robots only [rad]"),
+    _told("point_x_m", "point p when the command acts, as predicted [m]"),
+    _told("point_y_m", "point p when the command acts, as predicted [m]"),
+    _reference("reference_x_m", 0),
+    _reference("reference_y_m", 1),
+    _told("u_x_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
+    _told("u_y_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
+    _told("left_commanded_rad_s", "left wheel as commanded [rad/s]", csv="left_rad_s"),
+    _told("right_commanded_rad_s", "right wheel as commanded [rad/s]", csv="right_rad_s"),
+    Column("pose_error_mm", "distance of the filter's centre from the true one [mm]", lambda s: s.pose_mm),
+    Column("heading_error_deg", "the filter's heading minus the true one [deg]", lambda s: s.heading_deg),
+    _told("saturated", "1: the wheels could not do all of the input", whole=True),
+    _told("measured", "1: an image was used for this robot in this tick", whole=True),
+    _told("lost", "1: no image for too long, the robot stands still", whole=True),
+    _told("filtered", "1: the barrier changed the command; 2: it found no answer, the robot stands", whole=True),
+    _told("blocked", "1: the barrier has held the robot for so long that it will not get on by itself", whole=True),
+    _told("failed", "not 0: its group's behaviour failed by this event, and it stands", whole=True),
+    Column("left_measured_rad_s", "left wheel as the robot measured it last [rad/s]", _wheel("left_rad_s")),
+    Column("right_measured_rad_s", "right wheel as the robot measured it last [rad/s]", _wheel("right_rad_s")),
+    Column(
+        "exposure_to_tick_ms",
+        "age of the newest image used, at the tick [ms]",
+        lambda s: exposure_to_tick_ms(s.run)[:, None],
+    ),
+    Column(
+        "exposure_to_wheel_ms",
+        "from mid-exposure to the wheels, of the newest command that reached them [ms]",
+        lambda s: told_at_ticks(s.run, exposure_to_wheel_ms),
+    ),
+)
+
+
+_TAKEN = {column.name for column in COLUMNS} | {column.csv for column in COLUMNS}
+
+
+def own_name(name: str) -> str:
+    """Return what a group's own column is called: where a column of every robot has its name, ``own_`` and the name."""
+    return f"own_{name}" if name in _TAKEN else name
+
+
+def own_names(gauges: Iterable[Gauge]) -> list[str]:
+    """Return the names of the groups' own columns, each once."""
+    return list(dict.fromkeys(own_name(name) for gauge in gauges for name in gauge.columns))
+
+
+def table(columns: Series) -> Array:
+    """Return every robot's columns (K, N, C); NaN where a value is not known."""
+    shape = len(columns.t), len(columns.robots)
+    running = columns.run.running[:, None]
+    values = np.full((*shape, len(COLUMNS)), np.nan)
+    for place, column in enumerate(COLUMNS):
+        if (told := column.of(columns)) is not None:
+            values[..., place] = np.where(running, told, np.nan) if column.running else told
+    return values
+
+
+def own_table(part: Part, names: Sequence[str]) -> Array:
+    """Return columns of a group's own (K, n, C) by their names; NaN where the group has none of this name."""
+    values = np.full((len(part.said.robots), len(names), len(part.running)), np.nan)
+    places = {name: place for place, name in enumerate(names)}
+    for curve in part.curves:
+        for name, (rows, columns) in curve.columns.items():
+            if (place := places.get(own_name(name))) is not None:
+                values[rows, place] = curve.values.T[list(columns)]
+    return values.transpose(2, 0, 1)
+
+
+def write_csv(columns: Series, file: Path) -> None:
+    """Write one row a tick and robot; a value that is not known is empty."""
+    parts = columns.run.parts
+    own = own_names(part.gauge for part in parts)
+    names = [*(column.csv or column.name for column in COLUMNS), *own]
+    values = np.concatenate([table(columns), np.concatenate([own_table(part, own) for part in parts], axis=1)], axis=2)
+    robots = [f"{robot},{part.said.name}" for part in parts for robot in part.said.robots]
+    row = "".join(",%.0f" if column.whole else ",%.6g" for column in COLUMNS) + ",%.6g" * len(own)
+    with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
+        out.write(",".join(["t_s", "tick", "run_tick", "robot", "group", *names]) + "\n")
+        for t, tick, of_tick in zip(columns.t, columns.run.ticks, values, strict=True):
+            when = f"{t:.3f},{tick['tick']},{tick['run_tick']},"
+            for robot, of in zip(robots, of_tick, strict=True):
+                out.write(when + robot + (row % tuple(of)).replace("nan", "") + "\n")

@@ -1,0 +1,79 @@
+"""What a group's part of ``summary.json`` holds, whatever its behaviour is: numbers by their names and units."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+_UNITS = {  # by the ends of names, the longest first
+    "_rad_s": "rad/s", "_mm_s": "mm/s", "_m_s": "m/s", "_deg": "deg", "_rad": "rad", "_mm": "mm", "_m2": "m2",
+    "_ms": "ms", "_us": "us", "_m": "m", "_s": "s",
+}  # fmt: skip
+
+
+class OwnFigure(NamedTuple):
+    """A figure of a group."""
+
+    key: str
+    label: str  # "control error"
+    unit: str
+    mean: float | None  # of what counts; None: not measured
+    largest: float | None
+    each: tuple[float | None, ...]  # of each robot; empty: it is not of robots
+    deviation: tuple[float, str] | None = None  # the largest one from what was asked, and its unit
+
+    @property
+    def title(self) -> str:
+        """Its label and unit in words."""
+        return ", ".join(filter(None, (self.label, self.unit)))
+
+
+def own_figures(group: Mapping[str, Any]) -> Iterator[OwnFigure]:
+    """Yield what can be shown of a group's part of the summary."""
+    robots = len(group["robots"])
+    for key, value in group.items():
+        if key in ("behaviour", "robots", "asked"):
+            continue
+        label, unit = words(key)
+        if value is None or _is_number(value):
+            yield OwnFigure(key, label, unit, value, None, ())
+        elif isinstance(value, dict) and isinstance(value.get("mean"), list):
+            gaps = [v if _is_number(v) else None for v in value["mean"]]
+            known = [gap for gap in gaps if gap is not None]
+            off = value.get("max_deviation_mm")
+            mean = sum(known) / len(known) if known else None
+            deviation = (float(off), "mm") if off is not None and _is_number(off) else None
+            yield OwnFigure(key, label, unit, mean, None, _each(gaps, robots), deviation)
+        elif isinstance(value, dict) and _is_number(value.get("mean")):
+            largest = value.get("max")
+            each = value.get("per_robot_mean")
+            yield OwnFigure(
+                key, label, unit, value["mean"], largest if _is_number(largest) else None,
+                _each([v if _is_number(v) else None for v in each], robots) if isinstance(each, list) else (),
+            )  # fmt: skip
+
+
+def words(key: str) -> tuple[str, str]:
+    """Return a key's name in words, and its unit: ("control error", "mm")."""
+    for ending, unit in _UNITS.items():
+        if key.endswith(ending):
+            return key.removesuffix(ending).replace("_", " "), unit
+    return key.replace("_", " "), ""
+
+
+def asked(group: Mapping[str, Any], figure: OwnFigure) -> tuple[float, str] | None:
+    """Return what a figure should be, and in which unit, where the behaviour says so."""
+    for key, value in group["asked"].items():
+        label, unit = words(key)
+        if label == figure.label and _is_number(value):
+            return value, unit
+    return None
+
+
+def _each(values: list[float | None], robots: int) -> tuple[float | None, ...]:
+    """Return the values of robots; one fewer is of pairs: the first robot has none before it."""
+    if len(values) == robots:
+        return tuple(values)
+    return (None, *values) if len(values) == robots - 1 else ()
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

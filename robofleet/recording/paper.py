@@ -1,0 +1,41 @@
+"""What the paper says of its own platoon, and whether a run is comparable with it."""
+
+import math
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from robofleet.behaviours.paths import PathFile
+from robofleet.config.names import SHIPPED
+from robofleet.config.tree import Config
+
+CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
+SPACING_M = 0.25  # IV-C: d
+_PATH = SHIPPED / "paths" / "platoon.yaml"
+_ROBOTS = 4
+_PATH_RATE = 0.0455  # gamma [sides/s]
+_TICK_S, _ALPHA, _HORIZON_S, _POINT_AHEAD_M = 0.033, 45.0, 0.6, 0.08
+
+
+def is_papers(config: Config) -> bool:
+    """Return whether a configuration drives the paper's platoon: its robots, path, spacing, speed and law."""
+    group, *others = config.groups
+    if others:
+        return False
+    law = config.controller
+    said = group.settings
+    asked = said.get("spacing_m"), said.get("path_rate"), law.tick_s, law.alpha, law.horizon_s, law.point_ahead_m
+    papers = SPACING_M, _PATH_RATE, _TICK_S, _ALPHA, _HORIZON_S, _POINT_AHEAD_M
+    same = all(
+        isinstance(ours, int | float) and math.isclose(ours, its) for ours, its in zip(asked, papers, strict=True)
+    )
+    return same and len(group.robots) == _ROBOTS and said.get("path") == _path()
+
+
+def _path() -> Any:
+    """Return the shipped path, which has the paper's shape; None where it is not there, or is somebody's own."""
+    try:
+        return PathFile.model_validate(yaml.safe_load(_PATH.read_text())).model_dump(mode="json")
+    except (OSError, ValueError, yaml.YAMLError, ValidationError):
+        return None

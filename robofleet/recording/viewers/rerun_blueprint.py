@@ -1,0 +1,63 @@
+"""A blueprint of rerun: the scene, the pictures and the log beside the plots. It needs the package rerun-sdk.
+
+rerun uses a blueprint for recordings of the same application: a converted run has this one's.
+"""
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from robofleet.recording.fleet_scene import pose_topic
+from robofleet.recording.robot_ticks import PACKAGE, message_name, topic
+from robofleet.recording.run import Recording
+from robofleet.recording.shapes import WORLD
+from robofleet.recording.viewers.plots import Plot, tabs
+
+APPLICATION = "robofleet"
+
+
+def layout(recording: Recording) -> bytes:
+    """Return the blueprint of a run's file; ModuleNotFoundError where rerun-sdk is missing, or older than 0.37."""
+    import rerun as rr  # noqa: PLC0415
+    import rerun.blueprint as rrb  # noqa: PLC0415
+
+    config, components = recording.config, _components(recording)
+    plots = [rrb.Vertical(*(_view(plot, components) for plot in tab.plots), name=tab.title) for tab in tabs(recording)]
+    poses: dict[Any, Any] = {pose_topic(robot.id): rr.TransformAxes3D(0.1).visualizer() for robot in config.members}
+    scene = rrb.Spatial3DView(
+        name="Arena", origin="/", contents=list(poses), overrides=poses,
+        spatial_information=rrb.SpatialInformation(target_frame=WORLD),
+    )  # fmt: skip
+    left = [scene, rrb.TextLogView(origin="/log", name="Log")]
+    if config.tracker.source == "camera":
+        left.insert(1, rrb.Spatial2DView(origin="/camera/image", name="Camera"))
+    blueprint = rrb.Blueprint(
+        rrb.Horizontal(rrb.Vertical(*left), rrb.Tabs(*plots), column_shares=[2, 3]), collapse_panels=True
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "run.rbl"
+        blueprint.save(APPLICATION, file)
+        return file.read_bytes()
+
+
+def _components(recording: Recording) -> dict[str, str]:
+    """Return how rerun names the messages of each robot's topic, which it knows by their schema alone."""
+    gauges = recording.gauges
+    names = [(robot, message_name(gauges, gauge.said.name)) for gauge in gauges for robot in gauge.said.robots]
+    return {topic(robot): f"{PACKAGE}.{name}:message" for robot, name in names}
+
+
+def _view(plot: Plot, components: dict[str, str]) -> Any:
+    import rerun as rr  # noqa: PLC0415
+    import rerun.blueprint as rrb  # noqa: PLC0415
+    from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping  # noqa: PLC0415
+
+    lines: dict[Any, list[Any]] = {}
+    for line in plot.lines:
+        source = VisualizerComponentMapping(
+            "Scalars:scalars", ComponentSourceKind.SourceComponent, source_component=components[line.topic],
+            selector=f".{line.field}",
+        )  # fmt: skip
+        looks = rr.SeriesLines(names=line.label, colors=int(line.colour[1:] + "ff", 16))
+        lines.setdefault(line.topic, []).append(looks.visualizer(mappings=[source]))
+    return rrb.TimeSeriesView(origin="/", contents=sorted(lines), overrides=lines, name=plot.title)

@@ -1,0 +1,53 @@
+"""A disk that can be full: a robot's memory, a process's log, and the room that is left beside a recording."""
+
+import errno
+import io
+import os
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from robofleet.simulation.faults import Schedule
+
+Kept = TypeVar("Kept")
+
+
+class _Keeping(Protocol[Kept]):
+    def load(self, robot: str) -> Kept: ...
+
+    def save(self, robot: str, kept: Kept) -> None: ...
+
+    def lose(self, robot: str) -> None: ...
+
+
+class FaultyKeeping(Generic[Kept]):
+    """A keeping whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
+
+    def __init__(self, keeping: _Keeping[Kept], schedule: Schedule) -> None:
+        self.load, self.lose, self._keeping, self._schedule = keeping.load, keeping.lose, keeping, schedule
+
+    def save(self, robot: str, kept: Kept) -> None:
+        """Keep it, if the disk takes it."""
+        _refuse_if_full(self._schedule)
+        self._keeping.save(robot, kept)
+
+
+class FaultyLog(io.TextIOBase):
+    """A log on a disk that can be full; where it is not, nobody reads it."""
+
+    def __init__(self, schedule: Schedule) -> None:
+        self._schedule = schedule
+
+    def write(self, text: str) -> int:
+        """Take a line, if the disk takes it."""
+        _refuse_if_full(self._schedule)
+        return len(text)
+
+
+def free_bytes(free: Callable[[], int], schedule: Schedule) -> Callable[[], int]:
+    """Return what tells the room left on a disk: none while it is full."""
+    return lambda: 0 if schedule.disk_is_full() else free()
+
+
+def _refuse_if_full(schedule: Schedule) -> None:
+    if schedule.disk_is_full():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -1,0 +1,213 @@
+"""go_to: robots come to their poses in spite of what happens, and what cannot be is refused."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robofleet.behaviours.go_to import GoTo
+from robofleet.behaviours.interface import Situation, Team
+from robofleet.config import groups
+from robofleet.vehicles.differential_drive import arc, feasible_ratio, wheels_from_body
+from tests.behaviours.go_to_trials import configuration, go
+
+Array = np.ndarray
+Poses = list[tuple[float, float, float]]
+
+NOBODY = np.zeros((0, 3))
+
+
+def team(n: int) -> Team:
+    config = configuration(n)
+    return replace(groups.team(config, config.groups[0]), rng=np.random.default_rng(0))
+
+
+def made(goals: Poses, of: Team | None = None, **more: Any) -> GoTo:
+    named = {f"r{k}": {"x_m": x, "y_m": y, "heading_deg": math.degrees(psi)} for k, (x, y, psi) in enumerate(goals, 1)}
+    return GoTo(GoTo.Settings.model_validate({"goals": named, **more}), of or team(len(goals)))
+
+
+class Floor:
+    """Robots that do at once what they are asked for."""
+
+    def __init__(self, behaviour: GoTo, starts: Poses) -> None:
+        self.behaviour, self.poses = behaviour, np.array(starts)
+        self.driving, self.others, self.t = np.ones(len(starts), dtype=np.bool_), NOBODY, 0.0
+        self.figures: Mapping[str, Any] = {}
+
+    def tick(self) -> None:
+        team, n = self.behaviour.team, len(self.poses)
+        now = Situation(self.t, self.poses.copy(), self.driving, np.zeros((n, 2)), self.others)
+        decision = self.behaviour.decide(now)
+        assert decision.of == "body"
+        assert np.isfinite(decision.velocities).all()
+        u = np.zeros((n, 2))
+        for i, asked in enumerate(decision.velocities.tolist()):
+            d, psi = team.drives[i], float(self.poses[i, 2])
+            wheels = wheels_from_body(*asked, d.wheel_radius, d.wheel_base)
+            ratio = feasible_ratio(*wheels, d.wheel_radius, d.max_wheel_speed, d.max_speed) * self.driving[i]
+            v, omega = (ratio * one for one in asked)
+            c, s = math.cos(psi), math.sin(psi)
+            u[i] = c * v - s * team.point_ahead * omega, s * v + c * team.point_ahead * omega
+            self.poses[i] = arc(*self.poses[i].tolist(), v, omega, team.tick)
+        self.behaviour.changed(u)
+        self.figures, self.t = decision.figures, self.t + team.tick
+
+    def until(self, seconds: float) -> bool:
+        """Go on until all have arrived; False if they have not after so long."""
+        end = self.t + seconds
+        while self.t < end and not self.behaviour.arrived:
+            self.tick()
+        return self.behaviour.arrived
+
+    def gap(self) -> float:
+        pairs = np.triu_indices(len(self.poses), 1)
+        return float(np.linalg.norm(self.poses[pairs[0], :2] - self.poses[pairs[1], :2], axis=1).min())
+
+
+CROSSING: Poses = [(-0.6, 0.0, 0.0), (0.6, 0.0, math.pi), (0.0, -0.6, 1.0)]
+OPPOSITE: Poses = [(0.6, 0.0, 2.0), (-0.6, 0.0, -1.0), (0.0, 0.6, math.pi)]
+
+
+def test_robots_that_cross_arrive_and_keep_apart() -> None:
+    floor = Floor(made(OPPOSITE), CROSSING)
+    gaps = []
+    while not floor.behaviour.arrived and floor.t < 30.0:
+        floor.tick()
+        gaps.append(floor.gap())
+    assert floor.behaviour.arrived
+    assert np.abs((floor.poses - OPPOSITE)[:, :2]).max() < 0.003
+    assert np.abs(np.sin(floor.poses - OPPOSITE)[:, 2]).max() < math.radians(1.5)
+    assert np.max(floor.figures["distance_to_goal"]) < 0.004
+    assert min(gaps) > 0.15
+
+
+def test_who_is_there_stays_there() -> None:
+    floor = Floor(made(CROSSING), CROSSING)
+    assert floor.until(3.0)
+    assert np.array_equal(floor.poses, CROSSING)
+
+
+def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:
+    floor = Floor(made(OPPOSITE), CROSSING)
+    for _ in range(60):
+        floor.tick()
+    floor.driving[0] = False
+    stood = floor.poses[0].copy()
+    assert not floor.until(15.0)
+    assert np.array_equal(floor.poses[0], stood)
+    assert floor.gap() > 0.15
+    floor.driving[0] = True
+    assert floor.until(30.0)
+
+
+def test_a_robot_that_was_carried_away_gets_another_plan() -> None:
+    floor = Floor(made(OPPOSITE), CROSSING)
+    for _ in range(100):
+        floor.tick()
+    floor.poses[0] = -1.2, 0.7, 1.0
+    floor.behaviour.carried(0)
+    assert floor.until(40.0)
+
+
+def test_a_robot_that_was_pushed_unnoticed_gets_another_plan_too() -> None:
+    floor = Floor(made(OPPOSITE), CROSSING)
+    for _ in range(100):
+        floor.tick()
+    floor.poses[1, :2] += 0.0, 0.3
+    assert floor.until(40.0)
+
+
+def test_around_what_came_to_stand_in_the_way_another_way_is_found() -> None:
+    floor = Floor(made([(0.8, 0.0, 0.0)]), [(-0.8, 0.0, 0.0)])
+    for _ in range(45):
+        floor.tick()
+    obstacle = np.array([0.3, 0.0])
+    floor.others = np.array([(*obstacle, 0.055)])
+    gaps = []
+    while not floor.behaviour.arrived and floor.t < 40.0:
+        floor.tick()
+        gaps.append(float(np.hypot(*(floor.poses[0, :2] - obstacle))))
+    assert floor.behaviour.arrived
+    assert min(gaps) > 0.16
+
+
+def test_where_there_is_no_way_robots_stand_until_there_is_one() -> None:
+    floor = Floor(made([(0.8, 0.0, 0.0)]), [(-0.8, 0.0, 0.0)])
+    wall = np.array([(0.3, y, 0.055) for y in np.arange(-1.0, 1.01, 0.15)])
+    floor.others = wall
+    assert not floor.until(4.0)
+    assert floor.poses[0, 0] == -0.8
+    floor.others = NOBODY
+    assert floor.until(30.0)
+
+
+def test_nearest_goals_are_shared_out() -> None:
+    """Labelled, both would have to cross the arena."""
+    floor = Floor(
+        made([(0.6, 0.1, 0.0), (-0.6, 0.1, 0.0)], assignment="nearest"), [(-0.6, -0.1, 0.0), (0.6, -0.1, 0.0)]
+    )
+    assert floor.until(10.0)
+    assert floor.poses[:, 0] == pytest.approx([-0.6, 0.6], abs=0.004)
+
+
+def test_the_same_seed_decides_the_same_to_the_bit() -> None:
+    ends = []
+    for _ in range(2):
+        floor = Floor(made(OPPOSITE, replace(team(3), rng=np.random.default_rng(5))), CROSSING)
+        floor.until(30.0)
+        ends.append(floor.poses)
+    assert np.array_equal(*ends)
+
+
+def test_a_restart_begins_from_where_robots_stand() -> None:
+    floor = Floor(made(OPPOSITE), CROSSING)
+    assert floor.until(30.0)
+    floor.behaviour.restart()
+    assert not floor.behaviour.arrived
+    floor.poses[:] = CROSSING
+    assert floor.until(30.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_with_the_plants_errors_and_the_barrier_all_arrive(seed: int) -> None:
+    """Two goals are 1.3 body diameters apart, the robots face each other, and one of them passes the other's start."""
+    starts = np.array([(-0.8, 0.0, 0.0), (-0.657, 0.0, math.pi), (0.8, 0.1, 2.0)])
+    goals = np.array([(0.5, 0.0, 0.0), (0.643, 0.0, math.pi), (-0.9, 0.0, 0.0)])
+    found = go(configuration(3), starts, goals, seed, 60.0)
+    assert found.arrived, found
+    assert found.gap >= 0.01
+
+
+def refused(behaviour: GoTo) -> list[tuple[str, str]]:
+    return [(one.key, one.message) for one in behaviour.refusals()]
+
+
+def broken(behaviour: GoTo) -> list[str]:
+    return [bound.path for bound in behaviour.bounds() if not bound.holds]
+
+
+def test_a_goal_for_a_stranger_and_a_robot_without_one_are_refused() -> None:
+    behaviour = made(OPPOSITE, team(2))
+    assert [key for key, _ in refused(behaviour)] == ["settings.goals.r3"]
+    assert "r1, r2" in refused(behaviour)[0][1]
+    behaviour = made(OPPOSITE[:2], team(3))
+    assert [key for key, _ in refused(behaviour)] == ["settings.goals"]
+    assert "r3" in refused(behaviour)[0][1]
+    assert not refused(made(OPPOSITE))
+
+
+def test_nearest_needs_as_many_goals_as_robots() -> None:
+    assert [key for key, _ in refused(made(OPPOSITE[:2], team(3), assignment="nearest"))] == ["settings.goals"]
+    assert not refused(made(OPPOSITE, assignment="nearest"))
+
+
+def test_goals_outside_the_arena_and_too_near_each_other_are_refused() -> None:
+    assert not broken(made(OPPOSITE))
+    assert broken(made([(1.56, 0.0, 0.0), (0.0, 0.0, 0.0)])) == ["settings.goals.r1"]
+    assert broken(made([(0.5, 0.0, 0.0), (0.5 + 0.143, 0.0, math.pi)])) == []  # 1.3 diameters
+    assert broken(made([(0.5, 0.0, 0.0), (0.5 + 0.125, 0.0, math.pi)])) == ["settings.goals.r2"]
+    assert broken(made(OPPOSITE, speed_m_s=0.3)) == ["settings.speed_m_s"] * 3

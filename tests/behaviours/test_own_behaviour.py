@@ -1,0 +1,107 @@
+"""A behaviour in a file beside the configuration: it is found, runs, and has its figures; what is wrong is one line."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from robofleet.config import groups
+from robofleet.config.load import ConfigError, load_config
+from robofleet.plugins import PluginError, load, reach
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SWIRL = (CONFIGS / "swirl.yaml").read_text()
+
+
+@pytest.fixture(autouse=True)
+def _own_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Modules of one test are found by no other."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setenv("PYTHONPATH", "")
+
+
+def laboratory(folder: Path, module: str, code: str = (CONFIGS / "mylab.py").read_text()) -> Path:
+    """Write a behaviour's file and a configuration that names it."""
+    folder.mkdir(exist_ok=True)
+    (folder / f"{module}.py").write_text(code)
+    file = folder / "own.yaml"
+    file.write_text(SWIRL.replace("mylab:", f"{module}:"))
+    return file
+
+
+def refused(file: Path, *overrides: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_config(file, overrides)
+    (fault,) = caught.value.faults
+    return fault
+
+
+def test_the_shipped_one_is_short() -> None:
+    assert len((CONFIGS / "mylab.py").read_text().splitlines()) <= 25
+
+
+def test_it_is_found_beside_its_configuration_here_and_in_processes_started_from_here(tmp_path: Path) -> None:
+    file = laboratory(tmp_path / "lab", "found_lab")
+    config = load_config(file)
+    assert groups.kind(config.groups[0]).__module__ == "found_lab"
+    assert config.groups[0].settings == {"radius_m": 0.5, "speed_m_s": 0.1}
+    child = [sys.executable, "-c", "import found_lab; print(found_lab.__file__)"]
+    done = subprocess.run(child, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(tmp_path / "lab" / "found_lab.py")
+
+
+def test_its_settings_are_judged_as_all_others(tmp_path: Path) -> None:
+    file = laboratory(tmp_path, "judged_lab")
+    file.write_text(file.read_text().replace("radius_m: 0.5", "radius_m: 0.5, sped_m_s: 1"))
+    hint = "unknown key: did you mean 'speed_m_s'?"
+    assert refused(file) == f"{file}:11:31: groups.0.settings.sped_m_s: {hint}"
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
+    file = laboratory(tmp_path, "gone_lab")
+    (tmp_path / "gone_lab.py").unlink()
+    assert refused(file) == (
+        f"{file}:8:16: groups.0.behaviour: 'gone_lab:Swirl' cannot be loaded: No module named 'gone_lab': mend its "
+        "name, or install its package, or put gone_lab.py beside the configuration"
+    )
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "words"),
+    [
+        ("raising_lab", "import math\nx = undefined\n", "name 'undefined' is not defined: mend line 2 of "),
+        ("unread_lab", "x = (\n", "mend line 1 of "),
+        ("empty_lab", "", "has no attribute 'Swirl'"),
+        ("other_lab", "class Swirl: ...\n", "is not a behaviour: derive it from robofleet.behaviours.Behaviour"),
+        (
+            "idle_lab",
+            "from robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour): ...\n",
+            "decides nothing: write its method `decide`",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_used_says_where_to_mend_it(tmp_path: Path, module: str, code: str, words: str) -> None:
+    fault = refused(laboratory(tmp_path, module, code))
+    assert f"groups.0.behaviour: '{module}:Swirl' " in fault
+    assert words in fault
+
+
+def test_a_name_that_python_has_already_is_refused(tmp_path: Path) -> None:
+    fault = refused(laboratory(tmp_path, "statistics"))
+    assert "Python has another module 'statistics'" in fault
+    assert f"rename {tmp_path / 'statistics.py'}" in fault
+
+
+def test_two_folders_with_one_name_are_not_mixed_up(tmp_path: Path) -> None:
+    load_config(laboratory(tmp_path / "one", "twice_lab"))
+    assert f"rename {tmp_path / 'two' / 'twice_lab.py'}" in refused(laboratory(tmp_path / "two", "twice_lab"))
+
+
+def test_drivers_and_cameras_are_found_there_too(tmp_path: Path) -> None:
+    (tmp_path / "driving_lab.py").write_text("class Mine: ...\n")
+    with pytest.raises(PluginError):
+        load("robofleet.drivers", "driving_lab:Mine")
+    reach(tmp_path, "driving_lab:Mine")
+    assert load("robofleet.drivers", "driving_lab:Mine").__name__ == "Mine"

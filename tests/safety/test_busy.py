@@ -1,0 +1,267 @@
+"""A busy machine: what is late by its load, and what a fleet that is only simulated does then, and never does."""
+
+from itertools import pairwise, product
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robofleet.safety import busy, supervisor
+from robofleet.safety.busy import CONTROLLER, DRIVERS, SUPERVISOR, TRACKER, Lateness, Memory
+from robofleet.safety.gate import Latch
+from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus
+from robofleet.safety.view import FleetView, Machine, RobotView
+
+MS = 1_000_000
+S = 1000 * MS
+NOW = 1000 * S
+RUNNING = RunStatus(Phase.RUNNING, Event.PROVED)
+LOAD_MAKES = {  # said here once more: what lateness can do to a fleet that drives
+    Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.CONTROLLER_SILENT, Event.TICKS_OVERRUN, Event.TRACKER_SILENT,
+    Event.CAMERA_STALLED, Event.BEHAVIOUR_LATE,
+}  # fmt: skip
+LOAD_SPOILS = LOAD_MAKES | {  # ... and to its checks; not what wires, wheels and hands do
+    Event.TAG_LOST, Event.LEASE_LOST, Event.GATE_LATCHED, Event.NOT_AT_REST, Event.ESTOP_UNANSWERED,
+    Event.DID_NOT_MOVE, Event.WRONG_GAIN, Event.ARMED_TOO_LONG,
+}  # fmt: skip
+
+
+def seen(now_ns: int = NOW, contended_ns: int = 0, **robot: object) -> FleetView:
+    """Return a view in which all is well; ``robot``: fields of the first of two robots."""
+    well = RobotView(heard_ns=now_ns, session=5, seen_ns=now_ns)
+    return FleetView(
+        now_ns, (well._replace(**robot), well), controller_ns=now_ns, tracker_ns=now_ns,
+        machine=Machine(contended_ns, 6.1, 2),
+    )  # fmt: skip
+
+
+def late(ago_ns: int = 0) -> Memory:
+    """Return the memory of a run in which the tracker was late by load some time ago."""
+    memory = Memory(recent=(Lateness(TRACKER, 310 * MS),), recent_ns=NOW - ago_ns, checks_ns=NOW - 5 * S)
+    return memory._replace(heard=((NOW, 0),) * 5)
+
+
+def watched(after_ns: int, contended_ns: int, silent: str = "", phase: Phase = Phase.RUNNING) -> dict[int, int]:
+    """Return who is late after looks every 40 ms, of which ``silent`` was not heard in the last ones."""
+    memory = busy.watch(Memory(), phase, seen())
+    for at_ns in range(40 * MS, after_ns + 1, 40 * MS):
+        view = seen(NOW + at_ns, contended_ns * at_ns // after_ns)
+        if silent == "driver":
+            view = view._replace(robots=(view.robots[0]._replace(heard_ns=NOW), view.robots[1]))
+        elif silent:
+            view = view._replace(**{silent: NOW})
+        memory = busy.watch(memory, phase, view)
+    return dict(memory.recent)
+
+
+@pytest.mark.parametrize(
+    ("silent", "row"), [("controller_ns", CONTROLLER), ("tracker_ns", TRACKER), ("driver", DRIVERS)]
+)
+def test_who_is_silent_while_no_core_is_free_is_late_by_load(silent: str, row: int) -> None:
+    assert watched(400 * MS, 400 * MS, silent) == {row: 360 * MS}
+    assert watched(400 * MS, 200 * MS, silent) == {row: 360 * MS}  # half of the time
+    assert watched(400 * MS, 199 * MS, silent) == {}  # less: somebody stopped it, or it hangs
+    assert watched(80 * MS, 80 * MS, silent) == {}  # not long enough for a gate to notice
+    assert watched(120 * MS, 120 * MS, silent) == {row: 80 * MS}
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_nobody_is_late_while_processes_start_and_end(phase: Phase) -> None:
+    active = phase in (Phase.ARMED, Phase.HOLD, *MOVING)
+    assert bool(watched(400 * MS, 400 * MS, "tracker_ns", phase)) is active
+
+
+def test_the_supervisors_own_lateness_is_nobody_elses() -> None:
+    memory = busy.watch(Memory(), Phase.RUNNING, seen())
+    stalled = seen(NOW + 700 * MS, 600 * MS)._replace(tracker_ns=NOW)  # what came in between is heard in this look
+    memory = busy.watch(memory, Phase.RUNNING, stalled)
+    assert memory.recent == (Lateness(SUPERVISOR, 660 * MS),)
+    assert (memory.recent_ns, memory.worst) == (NOW + 700 * MS, memory.recent)
+
+
+def test_without_a_measured_machine_and_before_the_first_word_nobody_is_late() -> None:
+    blind = seen(NOW + S)._replace(machine=None)
+    assert busy.watch(Memory(), Phase.RUNNING, blind) == Memory()
+    memory = busy.watch(Memory(), Phase.RUNNING, seen()._replace(tracker_ns=0))
+    memory = busy.watch(memory, Phase.RUNNING, seen(NOW + 40 * MS, S)._replace(tracker_ns=0))
+    assert memory.recent == ()
+
+
+def test_the_most_of_each_stays_and_the_newest_is_told() -> None:
+    memory = busy.watch(Memory(), Phase.RUNNING, seen())
+    for at_ms, contended_ms in ((440, 400), (540, 500), (580, 500)):
+        memory = busy.watch(memory, Phase.RUNNING, seen(NOW + at_ms * MS, contended_ms * MS))
+    assert memory.recent == (Lateness(SUPERVISOR, 60 * MS),)
+    assert memory.recent_ns == NOW + 540 * MS
+    assert memory.worst == (Lateness(SUPERVISOR, 400 * MS),)
+
+
+@pytest.mark.parametrize(("phase", "event"), list(product(Phase, Event)))
+def test_every_cell(phase: Phase, event: Event) -> None:
+    status, happening = RunStatus(phase, Event.NOTHING, 1, 0.5), Happening(event, 0, 1.0)
+    table = supervisor.step(status, happening)
+    assert busy.step(late(), status, happening, NOW, simulated=False) == (late(), table)  # robots that exist: as it is
+    assert busy.step(late(S + 1), status, happening, NOW, simulated=True)[1] == (
+        table if phase is not Phase.ARMED or event not in LOAD_SPOILS else status
+    )
+    memory, after = busy.step(late(), status, happening, NOW, simulated=True)
+    if phase in MOVING and event in LOAD_MAKES:
+        assert after == RunStatus(Phase.HOLD, event, 0, 1.0, phase)
+        assert memory.held_ns == NOW
+    elif phase is Phase.HOLD and event in LOAD_MAKES:
+        assert after is status
+    elif phase is Phase.ARMED and event in LOAD_SPOILS and table is not status:
+        assert after is status
+        assert (memory.checks_ns, memory.attempts) == (NOW, 1)
+    else:
+        assert after == table
+        assert memory.held_ns == 0
+
+
+@pytest.mark.parametrize("event", sorted(LOAD_MAKES))
+def test_without_anybody_late_everything_stops_as_it_does(event: Event) -> None:
+    happening = Happening(event, 0)
+    for memory in (Memory(), late(S + 1)):
+        stopped, after = busy.step(memory, RUNNING, happening, NOW, simulated=True)
+        assert after == supervisor.step(RUNNING, happening)
+        assert settled(stopped, after, 100) == []
+
+
+def test_a_process_that_does_not_come_back_ends_the_run() -> None:
+    held = RunStatus(Phase.HOLD, Event.DRIVER_SILENT, 1)
+    for ago_ns, phase in ((10 * S, Phase.HOLD), (10 * S + 1, Phase.FAULT)):
+        memory = late()._replace(heard=((NOW, 0), (NOW, 0), (NOW, 0), (NOW, 0), (NOW - ago_ns, 0)))
+        assert busy.step(memory, held, Happening(Event.DRIVER_SILENT, 1), NOW, simulated=True)[1].phase is phase
+
+
+def test_checks_that_load_spoils_begin_anew_five_times_and_what_lasts_counts_once() -> None:
+    armed, happening = RunStatus(Phase.ARMED, Event.START_REQUESTED), Happening(Event.WRONG_GAIN, 0, 1.4)
+    memory = late()
+    for attempt in range(1, busy.ATTEMPTS + 1):
+        now_ns = NOW + attempt * 3 * S
+        memory, after = busy.step(memory._replace(recent_ns=now_ns), armed, happening, now_ns, simulated=True)
+        assert (after, memory.attempts, memory.checks_ns) == (armed, attempt, now_ns)
+        memory, after = busy.step(  # the next look
+            memory._replace(recent_ns=now_ns + 40 * MS), armed, happening, now_ns + 40 * MS, simulated=attempt < 5
+        )
+        assert memory.attempts == attempt
+    now_ns += 3 * S
+    _, after = busy.step(memory._replace(recent_ns=now_ns), armed, happening, now_ns, simulated=True)
+    assert after.phase is Phase.FAULT
+
+
+def test_several_that_are_silent_in_one_look_begin_the_checks_anew_once() -> None:
+    memory, armed = late(), RunStatus(Phase.ARMED, Event.START_REQUESTED)
+    for row in range(2):
+        memory, after = busy.step(memory, armed, Happening(Event.DRIVER_SILENT, row), NOW, simulated=True)
+        assert (after, memory.attempts) == (armed, 1)
+
+
+def test_checks_in_which_nobody_was_late_and_what_load_cannot_do_refuse_the_start() -> None:
+    armed = RunStatus(Phase.ARMED, Event.START_REQUESTED)
+    before = late(1)._replace(checks_ns=NOW)
+    grave = Happening(Event.GATE_LATCHED, 0, float(Latch.ROBOT_FAULT))
+    for memory, happening in ((before, Happening(Event.WRONG_GAIN, 0)), (late(), grave)):
+        assert busy.step(memory, armed, happening, NOW, simulated=True)[1].phase is Phase.FAULT
+
+
+def settled(memory: Memory, status: RunStatus, duration_s: int, **robot: object) -> list[float]:
+    """Return when a run that is held goes on [s], with a view every 40 ms in which all is well, but ``robot``."""
+    for k in range(1, duration_s * 25):
+        view = seen(NOW + k * 40 * MS, **{"seen_ns": NOW + k * 40 * MS, "heard_ns": NOW + k * 40 * MS, **robot})
+        memory, happening = busy.go_on(memory, status, view, ())
+        if happening is not None:
+            assert happening.event is Event.CAUGHT_UP
+            return [k * 0.04]
+    return []
+
+
+HELD = RunStatus(Phase.HOLD, Event.TRACKER_SILENT)
+
+
+def held(*goes_on_s: float) -> Memory:
+    return late()._replace(held_ns=NOW, goes_on_ns=tuple(NOW - round(ago_s * S) for ago_s in goes_on_s))
+
+
+@pytest.mark.parametrize(
+    ("goes_on_s", "after_s"),
+    [((), 0.52), ((1,), 1.0), ((2, 1), 2.0), ((50,) * 3, 4.0), ((50,) * 4, 8.0), ((10,) * 9, 8.0), ((61,) * 9, 0.52)],
+)
+def test_the_more_often_it_was_held_the_longer_it_waits(goes_on_s: tuple[float, ...], after_s: float) -> None:
+    assert settled(held(*goes_on_s), HELD, 20) == [pytest.approx(after_s)]
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        {"heard_ns": NOW - S}, {"seen_ns": NOW - S}, {"unseen_ns": 150 * MS}, {"session": 0}, {"session": 6},
+        {"latch": Latch.RUNAWAY}, {"left_speed": 0.1}, {"right_output": -0.1},
+    ],
+)  # fmt: skip
+def test_it_stays_held_until_everybody_is_heard_seen_ours_and_at_rest(robot: dict[str, object]) -> None:
+    assert settled(held(), HELD, 30, **robot) == []
+
+
+def test_all_must_be_well_for_a_while() -> None:
+    memory, began = held(), []
+    for k in range(1, 100):
+        view = seen(NOW + k * 40 * MS)
+        view = view._replace(tracker_ns=0) if k == 30 else view
+        memory, happening = busy.go_on(memory._replace(held_ns=NOW - 60 * S), HELD, view, ())
+        began += [k] * (happening is not None)
+        memory = memory._replace(goes_on_ns=())
+    gaps = [after - before for before, after in pairwise(began)]
+    assert began[0] == 9  # 8 steps of 40 ms after the first one
+    assert set(gaps) == {1, 10}  # a look in which somebody was missing, then as at first
+
+
+@pytest.mark.parametrize("event", sorted(set(Event) - LOAD_MAKES - {Event.TAG_LATE, Event.TAG_LOST}))
+def test_whatever_else_would_stop_a_run_keeps_it_held(event: Event) -> None:
+    memory, after = busy.step(held(), HELD, Happening(event, 0, 1.0), NOW, simulated=True)
+    would_stop = supervisor.step(RUNNING, Happening(event, 0, 1.0)).phase is not Phase.RUNNING
+    if would_stop:  # by hand, too close, outside, an emergency stop, an operator's hold
+        assert settled(memory, after, 100) == []
+    elif after.phase is Phase.HOLD:
+        assert settled(memory, after, 100) != []
+
+
+def test_a_tag_that_is_still_lost_is_waited_for() -> None:
+    lost = Happening(Event.TAG_LOST, 0)
+    memory, after = busy.step(held(), HELD, lost, NOW, simulated=True)
+    assert after is HELD
+    for k in range(100):
+        memory, happening = busy.go_on(memory, HELD, seen(NOW + k * 40 * MS), (lost,))
+        assert happening is None
+    assert settled(memory, HELD, 10) != []
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=60))
+def test_it_goes_on_at_most_ten_times_a_minute_however_late_who_is(runs: list[int]) -> None:
+    memory, status, went_on, left = Memory(checks_ns=NOW), RUNNING, [], iter(runs * 50)
+    drives = next(left)
+    for k in range(25 * 180):
+        now_ns = NOW + k * 40 * MS
+        memory = memory._replace(recent=(Lateness(TRACKER, S),), recent_ns=now_ns, heard=((now_ns, 0),) * 5)
+        if status.phase is Phase.RUNNING and drives == 0:
+            memory, status = busy.step(memory, status, Happening(Event.TRACKER_SILENT), now_ns, simulated=True)
+            drives = next(left)
+        drives -= status.phase is Phase.RUNNING
+        memory, happening = busy.go_on(memory, status, seen(now_ns), ())
+        if happening is not None:
+            memory, status = busy.step(memory, status, happening, now_ns, simulated=True)
+            went_on.append(now_ns)
+    assert memory.resumed == len(went_on) > 0
+    assert all(b - a > 60 * S for a, b in zip(went_on, went_on[10:], strict=False))
+
+
+def test_words() -> None:
+    robots = ("r1", "r2")
+    said = [Lateness(TRACKER, 310 * MS), Lateness(DRIVERS + 1, 120 * MS), Lateness(SUPERVISOR, 70 * MS)]
+    assert busy.words(said, 6.13, 2, robots) == (
+        "load 6.1 on 2 cores, the tracker was late by 310 ms, the driver of r2 was late by 120 ms, "
+        "the supervisor was late by 70 ms"
+    )
+    assert busy.words([*said, Lateness(CONTROLLER, 1)], 1.0, 1, robots).startswith("load 1.0 on 1 core, ")
+    assert "controller" not in busy.words([*said, Lateness(CONTROLLER, 1)], 1.0, 1, robots)  # three are enough
+    assert busy.name(DRIVERS + 9, robots) == "another driver"

@@ -1,0 +1,659 @@
+"""Mistakes that beginners make: each ends with exit code 2 and one line that says where it is and how to mend it.
+
+Nothing is started and nothing is written. ``«`` in an edit marks the place that the line must name.
+"""
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from robofleet import cli
+
+ROOT = Path(__file__).parent.parent
+PLATOON = (ROOT / "configs" / "platoon.yaml").read_text()
+LAB = (ROOT / "configs" / "lab.yaml").read_text()
+NO_FILE = "there is no such file"
+
+Edit = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What is typed, and what the answer has to say. An edit is of ``platoon.yaml``, in the folder of the user."""
+
+    name: str
+    typed: str
+    place: str  # what the line begins with; {at} is where « stands
+    cure: str  # what it says
+    edit: Edit | None = None
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    base: str = PLATOON
+    alone: bool = True  # False: more is wrong, each in a line of its own
+
+
+MISTAKES = [
+    # the command line
+    Mistake("no CONFIG", "run", "robofleet run: CONFIG is missing", "platoon.yaml"),
+    Mistake("a name misspelt", "run plattoon.yaml", f"plattoon.yaml:1:1: {NO_FILE}", "did you mean platoon.yaml?"),
+    Mistake("a name without its end", "run platoon", f"platoon:1:1: {NO_FILE}", "did you mean platoon.yaml?"),
+    Mistake("a name in capitals", "run Platoon.YAML", f"Platoon.YAML:1:1: {NO_FILE}", "did you mean platoon.yaml?"),
+    Mistake(
+        "the folder forgotten",
+        "check mine.yaml",
+        f"mine.yaml:1:1: {NO_FILE}",
+        "did you mean lab/mine.yaml?",
+        files={"lab/mine.yaml": PLATOON},
+    ),
+    Mistake(
+        "a folder that is not there",
+        "check labs/mine.yaml",
+        f"labs/mine.yaml:1:1: {NO_FILE}",
+        "did you mean lab/mine.yaml?",
+        files={"lab/mine.yaml": PLATOON},
+    ),
+    Mistake(
+        "a folder for a file",
+        "run lab",
+        "lab:1:1: is a folder",
+        "name a file in it: lab/mine.yaml",
+        files={"lab/mine.yaml": PLATOON},
+    ),
+    Mistake("a command misspelt", "rum platoon.yaml", "robofleet: there is no command 'rum'", "did you mean 'run'?"),
+    Mistake("an option misspelt", "run platoon.yaml --lockstp", "--lockstp: ", "did you mean --lockstep?"),
+    Mistake(
+        "two configurations",
+        "run platoon.yaml lab.yaml",
+        "robofleet run: too many arguments, from 'lab.yaml' on",
+        "robofleet run --help",
+    ),
+    Mistake("a value that is no number", "run platoon.yaml --duration ten", "--duration: ", "must be a valid number"),
+    Mistake("an option without its value", "run platoon.yaml --seed", "--seed: ", "needs a value"),
+    Mistake(
+        "a duration below nothing",
+        "run platoon.yaml --duration -5",
+        "--set run.duration_s=-5.0: run.duration_s: ",
+        "must be at least 0.001",
+    ),
+    Mistake(
+        "a duration that is no number",
+        "run platoon.yaml --duration nan",
+        "--set run.duration_s=nan: run.duration_s: ",
+        "number",
+    ),
+    Mistake(
+        "a seed below nothing", "run platoon.yaml --seed -1", "--set run.seed=-1: run.seed: ", "must be at least 0"
+    ),
+    Mistake(
+        "--set without =", "check platoon.yaml --set controller.alpha", "--set controller.alpha: ", "write KEY=VALUE"
+    ),
+    Mistake(
+        "--set of no key",
+        "check platoon.yaml --set controller.alfa=30",
+        "--set controller.alfa=30: controller.alfa: ",
+        "did you mean 'alpha'?",
+    ),
+    Mistake(
+        "--set of a key without its parents",
+        "check platoon.yaml --set alpha=30",
+        "--set alpha=30: alpha: ",
+        "did you mean 'controller.alpha'?",
+    ),
+    Mistake(
+        "--set of a robot by its name",
+        "check platoon.yaml --set robots.r1.tag=7",
+        "--set robots.r1.tag=7: ",
+        "robots.0.tag",
+    ),
+    Mistake(
+        "--set of a robot too many",
+        "check platoon.yaml --set robots.4.tag=7",
+        "--set robots.4.tag=7: ",
+        "counted from 0",
+    ),
+    Mistake(
+        "--set of another type",
+        "check platoon.yaml --set controller.alpha=fast",
+        "--set controller.alpha=fast: controller.alpha: ",
+        "must be a number",
+    ),
+    Mistake("--out that holds something", "run platoon.yaml --lockstep --out .", "--out: . ", "name another folder"),
+    Mistake(
+        "--out that is a file",
+        "run platoon.yaml --lockstep --out platoon.yaml",
+        "--out: platoon.yaml ",
+        "name another folder",
+    ),
+    Mistake(
+        "--out where nothing can be made",
+        "run platoon.yaml --lockstep --out /proc/run",
+        "--out: /proc/run ",
+        "name another folder",
+    ),
+    Mistake(
+        "--faults misspelt",
+        "run platoon.yaml --faults losy.yaml",
+        f"losy.yaml:1:1: {NO_FILE}",
+        "did you mean lossy.yaml?",
+        files={"lossy.yaml": "faults: []\n"},
+    ),
+    Mistake("--faults without faults", "run platoon.yaml --lockstep --faults platoon.yaml", "platoon.yaml:", "faults"),
+    Mistake(
+        "--faults of no robot",
+        "run platoon.yaml --lockstep --faults f.yaml",
+        "f.yaml:1:38: faults.0.robot: there is no robot 'r9'",
+        "known: r1, r2, r3, r4",
+        files={"f.yaml": "faults: [{kind: pose_dropout, robot: r9, at_s: 1, duration_s: 1}]\n"},
+    ),
+    Mistake(
+        "a page of a lockstep run", "run platoon.yaml --lockstep --web", "--web: ", "leave --web or --lockstep out"
+    ),
+    Mistake("stop of no arena", "stop platoon", "no arena has a run", "robofleet run CONFIG"),
+    Mistake("hold with nothing running", "hold", "no arena has a run", "robofleet run CONFIG"),
+    Mistake("web with nothing running", "web", "no arena has a run", "robofleet run CONFIG"),
+    Mistake(
+        "report of a configuration", "report platoon.yaml", "platoon.yaml: is not a recording", "name a run's folder"
+    ),
+    Mistake(
+        "replay of a configuration", "replay platoon.yaml", "platoon.yaml: is not a recording", "name a run's folder"
+    ),
+    Mistake(
+        "repair of a configuration", "repair platoon.yaml", "platoon.yaml: is not a recording", "name a run's folder"
+    ),
+    Mistake("report of no run", "report runs/today", "runs/today: ", "name a run's folder"),
+    Mistake(
+        "report of an empty folder",
+        "report runs",
+        "runs/run.mcap: ",
+        "name a run's folder",
+        files={"runs/x/summary.json": "{}"},
+    ),
+    Mistake(
+        "run of a recording",
+        "run runs/run.mcap",
+        "runs/run.mcap:1:1: is a recording",
+        "robofleet report",
+        files={"runs/run.mcap": b"\x89MCAP0\r\n\x01\x00"},
+    ),
+    Mistake(
+        "run of a run's folder",
+        "run runs",
+        "runs:1:1: is a folder",
+        "name a file in it: runs/config.yaml",
+        files={"runs/config.yaml": PLATOON, "runs/run.mcap": b"\x89MCAP0\r\n"},
+    ),
+    Mistake(
+        "a driver of no robot",
+        "driver platoon.yaml --robots r9",
+        "--robots: there is no robot 'r9'",
+        "it has r1, r2, r3, r4",
+    ),
+    Mistake(
+        "a driver of nobody", "driver platoon.yaml", "--robots: is missing", "robofleet driver lab.yaml --robots r1,r2"
+    ),
+    Mistake(
+        "an experiment misspelt",
+        "paper lane-chang",
+        "there is no experiment 'lane-chang'",
+        "did you mean 'lane-change'?",
+    ),
+    Mistake("a storm of no seeds", "storm platoon.yaml --seeds 0", "--seeds: ", "must be greater than or equal to 1"),
+    # YAML
+    Mistake(
+        "a tab", "check platoon.yaml", "platoon.yaml:{at}: ", "indent with spaces", ("  - {id: r1,", "«\t- {id: r1,")
+    ),
+    Mistake(
+        "no colon",
+        "check platoon.yaml",
+        "platoon.yaml:",
+        "this key has no colon: write `key: value`",
+        ("    spacing_m: 0.25", "    spacing_m 0.25"),
+    ),
+    Mistake(
+        "no space after a colon",
+        "check platoon.yaml",
+        "platoon.yaml:",
+        "no space follows the colon: write `key: value`",
+        ("  tick_s: 0.033", "  tick_s:0.033"),
+    ),
+    Mistake(
+        "an indentation too deep",
+        "check platoon.yaml",
+        "platoon.yaml:",
+        "indent the keys of one mapping alike",
+        ("    spacing_m: 0.25", "      spacing_m: 0.25"),
+    ),
+    Mistake(
+        "an indentation too shallow",
+        "check platoon.yaml",
+        "platoon.yaml:",
+        "indent",
+        ("    spacing_m: 0.25", "   spacing_m: 0.25"),
+    ),
+    Mistake(
+        "a bracket left open",
+        "check platoon.yaml",
+        "platoon.yaml:",
+        "write ] at its end",
+        ("[r1, r2, r3, r4]", "[r1, r2, r3, r4"),
+    ),
+    Mistake(
+        "a key written twice",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.spacing_m: is written twice",
+        "remove one",
+        ("      path_rate: 0.0455", "      path_rate: 0.0455\n      «spacing_m: 0.3"),
+    ),
+    Mistake(
+        "an empty file",
+        "check empty.yaml",
+        "empty.yaml:1:1: is empty",
+        "copy configs/platoon.yaml",
+        files={"empty.yaml": ""},
+    ),
+    Mistake(
+        "a file that is no text",
+        "check latin.yaml",
+        "latin.yaml:1:14: ",
+        "save the file as UTF-8",
+        files={"latin.yaml": "arena: {name: \xe4}".encode("latin-1")[0:13] + b"\xe4}"},
+    ),
+    Mistake(
+        "a list for a mapping",
+        "check list.yaml",
+        "list.yaml:1:1: ",
+        "must be a mapping",
+        files={"list.yaml": "- arena\n"},
+    ),
+    Mistake(
+        "robots as a mapping",
+        "check platoon.yaml --set robots={a:1}",
+        "--set robots={{a:1}}: robots: ",
+        "must be a list",
+    ),
+    # keys and values
+    Mistake(
+        "an unknown key",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.path_rat: ",
+        "did you mean 'path_rate'?",
+        ("path_rate: 0.0455", "«path_rat: 0.0455"),
+    ),
+    Mistake(
+        "a key without its unit",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.spacing: ",
+        "did you mean 'spacing_m'?",
+        ("spacing_m: 0.25", "«spacing: 0.25"),
+    ),
+    Mistake(
+        "a decimal comma",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.spacing_m: ",
+        "write 0.25",
+        ("spacing_m: 0.25", "spacing_m: «0,25"),
+    ),
+    Mistake(
+        "a unit behind a number",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.spacing_m: ",
+        "write 0.25",
+        ("spacing_m: 0.25", "spacing_m: «0.25 m"),
+    ),
+    Mistake(
+        "a number in quotes",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: controller.alpha: ",
+        "remove the quotes",
+        ("alpha: 45", "alpha: «'45'"),
+    ),
+    Mistake(
+        "yes for true",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: run.attended: ",
+        "write true or false",
+        ("duration_s: 88,", "duration_s: 88, attended: «yes,"),
+    ),
+    Mistake(
+        "an exponent that YAML reads as text",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: controller.alpha: ",
+        "write 4.5e+1",
+        ("alpha: 45", "alpha: «4.5e1"),
+    ),
+    Mistake(
+        "a size in centimetres",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.spacing_m: ",
+        "in cm or mm?",
+        ("spacing_m: 0.25", "spacing_m: «25"),
+    ),
+    Mistake(
+        "an arena in millimetres",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: arena.size_m.0: ",
+        "in cm or mm?",
+        ("size_m: [3.2, 2.0]", "size_m: [«3200, 2.0]"),
+    ),
+    Mistake(
+        "a tag's side in millimetres",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: tracker.tag_side_m: ",
+        "in cm or mm?",
+        ("tag_side_m: 0.07", "tag_side_m: «70"),
+    ),
+    Mistake(
+        "a wheel in millimetres",
+        "check platoon.yaml --set robots.0.vehicle.wheel_radius_m=16",
+        "--set robots.0.vehicle.wheel_radius_m=16: robots.0.vehicle.wheel_radius_m: ",
+        "is 16 in mm?",
+    ),
+    Mistake(
+        "a tick in milliseconds",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: controller.tick_s: ",
+        "is 33 in ms?",
+        ("tick_s: 0.033", "tick_s: «33"),
+    ),
+    Mistake(
+        "a heading beyond a turn",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.start.heading_deg: ",
+        "must be at most 360",
+        ("heading_deg: 53.0", "heading_deg: «530"),
+    ),
+    Mistake(
+        "degrees for radians",
+        "check platoon.yaml --set tracker.truth.heading_noise_rad=25",
+        "--set tracker.truth.heading_noise_rad=25: tracker.truth.heading_noise_rad: ",
+        "is 25 in degrees?",
+    ),
+    Mistake(
+        "a tick of nothing",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: controller.tick_s: ",
+        "must be at least 0.001",
+        ("tick_s: 0.033", "tick_s: «0"),
+    ),
+    Mistake(
+        "no number",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: controller.alpha: ",
+        "must be a finite number",
+        ("alpha: 45", "alpha: «.nan"),
+    ),
+    Mistake(
+        "a behaviour misspelt",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.behaviour: ",
+        "did you mean 'platoon'?",
+        ("behaviour: platoon", "behaviour: «plattoon"),
+    ),
+    Mistake(
+        "a part that is missing",
+        "check platoon.yaml",
+        "platoon.yaml:2:1: tracker: is missing",
+        "configs/README.md",
+        (
+            "tracker:\n  source: camera\n  tag_side_m: 0.07\n  tag_height_m: 0.08\n  truth: {position_noise_m: 0.0003, heading_noise_rad: 0.004, delay_s: 0.01, jitter_s: 0.002, dropout: 0.01}\n",  # noqa: E501
+            "",
+        ),
+    ),
+    # files that it names
+    Mistake(
+        "no such vehicle",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.vehicle: there is no file",
+        "did you mean 'gternal'?",
+        ("{id: r1, tag: 1, vehicle: gternal,", "{id: r1, tag: 1, vehicle: «gternel,"),
+    ),
+    Mistake(
+        "no such path",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.path: there is no file",
+        "did you mean 'platoon'?",
+        ("path: platoon", "path: «platon"),
+    ),
+    Mistake(
+        "a path by its folder",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.path: ",
+        "write platoon",
+        ("path: platoon", "path: «paths/platoon"),
+    ),
+    Mistake(
+        "a path's file that is not there",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.path: there is no file paths/eigt.yaml",
+        "did you mean paths/eight.yaml?",
+        ("path: platoon", "path: «paths/eigt.yaml"),
+        files={"paths/eight.yaml": "knots: []\n"},
+    ),
+    # robots
+    Mistake(
+        "an id twice",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.1.id: r1 is robots.0's already",
+        "give each robot its own",
+        ("{id: r2,", "{id: «r1,"),
+    ),
+    Mistake(
+        "a tag twice",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.2.tag: 1 is robots.0's already",
+        "give each robot its own",
+        ("tag: 3", "tag: «1"),
+    ),
+    Mistake(
+        "an id in capitals",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.id: ",
+        "must be a small letter",
+        ("{id: r1,", "{id: «R1,"),
+    ),
+    Mistake(
+        "a group of no such robot",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.robots.2: there is no robot 'r7'",
+        "known: r1, r2, r3, r4",
+        ("[r1, r2, r3, r4]", "[r1, r2, «r7, r4]"),
+    ),
+    Mistake(
+        "a robot twice in a group",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.robots.2: r2 is in the group already",
+        "remove one",
+        ("[r1, r2, r3, r4]", "[r1, r2, «r2, r3, r4]"),
+    ),
+    Mistake(
+        "two robots in the wrong order",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.robots: r1 stands ahead of r2, and the group's order is r4, r3, r2, r1",
+        "write `robots: [r1, r2, r3, r4]`",
+        ("[r1, r2, r3, r4]", "«[r4, r3, r2, r1]"),
+    ),
+    Mistake(
+        "a robot in no group without a place",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.4.start: is missing",
+        "write start: {x_m:",
+        ("groups:", "  - «{id: r5, tag: 5, vehicle: gternal}\ngroups:"),
+    ),
+    Mistake(
+        "no such driver",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.driver: ",
+        "did you mean 'gternal'?",
+        ("{id: r1, tag: 1,", "{id: r1, tag: 1, driver: «gtrnal,"),
+    ),
+    Mistake(
+        "a port forgotten",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.settings.port: is missing",
+        "add it",
+        ("{id: r1, tag: 1,", "«{id: r1, tag: 1, driver: gternal,"),
+        alone=False,
+    ),
+    Mistake(
+        "a port that is not there",
+        "check lab1.yaml",
+        "lab1.yaml:{at}: robots.0.settings.port: ",
+        "/dev/robofleet-nowhere",
+        ("{port: /dev/robofleet/r1}", "{port: «/dev/robofleet-nowhere}"),
+        base=LAB,
+        alone=False,
+    ),
+    Mistake(
+        "a baud rate for a robot that takes none",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.settings: ",
+        "remove them",
+        ("{id: r1, tag: 1,", "{id: r1, tag: 1, settings: «{baud: 9600},"),
+    ),
+    Mistake(
+        "a calibration of another robot",
+        "check platoon.yaml",
+        "cal.yaml:1:1: was measured on 'r2', not on 'r1'",
+        "calibrate this robot",
+        ("{id: r1, tag: 1,", "{id: r1, tag: 1, calibration: «cal.yaml,"),
+        files={"cal.yaml": "robot: r2\n"},
+    ),
+    Mistake(
+        "a real robot in lockstep",
+        "run lab.yaml --lockstep",
+        "lab.yaml:29:13: robots.0.driver: ",
+        "run without --lockstep",
+        files={"lab.yaml": LAB},
+        alone=False,
+    ),
+    # the laboratory
+    Mistake(
+        "a path that leaves the arena",
+        "check platoon.yaml",
+        f"{ROOT}/robofleet/configs/paths/platoon.yaml:4:1: ",
+        "move its knots inwards",
+        ("size_m: [3.2, 2.0]", "size_m: [3.2, 1.8]"),
+    ),
+    Mistake(
+        "a spacing too small",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.spacing_m: ",
+        "raise it",
+        ("spacing_m: 0.25", "spacing_m: «0.2"),
+    ),
+    Mistake(
+        "a path rate too fast",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.settings.path_rate: ",
+        "fits",
+        ("path_rate: 0.0455", "path_rate: «0.075"),
+    ),
+    Mistake(
+        "a start outside the arena",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.0.start: ",
+        "move r1 into the arena",
+        ("start: {x_m: -1.212, y_m: 0.500,", "start: «{x_m: -1.212, y_m: 0.980,"),
+    ),
+    Mistake(
+        "two robots in one place",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: robots.1.start: ",
+        "move r1 and r2 apart",
+        ("start: {x_m: -1.382, y_m: 0.254,", "start: «{x_m: -1.212, y_m: 0.500,"),
+    ),
+    Mistake(
+        "no camera",
+        "check cam.yaml",
+        "cam.yaml:{at}: camera.v4l2.device: there is no camera",
+        "/dev/video97",
+        ("{device: /dev/video0}", "{device: «/dev/video97}"),
+        base=LAB,
+        alone=False,
+    ),
+    Mistake(
+        "no such camera",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: camera.source: ",
+        "did you mean 'v4l2'?",
+        ("camera: {model: overhead,", "camera: {source: «v4l, model: overhead,"),
+    ),
+    Mistake(
+        "a size that was not calibrated",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: camera.width: ",
+        "calibrate again",
+        ("width: 1280", "width: «1920"),
+    ),
+]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the user's folder, with a ``platoon.yaml`` in it."""
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "TMPDIR"):
+        monkeypatch.setenv(name, str(tmp_path_factory.mktemp(name)))
+    (tmp_path / "platoon.yaml").write_text(PLATOON)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def prepared(folder: Path, mistake: Mistake) -> str:
+    """Write the files of a mistake; return line and column of « in its edit."""
+    for name, content in mistake.files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    if mistake.edit is None:
+        return ""
+    old, new = mistake.edit
+    assert mistake.base.count(old) == 1
+    text = mistake.base.replace(old, new)
+    before, _, _ = text.partition("«")
+    name = next(word for word in mistake.typed.split() if word.endswith(".yaml"))
+    (folder / name).write_text(text.replace("«", ""))
+    return f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
+
+
+def content_of(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
+def test_a_mistake_is_one_line_with_its_place_and_its_cure(
+    folder: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    at = prepared(folder, mistake)
+    before = content_of(folder)
+    monkeypatch.setattr(cli, "_summary", lambda *a, **k: pytest.fail("it was started"))
+    monkeypatch.setattr(sys, "argv", ["robofleet", *mistake.typed.split()])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    said = capfd.readouterr()
+    print(f"{mistake.name} | {said.err}")
+    assert ended.value.code == 2, said
+    assert said.out == ""
+    lines = [line for line in said.err.splitlines() if line.startswith(mistake.place.format(at=at))]
+    assert len(lines) == 1
+    assert mistake.cure in lines[0]
+    assert said.err.splitlines() == lines or not mistake.alone
+    assert content_of(folder) == before
+
+
+@pytest.mark.parametrize("name", ["a name misspelt", "an option misspelt", "a tab", "hold with nothing running"])
+def test_a_process_says_the_same(folder: Path, name: str) -> None:
+    mistake = next(mistake for mistake in MISTAKES if mistake.name == name)
+    at = prepared(folder, mistake)
+    done = subprocess.run(
+        [sys.executable, "-m", "robofleet", *mistake.typed.split()], capture_output=True, text=True, check=False
+    )
+    (line,) = done.stderr.splitlines()
+    assert (done.returncode, done.stdout) == (2, "")
+    assert line.startswith(mistake.place.format(at=at))
+    assert mistake.cure in line
+
+
+def test_these_are_fifty_mistakes_and_more() -> None:
+    assert len({mistake.name for mistake in MISTAKES}) == len(MISTAKES) >= 50
