@@ -1,5 +1,12 @@
-"""Which tests go to one worker: those of a file, and of files that compile the same plant: it is compiled once then."""
+"""Which tests go to one worker, and what a file of tests leaves behind there: no module of a user's own.
 
+The tests of a file go to one worker, and so do files that compile the same plant: it is compiled once then.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,3 +31,20 @@ class _Scheduling(LoadFileScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
     return _Scheduling(config, log)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _own_modules() -> Iterator[None]:
+    """Forget the modules beside configurations that a file of tests loaded: the next has others of that name."""
+    paths, given = list(sys.path), os.environ.get("PYTHONPATH")
+    yield
+    added = {Path(path).resolve() for path in sys.path if path not in paths}
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if file and not added.isdisjoint(Path(file).resolve().parents):
+            del sys.modules[name]
+    sys.path[:] = paths
+    if given is None:
+        os.environ.pop("PYTHONPATH", None)
+    else:
+        os.environ["PYTHONPATH"] = given

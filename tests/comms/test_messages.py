@@ -12,8 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.comms.layouts import VERSION, Layout, ListLayout
-from robofleet.comms.messages import FLEET_POSES, PICTURE, TICK_RECORD, FleetPoses, Picture, RobotTick, TagPose
-from tests.comms.conftest import LAYOUTS
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    PICTURE,
+    TICK_RECORD,
+    FleetPoses,
+    Picture,
+    RobotTick,
+    TagPose,
+    TickRecord,
+)
+from tests.comms.conftest import LAYOUTS, any_message
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=40)
 AnyLayout = Layout[Any] | ListLayout[Any]
@@ -192,10 +201,25 @@ def test_numpy_reads_the_same_values(layout: AnyLayout, any_of: Messages, data: 
         (row,) = np.frombuffer(payload, layout.dtype)
         assert row.tolist() == (VERSION, *message)
         return
-    *head, items = message
+    count = len(layout.head_dtype.names or ()) - 2  # without version and count
+    head, items = message[:count], message[count]
     (row,) = np.frombuffer(payload, layout.dtype(len(items)))
     assert [row[name] for name in layout.head_dtype.names or ()] == [VERSION, *head, len(items)]
     assert [tuple(item) for item in row["items"].tolist()] == [tuple(item) for item in items]
+
+
+@EXACT
+@given(any_message("TickRecord"), st.lists(st.floats(), max_size=6))
+def test_figures_are_kept_whatever_they_are(tick: TickRecord, figures: list[float]) -> None:
+    """NaN is a figure that a robot has not."""
+    payload = TICK_RECORD.encode(tick._replace(figures=tuple(figures)))
+    said = TICK_RECORD.decode(payload)
+    assert said is not None
+    (row,) = np.frombuffer(payload, TICK_RECORD.dtype(len(tick.robots), len(figures)))
+    for kept in (said.figures, row["figures"]):
+        np.testing.assert_array_equal(np.asarray(kept), np.asarray(figures, dtype=float))
+    assert said.robots == tick.robots
+    assert TICK_RECORD.decode(payload[:-1]) is None
 
 
 @EXACT
