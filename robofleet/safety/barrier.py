@@ -22,7 +22,7 @@ asked for nothing, or it stalls: it moves less than a fifth of what it was comma
 
 A robot is blocked that stands for three seconds, or turns and goes round for eighteen without getting on, because of
 somebody who does not wait: one that stands, or stalls. Robots that press each other and all wait are blocked, too,
-where they stay in one place for thirty seconds.
+where they stay in one place for forty seconds.
 
 A bystander, a robot that nobody drives, keeps nothing: it stands, or a hand pushes it with a velocity w that was seen.
 Each robot i keeps its own half, and beside it all that the bystander j comes nearer by:
@@ -73,7 +73,7 @@ _AROUND_S = 0.5  # held for so long, a robot turns; in vain for so long, it turn
 _CLEAR_S = 0.16  # not held for so long, it asks for the straight way
 _WAITED_S = 2.0  # who was held within this time waits
 _BLOCKED_S = 3.0
-_STAYED_S, _STAYED_M = 30.0, 0.15  # held so long within this distance, a robot is blocked, whoever waits for whom
+_STAYED_S, _STAYED_M = 40.0, 0.15  # held so long within this distance, a robot is blocked, whoever waits for whom
 _STALL_S, _STALL_M, _STALL_MOVED = 1.0, 0.04, 0.2  # told to go so far in this time, and moved less than this share
 _ROUND = 6  # a tick that a robot stands counts as so many in which it goes round without getting on
 # of a robot's memory: ticks; _TURN: which of _TURNS, from 1; _STALLS and _PRESSING: 0 or 1

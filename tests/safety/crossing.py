@@ -67,7 +67,7 @@ class Crossing:
     edge: float  # smallest distance of a body from the arena's edge [m]
     arrived: int  # robots at their goals at the end
     blocked: int  # robots that are not, and said to be blocked at the end
-    ever_blocked: int  # robots that were said to be blocked at any time
+    ever_blocked: int  # robots that were said to be blocked at any time at which they were not at their goals
     moving: int  # robots that did not stall
     no_answer: int  # ticks of a robot for which there was none
     seconds: float  # until all were there to stay; infinite where they were not
@@ -140,7 +140,7 @@ def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
         before, (u, wheels) = wheels, asked(config, scenario, there, goals)
         unseen = (tick_ns - estimate.measured_ns) / S
         how, blocked = barrier.filter(there, turning, unseen, all_drive, wheels, u)
-        no_answer, ever = no_answer + int((how == NO_ANSWER).sum()), ever | blocked
+        no_answer, ever = no_answer + int((how == NO_ANSWER).sum()), ever | (blocked & ~arena.there())
         estimate.command(tick_ns, wheels)
         arena.move(before, c.command_delay_s)
         for _ in range(3):
