@@ -21,6 +21,7 @@ from robofleet.clock import MS, S, WallClock
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 GONE_WITHIN_S = 5.0  # a second, and what a busy machine takes
 _STARTED_WITHIN_S = 150  # on a busy machine that has to compile every kernel first
+_ENDED_WITHIN_S = 120  # the same; how long a stop takes is measured, not waited for
 CLOCK = WallClock()
 
 
@@ -144,7 +145,8 @@ class RealRun:
         assert wait(lambda: condition() or self.launcher.poll() is not None, _STARTED_WITHIN_S), self.said
         assert self.launcher.poll() is None, self.said
 
-    def ended(self, within_s: float) -> int:
+    def ended(self, within_s: float = _ENDED_WITHIN_S) -> int:
+        """Wait for a run's end, and return its exit code."""
         assert wait(lambda: self.launcher.poll() is not None, within_s), self.said
         return int(self.launcher.returncode)
 

@@ -26,7 +26,7 @@ def test_what_was_to_be_killed_or_stopped_is_what_the_supervisor_names(
 ) -> None:
     run = real_run(*of_robots("r1", "r2"), "--set", f"faults=[{fault}]")
     run.wait_until_running()
-    assert run.ended(30) == 1
+    assert run.ended() == 1
     assert run.nothing_is_left()
     assert (run.summary["outcome"], run.summary["cause"]) == ("fault", f"{cause}: its log is in the run's folder")
 

@@ -31,7 +31,7 @@ def test_a_driver_that_waits_for_the_bus_serves_one_run_after_the_other(
     try:
         for name in ("first", "second"):
             run = real_run(*ALONE, *(word for change in changes for word in ("--set", change)), name=name)
-            assert run.ended(60) == 0, run.said
+            assert run.ended() == 0, run.said
             assert run.summary["outcome"] == "completed"
             assert not run.children("driver")
             assert driver.poll() is None, "the run has ended a driver that is not its own"

@@ -62,7 +62,7 @@ def test_an_emergency_stop_on_a_full_disk_holds_through_the_next_start(
     for file in ("filler", "rest"):
         (disk / file).unlink()
     again = run_on("--set", "run.duration_s=1", name="again")
-    assert again.ended(60.0) == 1
+    assert again.ended() == 1
     assert "latched" in again.said
     assert "\nrunning" not in again.said
     assert again.latched() == {"r1": Latch.EMERGENCY_STOP}
@@ -80,7 +80,7 @@ def test_a_state_folder_that_cannot_be_written_is_named_at_the_start(
         subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4k", "tmpfs", disk / "state"], check=True)
     try:
         run = run_on(name="run")
-        assert run.ended(60.0) == 2
+        assert run.ended() == 2
     finally:
         if spoilt == "full":
             subprocess.run(["umount", "-l", disk / "state"], check=True)

@@ -31,7 +31,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
         assert "llvmlite" not in loaded
         assert "cv2" not in loaded
     assert "cv2" in libraries(run.children("tracker")[0])
-    assert run.ended(30) == 0
+    assert run.ended() == 0
     assert run.children() == []
 
     s = run.summary
@@ -80,7 +80,7 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
     run.wait_until_running()
     run.kill(*victim)
     assert run.nothing_is_left()
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     cause = f"the {'-'.join(victim)} was killed by SIGKILL"
     assert (run.summary["outcome"], run.summary["cause"]) == ("fault", cause)
     assert cause in run.said
@@ -101,7 +101,7 @@ def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
     run.wait_until_running()
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
     assert run.summary["ticks"] > 0
     assert "stopped: the operator interrupted" in run.said
@@ -112,7 +112,7 @@ def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRu
     run.wait_for(run.children)
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
     assert run.summary["ticks"] == 0
     assert "running" not in run.said

@@ -49,7 +49,7 @@ def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_
     run.wait_for(lambda: run.said.count("\nrunning") == 3)
 
     run.press(b"q")
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.nothing_is_left()
     assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator ended it")
     assert run.summary["ticks"] > 0
@@ -63,7 +63,7 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     FileKeeping("platoon").save("r1", Kept(4, Latch.EMERGENCY_STOP, 7))
     refused = real_run(*ALONE)
-    assert refused.ended(60) == 1
+    assert refused.ended() == 1
     assert "fault: start was refused: r1: the gate is latched: " in refused.said
     assert "`robofleet run --reset` does it" in refused.said
     assert refused.latched() == {"r1": 2}
@@ -74,7 +74,7 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     stopped = run.robofleet("stop")
     assert (stopped.returncode, stopped.stderr) == (0, "")
     assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.latched() == {"r1": 2}
     assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
 
@@ -87,12 +87,12 @@ def test_with_a_frozen_supervisor_a_stop_latches_every_gate_and_the_next_run_wai
     stopped = run.robofleet("stop")
     assert (stopped.returncode, stopped.stderr) == (0, "")
     assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.latched() == {"r1": 2, "r2": 2}
     assert run.summary["outcome"] == "stopped"
     assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent")
     again = real_run(*of_robots("r1", "r2"), name="again")
-    assert again.ended(60) == 1
+    assert again.ended() == 1
     assert "fault: start was refused: r1, r2: the gate is latched: " in again.said
     assert again.latched() == {"r1": 2, "r2": 2}
 
@@ -108,7 +108,7 @@ def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, fr
     CLOCK.sleep_until(CLOCK.now_ns() + round(frozen_s * S))
     supervisor.send_signal(signal.SIGCONT)
     assert stopping.wait(20) == 0
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.latched() == {"r1": 2}
     assert run.summary["outcome"] == "stopped"
     causes = "emergency stop requested", "r1: an emergency stop closed its gate without the supervisor: "
@@ -131,7 +131,7 @@ def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run:
 
 def test_without_a_run_there_is_nothing_to_stop(real_run: Start, tmp_path: Path) -> None:
     run = real_run("--duration", "-1")  # refused
-    assert run.ended(20) == 2
+    assert run.ended() == 2
     for command in ("stop", "hold", "resume", "reset", "status"):
         done = run.robofleet(command)
         assert (done.returncode, done.stdout) == (2, ""), command

@@ -42,7 +42,7 @@ def test_the_emergency_key_is_heard_though_the_terminal_takes_no_output(
         run.press(b"\x13")
     run.press(key)
     assert wait(lambda: run.latched() == {"r1": 2}, 5)
-    assert run.ended(30) == 1
+    assert run.ended() == 1
     assert outcome(run.folder) == "stopped"
     assert run.nothing_is_left()
 
@@ -51,7 +51,7 @@ def test_a_run_on_a_terminal_that_takes_no_output_is_ended_by_its_key(real_run: 
     run = real_run(*ALONE, terminal=True, screen="full terminal")
     run.wait_for(lambda: phase(run) == "running")
     run.press(b"q")
-    assert run.ended(30) == 1
+    assert run.ended() == 1
     assert outcome(run.folder) == "stopped"
     assert run.latched() == {"r1": 0}
 
@@ -66,7 +66,7 @@ def test_a_run_is_completed_whoever_reads_what_it_says(real_run: Start, how: tup
     os.close(writing)
     if reader == "gone":
         os.close(reading)
-    assert run.ended(90) == 0
+    assert run.ended() == 0
     assert outcome(run.folder) == "completed"
 
 
@@ -80,7 +80,7 @@ def test_a_reader_that_ends_in_the_middle_ends_no_run(real_run: Start) -> None:
         assert more, said
         said += more
     os.close(reading)
-    assert run.ended(30) == 0
+    assert run.ended() == 0
     assert outcome(run.folder) == "completed"
 
 
@@ -90,7 +90,7 @@ def test_a_closed_terminal_leaves_a_run_with_all_its_files(real_run: Start, nohu
     run = real_run(*ALONE, "--duration", "3" if nohup else "60", terminal=True, screen="terminal", nohup=nohup)
     run.wait_for(lambda: phase(run) == "running")
     run.close_terminal()
-    assert run.ended(30) == (0 if nohup else 1)
+    assert run.ended() == (0 if nohup else 1)
     assert outcome(run.folder) == ("completed" if nohup else "stopped")
 
 

@@ -311,7 +311,7 @@ def test_four_robots_drive_on_the_page_until_its_emergency_stop_stops_their_whee
     assert 0 < shown_ms - pressed_ms < 1000  # `web_latency` measures it; here the browser shares two cores with a fleet
     button = browser.find_element(By.ID, "estop-button")
     assert "every robot has latched its gate" in browser.find_element(By.ID, "run-answer").text
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert wait(lambda: "CANNOT STOP" in button.text, SOON_S), "nothing is left that it could stop"
     ended = browser.find_element(By.ID, "ended-banner")
     assert wait(lambda: "Stopped: emergency stop (" in ended.text and "Open the report" in ended.text, SOON_S)

@@ -181,7 +181,7 @@ def test_a_disk_that_is_really_full_holds_the_run_until_there_is_room(
         assert run.robofleet("resume").stderr == "refused: the disk is full: mend it, then resume, or stop\n"
     ballast.unlink()
     run.wait_for(lambda: run.robofleet("resume").stdout == "ok\n")
-    assert run.ended(20) == 1, run.said  # it is completed, but its recording has a gap
+    assert run.ended() == 1, run.said  # it is completed, but its recording has a gap
     assert "results are lost" in run.said
     assert run.summary["outcome"] == "completed"
     recording = read(run.folder)
@@ -202,7 +202,7 @@ def test_a_disk_that_is_said_to_be_full_holds_a_run_too(real_run: Callable[..., 
     run.wait_until_running()
     run.wait_for(lambda: HELD in run.said)
     run.wait_for(lambda: run.robofleet("resume").stdout == "ok\n")
-    assert run.ended(20) == 0, run.said
+    assert run.ended() == 0, run.said
     assert run.summary["recording"]["dropped"] == 0, "it was not"
 
 

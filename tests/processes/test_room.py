@@ -29,7 +29,7 @@ def test_a_run_whose_folder_is_renamed_goes_on_and_says_where_it_is_not(real_run
     run = real_run(*ALONE, "--duration", "2")
     run.wait_until_running()
     moved = run.folder.rename(run.folder.with_name("moved"))
-    assert run.ended(30) == 1, "a completed run whose figures are lost met none of its bounds"
+    assert run.ended() == 1, "a completed run whose figures are lost met none of its bounds"
     assert "results are lost" in run.said
     assert f"{run.folder}" in run.said
     assert not run.folder.exists()

@@ -31,7 +31,7 @@ def test_one_key_is_the_emergency_stop(real_run: Start) -> None:
     run.wait_until_running()
     assert mode(run) != before, "single keys, without Enter"
     run.press(b"e")
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.children() == []
     assert mode(run) == before
     assert run.latched() == {"r1": 2}
@@ -51,7 +51,7 @@ def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(rea
     run.press(b"\x03")
     run.wait_for(lambda: "\nstopping" in run.said)
     run.press(b"\x03")
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     silent = "NOT acknowledged within 200 ms by r2: stop them by hand"
     assert run.summary["cause"] == f"emergency stop (interrupted twice); {silent}"
     assert run.latched() == {"r1": 2, "r2": 0}
@@ -63,7 +63,7 @@ def test_an_attended_run_stops_at_once_when_its_terminal_is_closed(real_run: Sta
     run = real_run(*ATTENDED, terminal=True)
     run.wait_until_running()
     run.close_terminal()
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.summary["cause"].startswith("emergency stop (the operator's terminal is gone); every robot")
     assert run.latched() == {"r1": 2}
 
@@ -74,13 +74,13 @@ def test_an_attended_run_stops_when_its_launcher_is_frozen(real_run: Start) -> N
     run.launcher.send_signal(signal.SIGSTOP)
     run.wait_for(lambda: run.latched() == {"r1": 2})
     run.launcher.send_signal(signal.SIGCONT)
-    assert run.ended(20) == 1
+    assert run.ended() == 1
     assert run.summary["cause"].startswith("emergency stop (the operator's terminal is gone); every robot")
 
 
 def test_an_attended_run_without_a_terminal_is_refused(real_run: Start) -> None:
     run = real_run(*ATTENDED)
-    assert run.ended(20) == 2
+    assert run.ended() == 2
     assert run.said == "run.attended: stdin is not a terminal: start the run in one, or set it to false\n"
     assert not run.folder.exists()
 

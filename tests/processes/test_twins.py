@@ -140,7 +140,7 @@ def test_twins_that_are_killed_end_the_run_and_leave_no_port(real_run: Callable[
     (port,) = (run.folder.parent / "rt").glob("**/*.tty")
     assert port.is_char_device()
     run.kill("twins")
-    assert run.ended(30) == 1
+    assert run.ended() == 1
     assert run.nothing_is_left()
     assert run.summary["cause"] == "the twins was killed by SIGKILL"
     assert not port.is_symlink()
@@ -150,7 +150,7 @@ def test_twins_that_are_killed_end_the_run_and_leave_no_port(real_run: Callable[
 def test_a_driver_that_is_killed_leaves_its_twin_to_its_firmware(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*of_robots("r1"), *A_TWIN, "--set", "faults=[{kind: killed, process: driver-r1, at_s: 1.0}]")
     run.wait_until_running()
-    assert run.ended(30) == 1
+    assert run.ended() == 1
     assert run.nothing_is_left()
     assert "r1: the driver went silent" in run.summary["cause"]
     truths = read(run.folder).rows(key("platoon", TRUTH, "r1"), TRUTH_LAYOUT)

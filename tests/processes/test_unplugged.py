@@ -25,7 +25,7 @@ def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(
     real_run: Callable[..., RealRun],
 ) -> None:
     pulled = real_run(*of_a_create2("faults=[{kind: unplugged, robot: r1, at_s: 1.0, duration_s: 0.5}]"))
-    assert pulled.ended(60) == 1
+    assert pulled.ended() == 1
     (stop,) = pulled.summary["stops"]
     for cause in (pulled.summary["cause"], stop["cause"], pulled.said):
         assert "its driver has lost the connection to it (unplugged?)" in cause
@@ -35,8 +35,8 @@ def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(
     assert "Traceback" not in log
     assert pulled.latched() == {"r1": Latch.DRIVER_FAILED}
     latched = real_run(*of_a_create2(), name="latched")
-    assert latched.ended(60) == 1
+    assert latched.ended() == 1
     assert "robofleet run --reset" in latched.summary["cause"]
     again = real_run(*of_a_create2(), "--reset", name="again")
-    assert again.ended(60) == 0, again.said
+    assert again.ended() == 0, again.said
     assert again.summary["outcome"] == "completed"
