@@ -33,14 +33,14 @@ def point_speeds(team: Team, key: str, speed: float) -> Iterator[Bound]:
 
 
 def inside(team: Team, robot: int, key: str, points: Array, where: Callable[[int], str]) -> Iterator[Bound]:
-    """Yield whether a robot's way (M, 2) [m] keeps its body inside; ``where`` says in words where row k is."""
+    """Yield whether a robot's path (M, 2) [m] keeps its body inside; ``where`` says in words where row k is."""
     body = team.bodies[robot]
     margin = from_edge(team.keepout, body) - body.radius
     for axis, name in enumerate("xy"):
         reach = np.abs(points[:, axis])
         k = int(reach.argmax())
         mend = f"{team.robots[robot]} leaves the arena {where(k)}, so move it inwards"
-        what = f"the way's reach in {name} with a body's radius"
+        what = f"the path's reach in {name} with a body's radius"
         yield Bound(key, what, float(reach[k]) + body.radius, team.arena[axis] / 2 - margin, "m", mend)
 
 
@@ -59,8 +59,8 @@ def wheels(
     drive, v = team.drives[robot], np.abs(body[0])
     wheel = (v + np.abs(body[1]) * drive.wheel_base / 2) / drive.wheel_radius
     for what, values, limit, unit in (
-        ("the fastest wheel along the way", wheel, drive.max_wheel_speed, "rad/s"),
-        ("the highest speed along the way", v, drive.max_speed, "m/s"),
+        ("the fastest wheel along the path", wheel, drive.max_wheel_speed, "rad/s"),
+        ("the highest speed along the path", v, drive.max_speed, "m/s"),
     ):
         k = int(values.argmax())
         share = min(1.0, limit / max(float(values[k]), limit))
