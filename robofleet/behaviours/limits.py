@@ -32,16 +32,28 @@ def point_speeds(team: Team, key: str, speed: float) -> Iterator[Bound]:
     yield Bound(key, "the speed of a robot's point ahead", speed, rounded_down(most[slowest]), "m/s", mend)
 
 
-def inside(team: Team, robot: int, key: str, points: Array, where: Callable[[int], str]) -> Iterator[Bound]:
-    """Yield whether a robot's path (M, 2) [m] keeps its body inside; ``where`` says in words where row k is."""
+def inside(
+    team: Team,
+    robot: int,
+    key: str,
+    points: Array,
+    where: Callable[[int], str],
+    *,
+    who: str = "",
+    mend: str = "move it inwards",
+) -> Iterator[Bound]:
+    """Yield whether a robot's path (M, 2) [m] keeps its body inside; ``where`` says in words where row k is.
+
+    ``who`` leaves the arena there, where it is more than this robot.
+    """
     body = team.bodies[robot]
     margin = from_edge(team.keepout, body) - body.radius
     for axis, name in enumerate("xy"):
         reach = np.abs(points[:, axis])
         k = int(reach.argmax())
-        mend = f"{team.robots[robot]} leaves the arena {where(k)}, so move it inwards"
+        blame = f"{who or team.robots[robot]} leaves the arena {where(k)}, so {mend}"
         what = f"the path's reach in {name} with a body's radius"
-        yield Bound(key, what, float(reach[k]) + body.radius, team.arena[axis] / 2 - margin, "m", mend)
+        yield Bound(key, what, float(reach[k]) + body.radius, team.arena[axis] / 2 - margin, "m", blame)
 
 
 def wheels(

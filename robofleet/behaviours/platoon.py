@@ -178,7 +178,10 @@ class Platoon(Behaviour):
         cusp = laps.no_cusp(lap, "settings.path")
         yield cusp
         widest = max(range(len(team)), key=lambda row: from_edge(team.keepout, team.bodies[row]))
-        yield from inside(team, widest, "settings.path", lap.position, lambda k: f"at parameter {lap.sigma[k]:.2f}")
+        yield from inside(
+            team, widest, "settings.path", lap.position, lambda k: f"at parameter {lap.sigma[k]:.2f}",
+            who="the path", mend="move its knots inwards",
+        )  # fmt: skip
         for drive in dict.fromkeys(team.drives) if cusp.holds else ():
             first = team.drives.index(drive)
             yield from wheels(team, first, "settings.path_rate", (lap.v, lap.omega), partial(_where, lap), self._slower)
