@@ -32,7 +32,7 @@ _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a
 Duration = Annotated[int, Field(ge=0, lt=1 << 62)]
 
 
-class Ending(BaseModel):
+class EndingFile(BaseModel):
     """What the one who ran it knows and no message says, as its file keeps it."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -102,11 +102,11 @@ class Recording:
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
-        return dumps({name: getattr(self, name) for name in Ending.model_fields}).encode()
+        return dumps({name: getattr(self, name) for name in EndingFile.model_fields}).encode()
 
     def end(self, text: bytes) -> None:
         """Take how the run ended from its file; ValueError where it does not say so."""
-        for name, value in Ending.model_validate_json(text):
+        for name, value in EndingFile.model_validate_json(text):
             setattr(self, name, value)
 
     def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
