@@ -106,10 +106,15 @@ def test_resume_asks_it_again() -> None:
 def test_one_that_is_late_is_named_and_everybody_stands(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*options("sleeps"), config=SWIRL)
     cause = "r1: the behaviour of its group failing took longer than its share of a tick"
-    run.wait_for(lambda: f"held: {cause}" in run.said)
+    holds = 0
+    while f"held: {cause}" not in run.said:
+        run.wait_for(lambda holds=holds: run.said.count("held: ") > holds)
+        holds += 1
+        if cause not in run.said:  # a busy machine made the other group late
+            run.robofleet("resume")
     run.wait_for(lambda: at_rest(run.folder))
     run.launcher.send_signal(signal.SIGINT)
-    assert run.ended(30) == 1
+    assert run.ended(120) == 1
     assert cause in run.summary["cause"]
     log = (run.folder / "log" / "controller.log").read_text()
     assert "group failing, r1: Broken returned its decision after its share of the tick was over" in log
