@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from robofleet.vehicles.body import Body
+from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, TruePose, WheelSpeeds
 
 _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
@@ -16,7 +16,7 @@ class SimulatedRobot:
     def __init__(self, context: DriverContext) -> None:
         assert context.simulation is not None, "a robot that does not exist is refused without one"
         self._now_ns = context.now_ns
-        self._body = Body(context.simulation, context.now_ns())
+        self._body = SimulatedBody(context.simulation, context.now_ns())
         self._off_ns: int | None = None  # when the motors go off; None: they are
 
     def write(self, wheels: WheelSpeeds) -> None:

@@ -56,18 +56,18 @@ def _raised_in(error: Exception) -> str | None:
     return f"line {frames[-1].lineno} of {frames[-1].filename}" if len(frames) > 1 else None
 
 
-def reach(folder: Path, name: str) -> None:
-    """Make a class loadable, here and in the processes started from here, whose module stands in a folder.
+def reach(folder: Path, name: str) -> bool:
+    """Make a class loadable, here and in the processes started from here; False: its module is not in that folder.
 
     Installed modules go first, so that no file beside a configuration hides one; PluginError where one hides the file.
     """
     module = name.partition(":")[0].partition(".")[0]
     if ":" not in name or not module.isidentifier():
-        return
+        return False
     files = [folder / f"{module}.py", folder / module / "__init__.py"]
     own = next((file.resolve() for file in files if file.is_file()), None)
     if own is None:
-        return
+        return False
     place = str(folder.resolve())
     if place not in sys.path:
         sys.path.append(place)
@@ -78,6 +78,7 @@ def reach(folder: Path, name: str) -> None:
     found = sys.modules[module].__file__ if module in sys.modules else _origin(module)
     if found is None or Path(found).resolve() != own:
         raise PluginError(f"{name!r}: Python has another module {module!r} ({found or 'built in'}): rename {own}")
+    return True
 
 
 def _origin(module: str) -> str | None:

@@ -3,6 +3,7 @@
 Nothing is started and nothing is written. ``«`` in an edit marks the place that the line must name.
 """
 
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -16,6 +17,10 @@ from robofleet import cli
 ROOT = Path(__file__).parent.parent
 PLATOON = (ROOT / "configs" / "platoon.yaml").read_text()
 LAB = (ROOT / "configs" / "lab.yaml").read_text()
+TWO = (ROOT / "configs" / "two-groups.yaml").read_text()
+TRACK = (ROOT / "configs" / "track.yaml").read_text()
+GO_TO = (ROOT / "configs" / "go-to.yaml").read_text()
+CSV = {"track.csv": (ROOT / "configs" / "track.csv").read_text()}
 NO_FILE = "there is no such file"
 
 Edit = tuple[str, str]
@@ -36,6 +41,124 @@ class Mistake:
 
 
 MISTAKES = [
+    # groups and their behaviours
+    Mistake(
+        "a robot in two groups",
+        "check two.yaml",
+        "two.yaml:{at}: groups.1.robots.3: r1 is in groups.0 already",
+        "a robot has one group",
+        ("[r4, r5, r6]", "[r4, r5, r6, «r1]"),
+        base=TWO,
+    ),
+    Mistake(
+        "a setting of another behaviour",
+        "run two.yaml",
+        "two.yaml:{at}: groups.1.settings.path_rate: unknown key",
+        "known: centre_m, radius_m, speed_m_s",
+        ("{radius_m: 0.4, ", "{radius_m: 0.4, «path_rate: 0.04, "),
+        base=TWO,
+    ),
+    Mistake(
+        "a setting in its group, as in old files",
+        "check two.yaml",
+        "two.yaml:{at}: groups.0.spacing_m: is a setting of the behaviour platoon",
+        "write it under `settings:` (groups.0.settings.spacing_m)",
+        ("    settings: {path: platoon, spacing_m: 0.25, ", "    «spacing_m: 0.25\n    settings: {path: platoon, "),
+        base=TWO,
+    ),
+    Mistake(
+        "a class that is no behaviour",
+        "check platoon.yaml",
+        "platoon.yaml:{at}: groups.0.behaviour: 'os:path' is not a class",
+        "mend its name",
+        ("behaviour: platoon", "behaviour: «os:path"),
+    ),
+    Mistake(
+        "a goal outside the arena",
+        "run go.yaml",
+        "go.yaml:{at}: groups.0.settings.goals.r1: the distance of r1's goal from the edge is ",
+        "move the goal inwards",
+        ("r1: {x_m: -1.050", "r1: «{x_m: -1.590"),
+        base=GO_TO,
+    ),
+    Mistake(
+        "two goals in one place",
+        "check go.yaml",
+        "go.yaml:{at}: groups.0.settings.goals.r2: the distance of the goals of r1 and r2, ",
+        "move one of them",
+        ("r2: {x_m: -0.849, y_m: -0.411", "r2: «{x_m: -1.050, y_m: 0.001"),
+        base=GO_TO,
+    ),
+    Mistake(
+        "a goal that is no number",
+        "check go.yaml",
+        "go.yaml:{at}: groups.0.settings.goals.r2.x_m: ",
+        "must be a finite number",
+        ("r2: {x_m: -0.849, y_m: -0.411", "r2: {x_m: «.nan, y_m: -0.411"),
+        base=GO_TO,
+    ),
+    Mistake(
+        "a table that is not sorted",
+        "check track.yaml",
+        "track.csv:4:1: groups.0.settings.references.r2.csv.2.0: 0.4 s does not come after 0.5 s",
+        "sort the rows by time",
+        ("name: track", "name: track"),
+        {"track.csv": CSV["track.csv"].replace("\n1.0,", "\n0.4,", 1)},
+        base=TRACK,
+    ),
+    Mistake(
+        "a table that is no text",
+        "check track.yaml",
+        "track.csv:1:1: is not UTF-8 text",
+        "save the file as UTF-8",
+        ("name: track", "name: track"),
+        {"track.csv": b"\xff\xfe\x00"},
+        base=TRACK,
+    ),
+    Mistake(
+        "way points too fast for the wheels",
+        "check track.yaml",
+        "track.yaml:{at}: groups.0.settings.references.r3.speed_m_s: speed_m_s is 0.9 m/s, must be at most ",
+        "lower it",
+        ("speed_m_s: 0.12", "speed_m_s: «0.9"),
+        CSV,
+        base=TRACK,
+    ),
+    Mistake(
+        "a path too fast for the wheels",
+        "run track.yaml",
+        "track.yaml:{at}: groups.0.settings.references.r1.path_rate: the fastest wheel along the path is ",
+        "path_rate 0.177 fits",
+        ("path_rate: 0.14", "path_rate: «1.4"),
+        CSV,
+        base=TRACK,
+    ),
+    Mistake(
+        "a park forgotten",
+        "run platoon.yaml --set run.end=park",
+        "platoon.yaml:6:5: robots.0.park: is missing",
+        "run.end: park must know where r1 is to go",
+        alone=False,
+    ),
+    Mistake(
+        "two parks in one place",
+        "check go.yaml",
+        "go.yaml:{at}: robots.1.park: the distance of the goals of r1 and r2, ",
+        "move one of them",
+        ("{id: r2, tag: 2, ", "{id: r2, tag: 2, park: «{x_m: 1.2, y_m: -0.8, heading_deg: 90}, "),
+        base=re.sub(
+            r"\{id: r(1|3|4|5|6|7|8|9|10), ",
+            lambda robot: f"{robot[0]}park: {{x_m: {1.4 - 0.2 * int(robot[1]):.1f}, y_m: -0.8, heading_deg: 90}}, ",
+            GO_TO.replace("run: {", "run: {end: park, "),
+        ),
+    ),
+    Mistake(
+        "go of no such robot", "go platoon.yaml r9=0,0,0", "r9=0,0,0: groups.0.robots.0: there is no", "r1, r2, r3, r4"
+    ),
+    Mistake("go out of the arena", "go platoon.yaml r1=9,9,0", "r1=9,9,0: groups.0.settings.goals.r1: ", "inwards"),
+    Mistake("go without numbers", "go platoon.yaml r1=a,b", "r1=a,b: write ROBOT=X,Y,DEG", "as r1=0.5,0.2,90"),
+    Mistake("go to nan", "go platoon.yaml r1=nan,0,0", "r1=nan,0,0: write ROBOT=X,Y,DEG", "as r1=0.5,0.2,90"),
+    Mistake("go of one robot twice", "go platoon.yaml r1=0,0,0 r1=1,0,0", "r1=1,0,0: r1 has a goal already", "once"),
     # the command line
     Mistake("no CONFIG", "run", "robofleet run: CONFIG is missing", "platoon.yaml"),
     Mistake("a name misspelt", "run plattoon.yaml", f"plattoon.yaml:1:1: {NO_FILE}", "did you mean platoon.yaml?"),

@@ -101,12 +101,12 @@ class Figure(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Name of the column in the recording and in ``metrics.csv``: ``control_error_m``."""
+        """Name in its own unit, in which a tick of the recording has it: ``control_error_m``."""
         return with_unit(self.name, self.unit)
 
     @property
     def shown_key(self) -> str:
-        """Name in ``summary.json``: ``control_error_mm``."""
+        """Name in ``summary.json``, in ``metrics.csv`` and in the viewers' messages: ``control_error_mm``."""
         return with_unit(self.name, self.shown or self.unit)
 
     @property
@@ -288,7 +288,11 @@ class Behaviour:
 
 
 def statistics(values: Array) -> dict[str, Any] | None:
-    """Return mean, maximum and each column's mean of values (K, n), without those that are not known."""
+    """Return mean, maximum and each column's mean of values (K, n), without those that are not known.
+
+    Signed values keep their sign: their mean is their bias, and their maximum the largest value, not the largest
+    magnitude. A behaviour that wants magnitudes tells magnitudes.
+    """
     known = values[np.isfinite(values)]
     if not known.size:
         return None

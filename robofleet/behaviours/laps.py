@@ -1,15 +1,13 @@
-"""A lap of a closed path: what a robot does that follows it without error, and what must hold of it before a run."""
+"""A lap of a closed path: what a robot does that follows it without error, and where it stands still."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.behaviours.interface import Bound, Team
+from robofleet.behaviours.interface import Bound
 from robofleet.control.path import Path
-from robofleet.safety.barrier import from_edge
 
 Array = NDArray[np.float64]
 
@@ -68,35 +66,6 @@ def no_cusp(lap: Lap, key: str) -> Bound:
         key, "the path's smallest derivative", float(lap.speed[slowest]), _STANDSTILL * float(lap.speed.mean()),
         "m a side", mend, at_least=True,
     )  # fmt: skip
-
-
-def inside(team: Team, lap: Lap, key: str) -> Iterator[Bound]:
-    """Yield the bounds by which the robots of a lap stay in the arena."""
-    radius = max(body.radius for body in team.bodies)
-    margin = max(from_edge(team.keepout, body) for body in team.bodies) - radius
-    for axis, name in enumerate("xy"):
-        reach = np.abs(lap.position[:, axis])
-        k = int(reach.argmax())
-        mend = f"the path leaves the arena at parameter {lap.sigma[k]:.2f}, so move its knots inwards"
-        what = f"the path's reach in {name} with a body's radius"
-        yield Bound(key, what, float(reach[k]) + radius, team.arena[axis] / 2 - margin, "m", mend)
-
-
-def wheels(team: Team, lap: Lap, rate: float, key: str) -> Iterator[Bound]:
-    """Yield the bounds of wheel and body speeds along the lap, for each kind of robot; both are proportional to the
-    rate."""
-    kinds = dict(zip(reversed(team.drives), reversed(team.robots), strict=True))
-    for drive, robot in kinds.items():
-        body = np.abs(lap.v)
-        wheel = (body + np.abs(lap.omega) * drive.wheel_base / 2) / drive.wheel_radius
-        for what, values, limit, unit in (
-            ("the fastest wheel along the path", wheel, drive.max_wheel_speed, "rad/s"),
-            ("the highest speed along the path", body, drive.max_speed, "m/s"),
-        ):
-            k = int(values.argmax())
-            fits = rounded_down(rate * limit / float(values[k]))
-            mend = f"{robot} at path parameter {lap.sigma[k]:.2f}; {key.rpartition('.')[2]} {fits:g} fits"
-            yield Bound(key, what, float(values[k]), limit, unit, mend)
 
 
 def rounded_down(value: float) -> float:

@@ -32,16 +32,28 @@ def point_speeds(team: Team, key: str, speed: float) -> Iterator[Bound]:
     yield Bound(key, "the speed of a robot's point ahead", speed, rounded_down(most[slowest]), "m/s", mend)
 
 
-def inside(team: Team, robot: int, key: str, points: Array, where: Callable[[int], str]) -> Iterator[Bound]:
-    """Yield whether a robot's way (M, 2) [m] keeps its body inside; ``where`` says in words where row k is."""
+def inside(
+    team: Team,
+    robot: int,
+    key: str,
+    points: Array,
+    where: Callable[[int], str],
+    *,
+    who: str = "",
+    mend: str = "move it inwards",
+) -> Iterator[Bound]:
+    """Yield whether a robot's path (M, 2) [m] keeps its body inside; ``where`` says in words where row k is.
+
+    ``who`` leaves the arena there, where it is more than this robot.
+    """
     body = team.bodies[robot]
     margin = from_edge(team.keepout, body) - body.radius
     for axis, name in enumerate("xy"):
         reach = np.abs(points[:, axis])
         k = int(reach.argmax())
-        mend = f"{team.robots[robot]} leaves the arena {where(k)}, so move it inwards"
-        what = f"the way's reach in {name} with a body's radius"
-        yield Bound(key, what, float(reach[k]) + body.radius, team.arena[axis] / 2 - margin, "m", mend)
+        blame = f"{who or team.robots[robot]} leaves the arena {where(k)}, so {mend}"
+        what = f"the path's reach in {name} with a body's radius"
+        yield Bound(key, what, float(reach[k]) + body.radius, team.arena[axis] / 2 - margin, "m", blame)
 
 
 def wheels(
@@ -59,8 +71,8 @@ def wheels(
     drive, v = team.drives[robot], np.abs(body[0])
     wheel = (v + np.abs(body[1]) * drive.wheel_base / 2) / drive.wheel_radius
     for what, values, limit, unit in (
-        ("the fastest wheel along the way", wheel, drive.max_wheel_speed, "rad/s"),
-        ("the highest speed along the way", v, drive.max_speed, "m/s"),
+        ("the fastest wheel along the path", wheel, drive.max_wheel_speed, "rad/s"),
+        ("the highest speed along the path", v, drive.max_speed, "m/s"),
     ):
         k = int(values.argmax())
         share = min(1.0, limit / max(float(values[k]), limit))

@@ -7,6 +7,7 @@ what must hold before a run, and what is measured afterwards.
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -29,10 +30,11 @@ from robofleet.behaviours.interface import (
     rounded,
     statistics,
 )
+from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings, see
 from robofleet.safety import starts
-from robofleet.safety.barrier import apart
+from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
 from robofleet.settings import Model, within
 
@@ -175,11 +177,19 @@ class Platoon(Behaviour):
         lap = laps.drive_lap(self._path, s.path_rate, team.point_ahead, centre_tracked=s.track == "centre")
         cusp = laps.no_cusp(lap, "settings.path")
         yield cusp
-        yield from laps.inside(team, lap, "settings.path")
-        if cusp.holds:
-            yield from laps.wheels(team, lap, s.path_rate, "settings.path_rate")
+        widest = max(range(len(team)), key=lambda row: from_edge(team.keepout, team.bodies[row]))
+        yield from inside(
+            team, widest, "settings.path", lap.position, lambda k: f"at parameter {lap.sigma[k]:.2f}",
+            who="the path", mend="move its knots inwards",
+        )  # fmt: skip
+        for drive in dict.fromkeys(team.drives) if cusp.holds else ():
+            first = team.drives.index(drive)
+            yield from wheels(team, first, "settings.path_rate", (lap.v, lap.omega), partial(_where, lap), self._slower)
         yield from self._spacing(lap)
         yield from self._clear_of_the_path(lap)
+
+    def _slower(self, share: float) -> str:
+        return f"path_rate {laps.rounded_down(share * self.settings.path_rate):g} fits"
 
     def _spacing(self, lap: laps.Lap) -> Iterator[Bound]:
         team, spacing, length = self.team, self.settings.spacing_m, self._path.length()
@@ -328,3 +338,7 @@ class Platoon(Behaviour):
             return -math.inf
         share = (spacing - gaps[k - 1]) / (gaps[k] - gaps[k - 1])
         return float(back[k - 1] + share * (back[k] - back[k - 1]))
+
+
+def _where(lap: laps.Lap, k: int) -> str:
+    return f"at path parameter {lap.sigma[k]:.2f}"

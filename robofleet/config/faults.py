@@ -81,6 +81,8 @@ def place_of(error: ErrorDetails) -> tuple[str | int, ...]:
     loc = error["loc"]
     if error["type"].startswith("union_tag"):
         return (*loc, "kind")
+    if loc[:1] == ("groups",) and loc[2:3] == ("settings",):
+        return (*loc[:3], *loc[3::2])  # of plain JSON: the kind of every value
     return (*loc[:2], *loc[3:]) if loc[:1] == ("faults",) and len(loc) > 2 else loc
 
 

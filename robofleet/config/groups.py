@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -49,6 +49,11 @@ def load_kind(name: str) -> type[Behaviour]:
     if found.decide is Behaviour.decide:
         raise PluginError(f"{name!r} decides nothing: write its method `decide`")
     return found
+
+
+def own(config: Config) -> Collection[str]:
+    """Return the behaviours that a configuration names."""
+    return {group.behaviour for group in config.groups}
 
 
 def team(config: Config, group: Group) -> Team:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, JsonValue, ValidationError
@@ -71,6 +71,18 @@ def load_config(file: Path, overrides: Sequence[str] = (), faults_file: Path | N
 def resolved_yaml(config: Config) -> str:
     """Return the whole tree inline; ``load_config`` reads it back to an equal one."""
     return yaml.dump(config.model_dump(mode="json"), Dumper=_Dumper, sort_keys=False, width=110)
+
+
+class Typed(str):
+    """An override that is made of something else: faults in it name ``typed``."""
+
+    typed: str
+
+    def __new__(cls, override: str, typed: str) -> Self:
+        """Keep both."""
+        made = super().__new__(cls, override)
+        made.typed = typed
+        return made
 
 
 class ConfigFile:
@@ -234,7 +246,8 @@ class ConfigFile:
 
     def _overridden(self, root: Node | None, override: str) -> Node | None:
         key, equals, value = override.partition("=")
-        source = Source(f"--set {override}", key or override)
+        name = override.typed if isinstance(override, Typed) else f"--set {override}"
+        source = Source(name, key or override)
         self._sources.append(source)
         parts = key.split(".")
         if not equals or "" in parts:

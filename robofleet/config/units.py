@@ -24,7 +24,9 @@ def meant(value: float, limit: float | None, key: str) -> str:
     """Return a question where a number of a key is too large, and in another unit would not be; else nothing."""
     if limit is None or not value > limit > 0:
         return ""
-    sizes = _OTHERS.get(key.rpartition("_")[2], {})
+    before, _, unit = key.rpartition("_")
+    is_rate = before.rpartition("_")[2] in ("m", "rad", "per")  # of speed_m_s
+    sizes = {} if is_rate else _OTHERS.get(unit, {})
     units = [unit for unit, size in sizes.items() if _LEAST <= value * size / limit <= 1.0]
     return f" (is {value:g} in {' or '.join(units)}?)" if units else ""
 

@@ -58,7 +58,9 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     for bound in _worst(bound for bound in _bounds(config) if not bound.holds):
         relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
         value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
-        hint = "" if bound.at_least else units.meant(bound.value, bound.limit, bound.path.rpartition(".")[2])
+        key = bound.path.rpartition(".")[2]
+        itself = bound.what.startswith(key) and not bound.at_least  # not something that it brings about
+        hint = units.meant(bound.value, bound.limit, key) if itself else ""
         complaints.append((bound.path, f"{bound.what} is {value}{hint}, must be {relation} {limit}: {bound.mend}"))
     complaints += _ways(config)
     if not any(path.startswith(("robots.", "groups.")) for path, _ in complaints):
@@ -140,7 +142,11 @@ def _ways(config: Config) -> Iterator[Complaint]:
             continue
         way = groups.on_the_way(config, phase)
         for refusal in (*way.refusals(), *_refused(way.bounds())):
-            yield f"run.{'begin' if phase is Phase.POSITIONING else 'end'}", f"{key}: {refusal.message}"
+            name = refusal.key.removeprefix("settings.goals.")
+            if name in rows:
+                yield f"robots.{rows[name]}.{key}", refusal.message
+            else:
+                yield f"run.{'begin' if phase is Phase.POSITIONING else 'end'}", f"{key}: {refusal.message}"
 
 
 def _refused(bounds: Iterable[Bound]) -> Iterator[Refusal]:

@@ -77,11 +77,12 @@ class Ending:
         """Write the run's report; where that fails, the run and its summary are there all the same."""
         if not self._summary["recording"]["messages"]:  # the operator ended it before it began
             return None
+        from robofleet.config import groups  # noqa: PLC0415
         from robofleet.recording import after  # noqa: PLC0415
         from robofleet.recording.reading import RecordingError  # noqa: PLC0415
 
         try:
-            made = after.report(self._folder)
+            made = after.report(self._folder, imports=groups.own(self._config).__contains__)
         except OSError as error:
             self._lose(self._folder / "report.html", f"cannot be written: {error.strerror}: make room")
             return None

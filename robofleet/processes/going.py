@@ -1,5 +1,6 @@
 """``robofleet go``: robots go to poses by themselves, as a run of its own."""
 
+import math
 import re
 
 from robofleet.processes.refusal import RefusedError
@@ -10,12 +11,16 @@ _PATIENCE_S = 600.0  # a robot crosses any shipped arena in 20 s; many of them w
 
 def overrides(goals: list[str]) -> list[str]:
     """Return what changes a configuration into one that goes to ``ROBOT=X,Y,DEG``; RefusedError for another text."""
+    from robofleet.config.load import Typed  # noqa: PLC0415
+
     poses: dict[str, str] = {}
     for text in goals:
         found = _GOAL.fullmatch(text)
         try:
             robot, *numbers = found.groups() if found else ("",)
             x, y, heading = map(float, numbers)
+            if not math.isfinite(x + y + heading):
+                raise ValueError(text)
         except ValueError:
             raise RefusedError(f"{text}: write ROBOT=X,Y,DEG in metres and degrees, as r1=0.5,0.2,90") from None
         if robot in poses:
@@ -24,7 +29,7 @@ def overrides(goals: list[str]) -> list[str]:
     where = ", ".join(f"{robot}: {pose}" for robot, pose in poses.items())
     group = f"{{name: go, behaviour: go_to, robots: [{', '.join(poses)}], settings: {{goals: {{{where}}}}}}}"
     return [
-        f"groups=[{group}]",
+        Typed(f"groups=[{group}]", " ".join(goals)),
         f"run.duration_s={_PATIENCE_S}",
         "run.begin=where_they_stand",
         "run.end=where_they_stand",

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from robofleet.clock import WallClock, utc_now
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.processes.launcher import Launcher
 from robofleet.processes.live import LiveView
@@ -67,7 +68,7 @@ def in_real_time(
 def _recorded(config: Config, folder: Path) -> Recording:
     """Return what is in the run's file, whatever became of the recorder; nothing, if it never came to write."""
     try:
-        return read(folder)
+        return read(folder, groups.own(config).__contains__)
     except RecordingError as error:
         if (folder / FILE).exists() or not folder.exists():  # a run that never began has a folder and no file
             print(error, file=sys.stderr)

@@ -20,10 +20,17 @@ from robofleet.processes.refusal import RefusedError, bad_input, new_file, new_p
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
+    from robofleet.recording.reading import Imports
 
 app = typer.Typer()
 _NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 
+Modules = Annotated[
+    Path | None,
+    typer.Option(
+        "--behaviours", metavar="DIR", help="Folder of your own behaviours' modules: else what they measure is missing."
+    ),
+]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
 
 
@@ -32,7 +39,8 @@ def replay(run: RunFolder) -> None:
     """Give today's controller a recording's inputs, tick by tick, and compare each command.
 
     Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
-    different, or could not be compared.
+    different, or could not be compared. It runs the group's behaviours: one that the recording names as `module:Class`
+    is imported from the folder where you are, or an installed package. Replay only recordings that you trust.
 
     $ robofleet replay runs/20260102T030405Z-platoon
     """
@@ -42,7 +50,7 @@ def replay(run: RunFolder) -> None:
 
     times_ns = [stopwatch_ns()]
     with _readable():
-        recording = read(run)
+        recording = read(run, lambda _: True)
         _load_behaviours(run, recording.config)
         times_ns.append(stopwatch_ns())
         compile_kernels(recording.config)
@@ -110,6 +118,7 @@ def report(
     ] = None,
     figures: Annotated[Path | None, typer.Option(metavar="DIR", help="Each figure as SVG and as PDF.")] = None,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
+    behaviours: Modules = None,
 ) -> None:
     """Write RUN/report.html and RUN/metrics.csv; of two runs, a page with both side by side.
 
@@ -122,7 +131,11 @@ def report(
     with _keeping_garbage(), _readable():
         _refuse_misplaced(other, out, figures, junit)
         try:
-            page, lines = _made(run, figures, junit) if other is None else (_compared(run, other, out), [])
+            with _importing(behaviours) as imports:
+                if other is None:
+                    page, lines = _made(run, figures, junit, imports)
+                else:
+                    page, lines = _compared(run, other, out, imports), []
         except OSError as error:
             raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
     print(printable(str(page)))
@@ -137,6 +150,7 @@ def layout(
     viewer: Annotated[str, typer.Argument(metavar="VIEWER", help="foxglove, lichtblick, plotjuggler or rerun.")],
     run: RunFolder,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: in the run's folder.")] = None,
+    behaviours: Modules = None,
 ) -> None:
     """Write a viewer's layout for a run: the groups' own figures, wheels, poses and latency, robot by robot.
 
@@ -149,9 +163,9 @@ def layout(
         if viewer not in VIEWERS:
             raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
         chosen, file = VIEWERS[viewer], file_of(run)
-        recording = about(run)
         try:
-            written = chosen.make(recording, file)
+            with _importing(behaviours) as imports:
+                written = chosen.make(about(run, imports), file)
         except ModuleNotFoundError as error:
             if not (error.name or "").startswith("rerun"):
                 raise
@@ -180,22 +194,50 @@ def _refuse_misplaced(other: Path | None, out: Path | None, figures: Path | None
         new_file("--junit", junit)
 
 
-def _made(run: Path, figures: Path | None, junit: Path | None) -> tuple[Path, list[str]]:
+def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports") -> tuple[Path, list[str]]:
     """Write a run's report; returns the page, and a line for every bound that was not met."""
     from robofleet.recording import after  # noqa: PLC0415
     from robofleet.recording import junit as xml  # noqa: PLC0415
     from robofleet.recording.bounds import complaints  # noqa: PLC0415
 
-    made = after.report(run, figures)
+    made = after.report(run, figures, imports)
     if junit is not None:
         xml.write(made.summary, [] if made.trouble is None else [f"{run}: {made.trouble}"], junit)
     return made.page, complaints(made.summary)
 
 
-def _compared(run: Path, other: Path, out: Path | None) -> Path:
+def _compared(run: Path, other: Path, out: Path | None, imports: "Imports") -> Path:
     from robofleet.recording import after  # noqa: PLC0415
 
-    return after.compare(run, other, out)
+    return after.compare(run, other, out, imports)
+
+
+@contextmanager
+def _importing(folder: Path | None) -> Iterator["Imports"]:
+    """Yield what imports a behaviour whose module stands in the user's folder; any other is told of at the end.
+
+    RefusedError where a module in that folder cannot be used.
+    """
+    from robofleet.config import groups  # noqa: PLC0415
+    from robofleet.plugins import PluginError, reach  # noqa: PLC0415
+
+    left_out: set[str] = set()
+
+    def imports(name: str) -> bool:
+        try:
+            if folder is not None and reach(folder, name):
+                groups.load_kind(name)
+                return True
+        except PluginError as error:
+            raise RefusedError(f"--behaviours: {error}") from error
+        left_out.add(name)
+        return False
+
+    yield imports
+    mend = "name its folder with --behaviours" if folder is None else f"its module is not in {folder}"
+    for name in sorted(left_out):
+        said = f"{name} is not imported because a recording names it: what it measures is missing: {mend}"
+        print(printable(said), file=sys.stderr)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from robofleet.clock import S
 from robofleet.files import read_plain
 from robofleet.recording import comparison, metrics
 from robofleet.recording import report as pages
-from robofleet.recording.reading import read
+from robofleet.recording.reading import Imports, nothing_imported, read
 from robofleet.recording.run import Recording, Run
 
 Summary = dict[str, Any]
@@ -38,31 +38,34 @@ class Report(NamedTuple):
     trouble: str | None  # what is wrong with the recording
 
 
-def report(run: Path, figures: Path | None = None) -> Report:
-    """Write a run's page and columns again, and its figures as files where a folder for them is given."""
-    columns, recording, summary = _looked_at(run)
+def report(run: Path, figures: Path | None = None, imports: Imports = nothing_imported) -> Report:
+    """Write a run's page and columns again, and its figures as files where a folder for them is given.
+
+    ``imports``: as of ``reading.read``.
+    """
+    columns, recording, summary = _looked_at(run, imports)
     page = pages.write(recording, summary, _folder(run), figures, columns)
     return Report(page, summary, recording.trouble)
 
 
-def compare(first: Path, second: Path, out: Path | None) -> Path:
+def compare(first: Path, second: Path, out: Path | None, imports: Imports = nothing_imported) -> Path:
     """Write the page about two runs and return it."""
     page = out or _folder(first) / f"compare-{_name(second)}.html"
-    comparison.write(_side(first), _side(second), page)
+    comparison.write(_side(first, imports), _side(second, imports), page)
     return page
 
 
-def _side(run: Path) -> comparison.Side:
-    columns, recording, summary = _looked_at(run)
+def _side(run: Path, imports: Imports) -> comparison.Side:
+    columns, recording, summary = _looked_at(run, imports)
     return comparison.Side(_name(run), pages.view_of(recording, summary, columns), summary)
 
 
-def _looked_at(run: Path) -> tuple[Run, Recording, Summary]:
+def _looked_at(run: Path, imports: Imports) -> tuple[Run, Recording, Summary]:
     """Return a run in columns, its recording, and its figures, worked out anew.
 
     What the file does not say of the run, its summary may.
     """
-    recording = read(run)
+    recording = read(run, imports)
     told = _told(_folder(run) / SUMMARY)
     outcome, cause = recording.outcome or told.outcome, recording.cause or told.cause
     mode = recording.provenance.mode if recording.provenance else told.mode

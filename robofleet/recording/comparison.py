@@ -155,7 +155,7 @@ def _paths(sides: tuple[Side, Side]) -> Figure:
     return figure
 
 
-class Overlay(NamedTuple):
+class OverlaidPlot(NamedTuple):
     """A line for each of two runs."""
 
     title: str
@@ -164,7 +164,7 @@ class Overlay(NamedTuple):
     caption: str
 
 
-def overlays(sides: tuple[Side, Side]) -> Iterator[Overlay]:
+def overlays(sides: tuple[Side, Side]) -> Iterator[OverlaidPlot]:
     """Yield what the runs' groups have, then the filter's errors."""
     first, second = (
         {(p.said.name, c.key): c for p in side.view.series.run.parts for c in p.curves if c.live} for side in sides
@@ -173,12 +173,12 @@ def overlays(sides: tuple[Side, Side]) -> Iterator[Overlay]:
     for (name, key), curve in (first | second).items():
         of = f" of {name}" if several else ""
         off = curve.asked is not None
-        yield Overlay(
+        yield OverlaidPlot(
             f"{curve.title}{of}", f"off by, {curve.unit}" if off else curve.unit or curve.label,
             (_shown(first.get((name, key))), _shown(second.get((name, key)))),
             "The one that is furthest from what was asked." if off else f"Mean, at every tick: {curve.meaning}.",
         )  # fmt: skip
-    yield Overlay(
+    yield OverlaidPlot(
         "Pose error", "mm", (_mean(sides[0].view.series.pose_mm), _mean(sides[1].view.series.pose_mm)),
         "Mean of the robots, the filter against the truth.",
     )  # fmt: skip
@@ -200,7 +200,7 @@ def _mean(values: Array | None) -> Array | None:
         return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
 
 
-def _overlaid(sides: tuple[Side, Side], overlay: Overlay) -> Figure | None:
+def _overlaid(sides: tuple[Side, Side], overlay: OverlaidPlot) -> Figure | None:
     known = [column[np.isfinite(column)] if column is not None else np.empty(0) for column in overlay.columns]
     every = np.concatenate(known)
     if not every.size:

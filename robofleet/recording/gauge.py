@@ -1,13 +1,13 @@
 """What a group measures of its own past: its behaviour's figures and measures, as curves over the ticks.
 
-A behaviour may come from outside the project, or be missing where a recording is read. What it cannot tell is then
-missing, and nothing else is.
+A behaviour may come from outside the project, or be missing where a recording is read, or be named by a recording
+only: then it is not imported. What it cannot tell is missing, and nothing else is.
 """
 
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -68,11 +68,14 @@ class Curve(NamedTuple):
 class Gauge:
     """Asks a group's behaviour what it measures."""
 
-    def __init__(self, config: Config, k: int, said: described.Group) -> None:
-        """Make the behaviour of the ``k``-th group; where it is missing, the group's description is what is known."""
+    def __init__(self, config: Config, k: int, said: described.Group, foreign: Collection[str] = ()) -> None:
+        """Make the behaviour of the ``k``-th group; where it is missing, the group's description is what is known.
+
+        ``foreign``: behaviours that are not imported.
+        """
         self.said = said
         self._team = groups.team(config, config.groups[k])
-        self._behaviour = _made(config, k, said) or _only_described(said, self._team)
+        self._behaviour = _made(config, k, said, foreign) or _only_described(said, self._team)
         self._complained = False
         asked = self.curves(_tried(len(said.robots), said))
         self.asked = {curve.key: curve.asked for curve in asked if curve.asked is not None}  # in the unit that is shown
@@ -122,13 +125,15 @@ class Gauge:
             return otherwise
 
 
-def gauges(config: Config, said: tuple[described.Group, ...]) -> tuple[Gauge, ...]:
-    """Return every group's."""
-    return tuple(Gauge(config, k, group) for k, group in enumerate(said))
+def gauges(config: Config, said: tuple[described.Group, ...], foreign: Collection[str] = ()) -> tuple[Gauge, ...]:
+    """Return every group's; ``foreign``: behaviours that are not imported."""
+    return tuple(Gauge(config, k, group, foreign) for k, group in enumerate(said))
 
 
-def _made(config: Config, k: int, said: described.Group) -> Behaviour | None:
+def _made(config: Config, k: int, said: described.Group, foreign: Collection[str]) -> Behaviour | None:
     """Return a group's behaviour; None where it is missing, or is not the one that told these figures."""
+    if config.groups[k].behaviour in foreign:
+        return None
     try:
         made = groups.behaviour(config, config.groups[k])
     except Exception:  # noqa: BLE001 - a module from outside may raise whatever it likes

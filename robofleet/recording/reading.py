@@ -1,8 +1,12 @@
-"""A run read back from its file, as far as it goes."""
+"""A run read back from its file, as far as it goes.
+
+A file may come from a stranger, so it decides nothing about which code runs here: a behaviour that it names as
+``module:Class`` is imported only where the reader asks for it. Entry points of installed packages need no asking.
+"""
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -24,6 +28,8 @@ from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Recording
 from robofleet.recording.scanning import NO_MCAP, Scan
 
+Imports = Callable[[str], bool]
+
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
 _SHOWN = 80  # characters of what a file says of itself
 _MOST_DROPPED = 1 << 63  # more messages than this were never said
@@ -33,21 +39,32 @@ class RecordingError(Exception):
     """A file that holds no run, or not one of this version; the message is a line."""
 
 
-def read(run: Path) -> Recording:
-    """Return the messages of a run: its folder, or its file. RecordingError where there is none that can be read."""
+def nothing_imported(_: str) -> bool:
+    """Import no behaviour because a file names it."""
+    return False
+
+
+def read(run: Path, imports: Imports = nothing_imported) -> Recording:
+    """Return the messages of a run: its folder, or its file; ``imports``: whether to import a ``module:Class``.
+
+    Raises:
+        RecordingError: if there is none that can be read.
+    """
     file = file_of(run)
     with opened(file) as stream:
         scan = scanned(stream)
         recording = _recording(scan, file)
     if recording is None or not recording.messages:
         raise nothing(scan, file)
-    _know_groups(recording, file)
+    _know_groups(recording, file, imports)
     recording.trouble = scan.trouble
     return recording
 
 
-def about(run: Path) -> Recording:
+def about(run: Path, imports: Imports = nothing_imported) -> Recording:
     """Return what the file of a run says before its first message, be the run still going on, and no message.
+
+    ``imports``: as of ``read``.
 
     Raises:
         RecordingError: if nothing can be read.
@@ -69,7 +86,7 @@ def about(run: Path) -> Recording:
                 break
     if recording is None:
         raise nothing(scan, file)
-    _know_groups(recording, file)
+    _know_groups(recording, file, imports)
     return recording
 
 
@@ -167,8 +184,10 @@ def _note(recording: Recording, told: Attachment | Metadata) -> None:
         recording.dropped += dropped
 
 
-def _know_groups(recording: Recording, file: Path) -> None:
+def _know_groups(recording: Recording, file: Path, imports: Imports) -> None:
     """Find out which figures the groups have; RecordingError where neither the file says it nor a behaviour."""
+    named = {group.behaviour for group in recording.config.groups if ":" in group.behaviour}
+    recording.foreign = frozenset(name for name in sorted(named) if not imports(name))
     try:
         _ = recording.groups
     except (PluginError, ValueError) as error:

@@ -20,6 +20,7 @@ from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.plugins import PluginError
 from robofleet.recording.gauge import Curve, Figures, Gauge, gauges
 from robofleet.recording.provenance import Provenance
 from robofleet.valid_json import dumps
@@ -31,7 +32,7 @@ _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a
 Duration = Annotated[int, Field(ge=0, lt=1 << 62)]
 
 
-class Ending(BaseModel):
+class EndingFile(BaseModel):
     """What the one who ran it knows and no message says, as its file keeps it."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -60,18 +61,23 @@ class Recording:
     tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
     tracker_durations_ns: list[int] | None = None
     said: tuple[described.Group, ...] | None = None  # the groups, as the file says; None: as the configuration does
+    foreign: frozenset[str] = frozenset()  # behaviours that only a file names: their modules are not imported
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     count: int = 0  # of all messages
 
     @cached_property
     def groups(self) -> tuple[described.Group, ...]:
         """The groups: which figures their ticks have, and what is drawn for them."""
-        return groups.descriptions(self.config) if self.said is None else self.said
+        if self.said is not None:
+            return self.said
+        if self.foreign:
+            raise PluginError(f"{', '.join(sorted(self.foreign))} is not imported because a recording names it")
+        return groups.descriptions(self.config)
 
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:
         """What measures each group."""
-        return gauges(self.config, self.groups)
+        return gauges(self.config, self.groups, self.foreign)
 
     @property
     def whole(self) -> bool:
@@ -96,11 +102,11 @@ class Recording:
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
-        return dumps({name: getattr(self, name) for name in Ending.model_fields}).encode()
+        return dumps({name: getattr(self, name) for name in EndingFile.model_fields}).encode()
 
     def end(self, text: bytes) -> None:
         """Take how the run ended from its file; ValueError where it does not say so."""
-        for name, value in Ending.model_validate_json(text):
+        for name, value in EndingFile.model_validate_json(text):
             setattr(self, name, value)
 
     def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:

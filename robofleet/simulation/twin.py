@@ -10,7 +10,7 @@ from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
-from robofleet.vehicles.body import Body
+from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import STOP, TruePose
 
 _UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
@@ -23,7 +23,7 @@ class Twin:
     def __init__(self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None) -> None:
         kind = config.robot(robot)
         simulation = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
-        self._body = Body(simulation, now_ns)
+        self._body = SimulatedBody(simulation, now_ns)
         self._hardware, spare = (
             Hardware(simulation.drive, simulation.imperfections, self._body.plant) for _ in range(2)
         )

@@ -9,7 +9,7 @@ _NS = 1e-9
 _HEALTHY = BodyTrouble()
 
 
-class Body:
+class SimulatedBody:
     """A plant that stands where it was put at ``now_ns``, told to stop."""
 
     def __init__(self, simulation: Simulation, now_ns: int) -> None:

@@ -38,8 +38,8 @@ def test_the_shape_turns_with_the_path_or_keeps_its_heading() -> None:
     [
         ({"offsets_m": [[0.0, 0.0]]}, "settings.offsets_m: has 1 places for 3 robots"),
         ({"offsets_m": [[0.0, 0.0], [0.0, 0.1], [0.3, 0.0]]}, "settings.offsets_m: the distance of two robots"),
-        ({"offsets_m": [[0.0, 0.0], [0.0, -0.7], [0.3, 0.0]]}, "settings.path: the way's reach in y"),
-        ({"path_rate": 0.3}, "settings.path_rate: the fastest wheel along the way"),
+        ({"offsets_m": [[0.0, 0.0], [0.0, -0.7], [0.3, 0.0]]}, "settings.path: the path's reach in y"),
+        ({"path_rate": 0.3}, "settings.path_rate: the fastest wheel along the path"),
         ({"path": {"knots": [{"at_m": [0, 0], "derivative_m": [0, 0]}, {"at_m": [1, 0], "derivative_m": [1, 1]}]}},
          "settings.path: the path's smallest derivative"),
     ],

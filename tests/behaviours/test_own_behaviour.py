@@ -5,8 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from robofleet.behaviours.interface import statistics
 from robofleet.config import groups
 from robofleet.config.load import ConfigError, load_config
 from robofleet.plugins import PluginError, load, reach
@@ -105,3 +107,8 @@ def test_drivers_and_cameras_are_found_there_too(tmp_path: Path) -> None:
         load("robofleet.drivers", "driving_lab:Mine")
     reach(tmp_path, "driving_lab:Mine")
     assert load("robofleet.drivers", "driving_lab:Mine").__name__ == "Mine"
+
+
+def test_a_signed_figure_keeps_its_sign() -> None:
+    told = statistics(np.array([[-3.0, 1.0], [-1.0, np.nan]]))
+    assert told == {"mean": -1.0, "max": 1.0, "per_robot_mean": [-2.0, 1.0]}

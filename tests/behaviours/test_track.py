@@ -124,11 +124,11 @@ def test_its_own_dump_is_read_back() -> None:
         ({"csv": [[0, 0, 0], [2, 0.1, 0], [1, 0.2, 0]]}, "settings.references.r1.csv.2.0: 1 s does not come after 2 s"),
         (WAY | {"waypoints_m": [[0, 0], [0, 0], [1, 0]]}, "settings.references.r1.waypoints_m.1: is where"),
         (WAY | {"waypoints_m": [[0, 0], [1, 0]], "closed": True}, "settings.references.r1.waypoints_m: a closed way"),
-        (ON_THE_OVAL | {"path_rate": 0.3}, "settings.references.r1.path_rate: the fastest wheel along the way"),
-        ({"csv": [[0, 0, 0], [1, 0.5, 0]]}, "settings.references.r1.csv: the fastest wheel along the way"),
+        (ON_THE_OVAL | {"path_rate": 0.3}, "settings.references.r1.path_rate: the fastest wheel along the path"),
+        ({"csv": [[0, 0, 0], [1, 0.5, 0]]}, "settings.references.r1.csv: the fastest wheel along the path"),
         (WAY | {"speed_m_s": 0.5}, "settings.references.r1.speed_m_s: speed_m_s"),
         (WAY | {"waypoints_m": [[0, 0], [1, 0], [0.2, 0]]}, "settings.references.r1.waypoints_m: the radius"),
-        (WAY | {"waypoints_m": [[0, 0], [1.58, 0]]}, "settings.references.r1.waypoints_m: the way's reach in x"),
+        (WAY | {"waypoints_m": [[0, 0], [1.58, 0]]}, "settings.references.r1.waypoints_m: the path's reach in x"),
     ],
 )
 def test_what_cannot_be_followed_is_refused(reference: dict[str, Any], complaint: str) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import ClassVar
 
 from robofleet.drivers.serial_port import SerialPort
-
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
 

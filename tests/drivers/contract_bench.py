@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 from unittest.mock import patch
 
-from robofleet.drivers.dead_man import DeadMan
-
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.drivers.dead_man import DeadMan
 from robofleet.plugins import load
 from robofleet.processes import driver_settings
 from robofleet.processes.arena_file import twin_port

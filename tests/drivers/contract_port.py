@@ -5,8 +5,8 @@ from contextlib import suppress
 
 import pytest
 from pydantic import ValidationError
-from robofleet.drivers.serial_port import SerialPort
 
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.plugins import load
 from robofleet.processes import driver_settings
 from robofleet.vehicles.interface import DriverError

@@ -11,9 +11,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from robofleet.drivers.create2 import Create2
 
 from robofleet.clock import MS
+from robofleet.drivers.create2 import Create2
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.create2 import Create2Firmware
 from robofleet.vehicles.interface import DriverContext, DriverReading, Imperfections, Simulation, WheelSpeeds

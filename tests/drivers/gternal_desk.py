@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from robofleet.drivers.gternal import GTernal
 
 from robofleet.clock import MS, SimulatedClock
+from robofleet.drivers.gternal import GTernal
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.gternal import GTernalFirmware
 from robofleet.simulation.serial_line import SerialLine

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from robofleet.drivers.arduino_bridge import ArduinoBridge
 
 from robofleet.clock import MS, S, SimulatedClock, WallClock
+from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, Simulation, WheelSpeeds

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from robofleet.drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
 
 from robofleet.clock import MS
+from robofleet.drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, DriverError, RobotFault, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from robofleet.drivers.create2_stream import Stream
 
 from robofleet.clock import MS
+from robofleet.drivers.create2_stream import Stream
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import psutil
 import pytest
-from robofleet.drivers.dead_man import DeadMan
 
 from robofleet.clock import MS, S, WallClock
+from robofleet.drivers.dead_man import DeadMan
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
 
 STOP = b"stop"

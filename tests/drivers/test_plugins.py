@@ -3,8 +3,8 @@
 from collections import OrderedDict
 
 import pytest
-from robofleet.drivers.simulated import SimulatedRobot
 
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.plugins import PluginError, load
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robofleet.drivers.simulated import SimulatedRobot
 
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import (
     BodyTrouble,
     DriverContext,

@@ -39,7 +39,7 @@ from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.serial_line import SerialLine
-from robofleet.vehicles.body import Body
+from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON, own_folders
@@ -60,7 +60,7 @@ class FarEnd(threading.Thread):
         super().__init__(daemon=True)
         simulation = slices.simulation(config, config.robots[0], None)
         self._period_ns = round(simulation.imperfections.loop_period * S)
-        self._body = Body(simulation, CLOCK.now_ns())
+        self._body = SimulatedBody(simulation, CLOCK.now_ns())
         self._hardware = Hardware(simulation.drive, simulation.imperfections, self._body.plant)
         self._firmware = load("robofleet.twins", driver)(self._hardware)
         self._motion = MOTION[driver]

@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from robofleet.drivers.simulated import SimulatedRobot
 from typer.testing import CliRunner
 
 from robofleet import cli
@@ -15,6 +14,7 @@ from robofleet.comms.keys import STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD
 from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config.load import load_config
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase

@@ -11,11 +11,11 @@ from typing import Annotated, Any, ClassVar
 import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
-from robofleet.drivers.serial_port import SerialPort
 from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.config.load import load_config
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.processes import check_drivers
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from robofleet.drivers.simulated import SimulatedRobot
 
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import TruePose
 
 Make = Callable[..., dict[str, Any]]

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from robofleet.drivers.simulated import SimulatedRobot
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import DriverContext, DriverError, WheelSpeeds
 from tests.processes.realrun import PLATOON
 

@@ -100,8 +100,16 @@ def test_an_operator_parks_a_run_that_is_held() -> None:
     [
         (["run.end=park"], "robots.0.park", "is missing: run.end: park must know where r1 is to go"),
         (["run.end=park", *PARKS[:3]], "robots.3.park", "is missing"),
-        (["run.end=park", *PARKS[:3], "robots.3.park={x_m: 2.0, y_m: 0, heading_deg: 0}"], "run.end", "park: "),
-        (["run.end=park", *PARKS[:3], "robots.3.park={x_m: 1.2, y_m: -0.65, heading_deg: 0}"], "run.end", "park: "),
+        (
+            ["run.end=park", *PARKS[:3], "robots.3.park={x_m: 2.0, y_m: 0, heading_deg: 0}"],
+            "robots.3.park",
+            "from the edge",
+        ),
+        (
+            ["run.end=park", *PARKS[:3], "robots.3.park={x_m: 1.2, y_m: -0.65, heading_deg: 0}"],
+            "robots.3.park",
+            "goals of r1 and r4",
+        ),
     ],
 )
 def test_a_park_that_cannot_be_reached_is_refused(overrides: list[str], place: str, words: str) -> None:

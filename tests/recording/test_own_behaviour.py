@@ -7,7 +7,9 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from struct import pack
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -143,7 +145,7 @@ def test_where_it_is_missing_the_file_says_what_it_told(folder: Path, mylab: Pat
     (mylab / "mylab.py").rename(mylab / "gone.py")
     sys.modules.pop("mylab")
     try:
-        made = after.report(there)
+        made = after.report(there, imports=lambda _: True)
         groups = read(there).groups
     finally:
         (mylab / "gone.py").rename(mylab / "mylab.py")
@@ -152,6 +154,74 @@ def test_where_it_is_missing_the_file_says_what_it_told(folder: Path, mylab: Pat
     assert "<h3>Radius of swirl</h3>" in made.page.read_text()
     assert [group.plain() for group in groups] == [group.plain() for group in read(folder).groups]
     assert [group.plain() for group in groups] == [group.plain() for group in descriptions(read(folder).config)]
+
+
+STRANGE = """
+from pathlib import Path
+
+Path(__file__).with_suffix(".ran").touch()
+"""
+
+
+@pytest.fixture
+def elsewhere(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the run in a folder that came from a stranger, where Python would find a module of theirs."""
+    (there := tmp_path / "run").mkdir()
+    (there / FILE).write_bytes((folder / FILE).read_bytes())
+    for place in (tmp_path, there):
+        (place / "mylab.py").write_text(STRANGE)
+        monkeypatch.syspath_prepend(place)
+    monkeypatch.chdir(there)
+    monkeypatch.delitem(sys.modules, "mylab")
+    return there
+
+
+def looked_at(run: Path) -> list[list[str]]:
+    return [["report", str(run)], ["report", str(run), str(run)], *(["layout", viewer, str(run)] for viewer in VIEWERS)]
+
+
+def test_what_only_a_recording_names_is_not_imported(elsewhere: Path) -> None:
+    for arguments in looked_at(elsewhere):
+        ran = CliRunner().invoke(app, arguments)
+        assert ran.exit_code == 0, ran.output
+        (line,) = ran.stderr.splitlines()
+        assert line == (
+            "mylab:Swirl is not imported because a recording names it: what it measures is missing: "
+            "name its folder with --behaviours"
+        )
+    assert not list(elsewhere.parent.rglob("*.ran"))
+    assert CliRunner().invoke(app, ["replay", str(elsewhere)]).exit_code == 2, "it must run it, and there is no Swirl"
+    assert len(list(elsewhere.parent.rglob("*.ran"))) == 1
+
+
+def test_where_the_file_does_not_describe_its_groups_it_is_refused(elsewhere: Path) -> None:
+    data = (elsewhere / FILE).read_bytes()
+    first = data.index(b"groups.json") - 20  # behind two instants and a length
+    last = first - 8 + int.from_bytes(data[first - 8 : first], "little") + 8 - 4
+    renamed = data[first:last].replace(b"groups.json", b"others.json")
+    (elsewhere / FILE).write_bytes(data[:first] + renamed + pack("<I", crc32(renamed)) + data[last + 4 :])
+    for arguments in looked_at(elsewhere):
+        ran = CliRunner().invoke(app, arguments)
+        assert ran.exit_code == 2, ran.output
+        (line,) = ran.stderr.splitlines()
+        assert "which figures its groups have: mylab:Swirl is not imported because a recording names it" in line
+    assert not list(elsewhere.parent.rglob("*.ran"))
+
+
+def test_a_later_report_imports_it_from_the_folder_that_the_user_names(
+    folder: Path, mylab: Path, tmp_path: Path
+) -> None:
+    report = ["report", str(folder), "--behaviours"]
+    ran = CliRunner().invoke(app, [*report, str(mylab)])
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert "<h3>Gap of swirl</h3>" in (folder / "report.html").read_text()
+    ran = CliRunner().invoke(app, [*report, str(tmp_path)])
+    assert ran.exit_code == 0
+    assert f"its module is not in {tmp_path}" in ran.stderr
+    (tmp_path / "mylab.py").write_text("")
+    ran = CliRunner().invoke(app, [*report, str(tmp_path)])
+    assert ran.exit_code == 2
+    assert "Python has another module 'mylab'" in ran.stderr
 
 
 @pytest.mark.parametrize(
@@ -163,7 +233,7 @@ def test_what_it_cannot_measure_is_missing_and_nothing_else(
     space: dict[str, Any] = {}
     exec(SWIRL.replace("gap = np", f"{broken}\n        gap = np"), space)
     monkeypatch.setattr(import_module("mylab"), "Swirl", space["Swirl"])
-    recording = read(folder)
+    recording = read(folder, lambda _: True)
     from robofleet.recording.metrics import summary
 
     told = summary(recording, name="two", mode="lockstep", outcome="completed", cause=None)

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from robofleet.drivers.serial_port import SerialPort
 
 from robofleet.clock import MS, S, SimulatedClock, WallClock
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import DriverError
 from tests.twins import TwinStand, config_of
 

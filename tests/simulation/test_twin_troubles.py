@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from robofleet.drivers.serial_port import SerialPort
 
 from robofleet.clock import MS
+from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import DriverError, RobotFault
 from tests.simulation.test_twin import BAUD, Bench
 

@@ -12,7 +12,7 @@ from robofleet.clock import S
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.storm.gates import intervals
-from robofleet.processes.storm.ledger import Decision, Outage
+from robofleet.processes.storm.ledger import GateDecision, Outage
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.gate import Latch
 from robofleet.vehicles.interface import STOP
@@ -61,7 +61,7 @@ def rolling_on(
 
 
 def unnamed(
-    robot: str, decisions: Sequence[Decision], runaways: Sequence[Outage], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Outage], outages: Sequence[Outage]
 ) -> list[Violation]:
     """Find wheels that turned by themselves for a second, with an output of zero, and whose gates were not latched.
 

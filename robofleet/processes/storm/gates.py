@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S
-from robofleet.processes.storm.ledger import Decision, Outage
+from robofleet.processes.storm.ledger import GateDecision, Outage
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.gate import Command, GateState, Latch, LeaseAction, Permission
 from robofleet.vehicles.differential_drive import DifferentialDrive
@@ -58,7 +58,7 @@ class GateAudit:
         self.standing: Array = np.empty((0, 2))  # instant [ns], whether the output is zero
         self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
 
-    def violations(self, decisions: Sequence[Decision]) -> list[Violation]:
+    def violations(self, decisions: Sequence[GateDecision]) -> list[Violation]:
         """Return what did not hold, oldest first."""
         rows, until_ns, start = [], 0, 0
         before, previous = GateState(0), None
@@ -84,7 +84,7 @@ class GateAudit:
     def _fail(self, at_ns: float, invariant: str, numbers: object) -> None:
         self._found.append(Violation(invariant, at_ns / S, self._robot, str(numbers)))
 
-    def _held_up(self, decision: Decision, previous: Decision | None) -> None:
+    def _held_up(self, decision: GateDecision, previous: GateDecision | None) -> None:
         """A gate that let its wheels turn and was not asked for 120 ms gives nothing, and takes nothing of before."""
         if previous is None or previous.state.boot_id != decision.state.boot_id:
             self._held_ns = _NEVER
@@ -97,7 +97,7 @@ class GateAudit:
 
     # What the gate remembers
 
-    def _begun(self, decision: Decision, before: GateState, previous: Decision | None) -> GateState:
+    def _begun(self, decision: GateDecision, before: GateState, previous: GateDecision | None) -> GateState:
         """Return what a gate with a new boot id may know: its lease's epoch and its latch."""
         state = decision.state
         if previous is not None and decision.now_ns < previous.now_ns:  # its clock went back: it must forget
@@ -109,7 +109,7 @@ class GateAudit:
         latch = Latch.NONE if before.latch is Latch.DRILL else before.latch
         return GateState(state.boot_id, before.epoch, latch, before.latch_id, refused=state.refused)
 
-    def _explain(self, decision: Decision, before: GateState) -> None:
+    def _explain(self, decision: GateDecision, before: GateState) -> None:
         """Find what allowed each change."""
         state = decision.state
         granted = state.session != 0 and _lease(state) != _lease(before)
@@ -123,7 +123,7 @@ class GateAudit:
         if _command(state) != forgotten:
             self._command(decision, forgotten[0])
 
-    def _lease(self, decision: Decision, before: GateState) -> None:
+    def _lease(self, decision: GateDecision, before: GateState) -> None:
         _, now_ns, inputs, state, _ = decision
         session, action = inputs.lease or (0, LeaseAction.RELEASE)
         if state.session == 0:
@@ -137,7 +137,7 @@ class GateAudit:
             change = f"{_lease(before)} to {_lease(state)} by {inputs.lease}, output {before.output}"
             self._fail(decision.true_ns, "the lease changed without a right", change)
 
-    def _latch(self, decision: Decision, before: GateState) -> None:
+    def _latch(self, decision: GateDecision, before: GateState) -> None:
         true_ns, _, inputs, state, _ = decision
         permission = self._valid_permission(decision, before)
         change = f"{Latch(before.latch).name} {before.latch_id} to {Latch(state.latch).name} {state.latch_id}"
@@ -152,7 +152,7 @@ class GateAudit:
         elif before.latch is not Latch.DRILL and not self._authorised(true_ns):
             self._fail(true_ns, "a latch was cleared and nobody had asked for a reset", change)
 
-    def _enable(self, decision: Decision, before: GateState) -> None:
+    def _enable(self, decision: GateDecision, before: GateState) -> None:
         permission = self._valid_permission(decision, before)
         state = decision.state
         limit = 0.0 if permission is None or permission.latch else permission.limit
@@ -160,7 +160,7 @@ class GateAudit:
             change = f"{_enable(before)} to {_enable(state)} by {decision.inputs.permission}"
             self._fail(decision.true_ns, "a refused enable changed more than a counter", change)
 
-    def _command(self, decision: Decision, last_seq: int) -> None:
+    def _command(self, decision: GateDecision, last_seq: int) -> None:
         _, now_ns, inputs, state, _ = decision
         command = inputs.command
         if (
@@ -171,7 +171,7 @@ class GateAudit:
             change = f"to {_command(state)} by {command}, epoch {state.epoch}, last {last_seq}, at {now_ns}"
             self._fail(decision.true_ns, "a refused command changed more than a counter", change)
 
-    def _counted(self, decision: Decision, before: GateState) -> None:
+    def _counted(self, decision: GateDecision, before: GateState) -> None:
         """Nothing changed: whatever came was refused, and is counted."""
         inputs = decision.inputs
         if inputs.command is not None or inputs.permission is not None:
@@ -179,7 +179,7 @@ class GateAudit:
 
     # The rules of acceptance
 
-    def _valid_permission(self, decision: Decision, before: GateState) -> Permission | None:
+    def _valid_permission(self, decision: GateDecision, before: GateState) -> Permission | None:
         permission = decision.inputs.permission
         if (
             permission is None
@@ -189,7 +189,7 @@ class GateAudit:
             return None
         return permission if permission.epoch == before.epoch or permission.latch else None
 
-    def _obeyed(self, decision: Decision, last_seq: int) -> bool:
+    def _obeyed(self, decision: GateDecision, last_seq: int) -> bool:
         command, state, drive = decision.inputs.command, decision.state, self._drive
         assert command is not None
         left, right = command.wheels
@@ -202,7 +202,7 @@ class GateAudit:
             and drive.wheel_radius * abs(left + right) / 2.0 <= _LIMIT * drive.max_speed
         )
 
-    def _fresh(self, message: Command | Permission, decision: Decision) -> bool:
+    def _fresh(self, message: Command | Permission, decision: GateDecision) -> bool:
         """Whether it echoes this start of the driver, not long ago, and since the gate was held up."""
         age_ns = decision.now_ns - message.nonce
         known = message.boot_id == decision.state.boot_id and message.nonce >= max(0, self._held_ns)
@@ -210,7 +210,7 @@ class GateAudit:
 
     # What reaches the wheels
 
-    def _permitted(self, decision: Decision) -> None:
+    def _permitted(self, decision: GateDecision) -> None:
         """A target that is not zero needs a lease, a valid command, a valid enable and no latch."""
         _, now_ns, _, state, output = decision
         left, right = output.target

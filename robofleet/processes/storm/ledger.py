@@ -13,7 +13,7 @@ from robofleet.safety.gate import GateOutput, GateState, Inputs
 from robofleet.vehicles.interface import STOP
 
 
-class Decision(NamedTuple):
+class GateDecision(NamedTuple):
     """One step of a gate."""
 
     true_ns: int  # lockstep's own clock, that no fault touches
@@ -29,7 +29,7 @@ class Ledger:
     _now_ns: Callable[[], int]
 
     def __init__(self) -> None:
-        self.decisions: dict[str, list[Decision]] = defaultdict(list)
+        self.decisions: dict[str, list[GateDecision]] = defaultdict(list)
         self.said_ns: dict[str, list[int]] = defaultdict(list)
 
     def follow(self, clock: Clock, bus: MemoryBus) -> None:
@@ -48,7 +48,7 @@ class Ledger:
 
     def witness(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
         """Keep what a gate decided."""
-        self.decisions[robot].append(Decision(self._now_ns(), now_ns, inputs, state, output))
+        self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state, output))
 
     def _heard(self, message: tuple[str, bytes]) -> None:
         """Keep when a message was said; what it says is in the recording, in the same order."""

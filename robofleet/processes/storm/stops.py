@@ -12,7 +12,7 @@ import numpy as np
 
 from robofleet.clock import MS, S
 from robofleet.processes.storm.fleet import States
-from robofleet.processes.storm.ledger import Decision, Outage
+from robofleet.processes.storm.ledger import GateDecision, Outage
 from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
@@ -52,7 +52,7 @@ def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
 
 
 def unlatched(
-    robot: str, decisions: Sequence[Decision], asked: Sequence[Stop], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], asked: Sequence[Stop], outages: Sequence[Outage]
 ) -> list[Violation]:
     """Find stops that did not latch a gate in time, and latches that went before a reset was asked for."""
     found = []

@@ -13,7 +13,7 @@ from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from robofleet.processes.web.places import Complaints
-from robofleet.processes.web.refused import HOST, TICKET, TOKEN, Refusal, Words
+from robofleet.processes.web.refused import HOST, TICKET, TOKEN, RefusedPage, Words
 from robofleet.processes.web.ticket import Ticket
 
 _LARGEST_BODY = 1024  # [bytes]
@@ -49,7 +49,7 @@ class Guard:
     ) -> None:
         self._app, self._hosts, self._port, self._token, self._complaints = app, hosts, port, token, complaints
         self._ticket = ticket
-        self._refusals = {words: Refusal(words) for words in (HOST, TICKET, TOKEN)}
+        self._refusals = {words: RefusedPage(words) for words in (HOST, TICKET, TOKEN)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or one WebSocket."""
@@ -109,7 +109,7 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int) -> No
         await Response(status_code=status, headers={"Connection": "close"})(scope, receive, send)
 
 
-async def _explain(refusal: Refusal, scope: Scope, receive: Receive, send: Send) -> None:
+async def _explain(refusal: RefusedPage, scope: Scope, receive: Receive, send: Send) -> None:
     answer = Response(refusal.body, _FORBIDDEN, {"Connection": "close"}, "text/html")
     await answer(scope, receive, _with_headers(send, policy=refusal.policy))
 

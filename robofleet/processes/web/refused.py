@@ -43,7 +43,7 @@ HOST = (
 Words = tuple[str, str, str, str]
 
 
-class Refusal:
+class RefusedPage:
     """A whole page of words, made once: to refuse costs no more than to write it."""
 
     def __init__(self, words: Words) -> None:

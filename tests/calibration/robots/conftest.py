@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robofleet.drivers.simulated import SimulatedRobot
 
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.config.calibrated import TagOffset
+from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.tracking.offset import tag_from_centre
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
 from tests.behaviours.excited import Excited
