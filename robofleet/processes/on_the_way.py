@@ -57,8 +57,8 @@ class OnTheWay:
             return f"every robot is {_THERE[self.phase]}"
         last = max(range(len(left)), key=lambda row: left[row])
         seconds = math.ceil(max(m / speed for m, speed in zip(left, self._speeds, strict=True)))
-        farthest = f"{self._ids[last]} is {left[last]:.2f} m away: at least {seconds} s"
-        return f"{there} of {len(left)} robots are {_ALL_THERE[self.phase]}; {farthest}"
+        farthest = f"{self._ids[last]} has {left[last]:.2f} m to go, at least {seconds} s"
+        return f"{_ALL_THERE[self.phase]}: {there} of {len(left)} robots; {farthest}"
 
 
 def _to_go_m(its: RobotTick, place: Pose | None) -> float | None:

@@ -292,7 +292,7 @@ def test_the_end_of_a_run_is_told_with_its_verdict_and_its_report_to_who_still_l
         assert httpx.get(report).status_code == 404
         stand.over.set()
         heard = page.next("ended")
-        assert (heard["text"], heard["good"], heard["report"]) == ("idle: stop requested", None, None)
+        assert (heard["text"], heard["good"], heard["report"]) == ("stop requested", None, None)
         bounds = [{"figure": "overruns", "value": 2, "limit": 0, "pass": False}]
         summary = {"outcome": "completed", "cause": None, "ticks": 9, "bounds": bounds}
         (tmp_path / "summary.json").write_text(json.dumps(summary))

@@ -35,6 +35,7 @@ export class Arena {
   /** Take what does not change in a run. */
   begin(hello) {
     this.#hello = hello;
+    document.body.classList.remove("aims");
     this.#trails = hello.robots.map(() => []);
     const [width, height] = hello.arena.size_m;
     this.#stage.style.aspectRatio = `${width} / ${height}`;
@@ -46,6 +47,7 @@ export class Arena {
   draw(robots) {
     if (this.#tick && robots.every((robot) => robot.x_m === null)) return;
     this.#tick = robots;
+    if (robots.some((robot) => robot.reference_x_m !== null)) document.body.classList.add("aims");
     if (this.#taken++ % TRAIL_EVERY === 0) this.#remember(robots);
     this.#drawRobots();
   }

@@ -25,6 +25,7 @@ const PHASES = {
   estop: "EMERGENCY STOP",
 };
 const ENDED = "Ended";
+const ALARMS = ["fault", "estop"];
 const id = (name) => document.getElementById(name);
 
 /** What the page shows now, for whoever looks at it from outside. */
@@ -63,18 +64,24 @@ const frames = {
 };
 
 // At once, not with the next drawing: a page in the background draws nothing.
-function enter({ phase, cause, stage, what_next: next, way }) {
-  document.body.dataset.way = way ?? "";
-  if (link.ended !== null) return;
-  write("phase-cause", stage ?? (cause === "nothing" ? "" : (cause ?? "")));
-  write("phase-next", next);
+function enter(tick) {
+  const phase = tick.phase;
+  document.body.dataset.way = tick.way ?? "";
+  writePhase(tick);
   if (phase === state.phase) return;
   state.phase = phase;
-  write("phase-name", PHASES[phase] ?? phase);
   document.body.dataset.phase = phase;
   if (phase === "estop") performance.mark("estop-shown");
   controls.entered(phase);
   look();
+}
+
+/** Of a run that has ended the banner says how; what latches the robots stays in sight. */
+function writePhase({ phase, cause, stage, what_next: next }) {
+  const over = link.ended !== null && !ALARMS.includes(phase);
+  write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
+  write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
+  write("phase-next", over ? "" : next);
 }
 
 function draw(now) {
@@ -138,8 +145,7 @@ function look() {
 
 /** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
 function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
-  write("phase-name", ENDED);
-  write("phase-next", "");
+  if (state.tick) writePhase(state.tick);
   write("ended-text", text);
   id("ended-banner").dataset.good = `${good}`;
   id("ended-lines").hidden = lines.length === 0;

@@ -34,7 +34,7 @@ export class Plots {
     this.#legend.replaceChildren(...(few ? shown.map(chip) : []));
     if (!few) this.#legend.textContent = `${shown.length} robots: the area from the least to the most, and the mean`;
     this.#resizes.disconnect();
-    this.#plots = hello.figures.map((figure) => ({ figure, few, lines: boundsOf(figure), ...parts(figure) }));
+    this.#plots = hello.figures.map((figure) => ({ figure, few, lines: boundsOf(figure), ...parts(figure, groupsOf(hello, figure)) }));
     this.#place.replaceChildren(...this.#plots.map(({ part }) => part));
     for (const { trace } of this.#plots) this.#resizes.observe(trace.canvas);
     this.#resize();
@@ -86,13 +86,19 @@ function boundsOf({ bounds }) {
   return known.map(([of, at]) => ({ at, words: BOUNDS[of] }));
 }
 
-function parts(figure) {
+/** The groups that tell a figure, where there are several. */
+function groupsOf({ groups }, figure) {
+  const own = groups.filter(({ robots }) => robots.some((id) => figure.robots.includes(id)));
+  return groups.length > 1 ? own.map(({ name }) => name).join(", ") : "";
+}
+
+function parts(figure, groups) {
   const [part, words, canvas] = ["div", "p", "canvas"].map((kind) => document.createElement(kind));
   const [name, now] = [document.createElement("b"), document.createElement("span")];
   part.className = "plot";
   name.textContent = heading(figure);
   name.title = figure.meaning;
-  words.append(name, " ", now);
+  words.append(name, " ", Object.assign(document.createElement("small"), { textContent: groups }), " ", now);
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", `${heading(figure)} of each robot over the last minute; the table has the newest`);
   part.append(words, canvas);

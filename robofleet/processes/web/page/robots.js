@@ -22,8 +22,9 @@ export function robotsOf(hello, tick) {
   });
 }
 
-function onTheWay({ words, to_go_m: left }, way) {
-  return left === 0 ? THERE[way] : `${words}, ${left.toFixed(2)} m to ${WHERE[way]}`;
+function onTheWay({ gate, to_go_m: left }, way) {
+  if (left === 0) return THERE[way];
+  return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${WHERE[way]}`;
 }
 
 function assess({ driven, latch, lost, halted, gate, filtered }) {
