@@ -146,11 +146,13 @@ class LiveView:
         if state is not None:
             self._way.hear(state.phase)
         to_go_m = self._way.to_go_m(tick)
-        head = Text(f"{phase:<12}  ", _COLOURS.get(phase, "bold yellow"))
+        head = Text(f"{phase:<12}", _COLOURS.get(phase, "bold yellow"))
         doing = arming(state, self._ids) if phase == "arming" and state is not None else _DOING.get(phase)
         doing = (self._way.words(to_go_m) or doing) if phase in UNDER_WAY else doing
-        if phase not in UNDER_WAY:  # time stands on the way
-            head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default not bold")
+        when = (
+            "  " if phase in UNDER_WAY else f"{self._reached_s:5.1f} s of {duration_s:g} s   "
+        )  # on the way it stands
+        head.append(when, "default not bold")
         line = Table.grid()
         line.add_column(no_wrap=True)
         line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=_BAR))

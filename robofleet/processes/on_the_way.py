@@ -10,7 +10,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.fleet import drives
 from robofleet.safety.supervisor import Phase
 
-PLACE = {Phase.POSITIONING: "start", Phase.PARKING: "park"}
+_WHERE = {Phase.POSITIONING: "its start", Phase.PARKING: "the park"}
 _THERE = {Phase.POSITIONING: "at its start", Phase.PARKING: "parked"}
 _ALL_THERE = {Phase.POSITIONING: "at their start", Phase.PARKING: "parked"}
 _NEAR_M, _NEAR_RAD = 0.01, math.radians(3.0)  # who is nearer is there: a pose is estimated, and a robot settles
@@ -45,7 +45,7 @@ class OnTheWay:
     def robot_words(self, to_go_m: float) -> str:
         """Return a robot's part of the way in words."""
         assert self.phase is not None
-        return f"{to_go_m:.2f} m to its {PLACE[self.phase]}" if to_go_m else _THERE[self.phase]
+        return f"{to_go_m:.2f} m to {_WHERE[self.phase]}" if to_go_m else _THERE[self.phase]
 
     def words(self, to_go_m: Sequence[float | None]) -> str:
         """Return how many are there, and who has the longest way; an empty string where they are on no way."""

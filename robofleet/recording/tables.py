@@ -171,17 +171,12 @@ def proofs_table(title: str, rows: Sequence[tuple[str, ...]]) -> Fitting:
     return Fitting(make, ("used",))
 
 
-def status_table(status: dict[str, Any]) -> Table:
+def status_table(status: dict[str, Any]) -> Group:
     """Return what a running arena says of itself: ``processes.operator.status``."""
     phase, cause = status["phase"] or "the supervisor is silent", status["cause"]
-    table = Table(
-        title=Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold"),
-        title_justify="left",
-        caption=Text(f"{status['folder']}, since {status['started']}, process {status['pid']}"),
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    title = Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold")  # wider than its table
+    caption = Text(f"{status['folder']}, since {status['started']}, process {status['pid']}", "dim")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in ("robot", "gate", "latch", "battery", "heard", "halted"):
         table.add_column(column)
     for robot in status["robots"]:
@@ -192,4 +187,4 @@ def status_table(status: dict[str, Any]) -> Table:
         gate = Text(robot["gate"], "green" if robot["gate"] == "open" else "yellow")
         latch = Text(robot["latch"], "" if robot["latch"] == "none" else "bold red")
         table.add_row(robot["id"], gate, latch, battery, f"{robot['age_ms']:.0f} ms ago", Text(robot["halted"] or ""))
-    return table
+    return Group(title, table, caption)

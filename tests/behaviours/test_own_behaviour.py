@@ -5,8 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from robofleet.behaviours.interface import statistics
 from robofleet.config import groups
 from robofleet.config.load import ConfigError, load_config
 from robofleet.plugins import PluginError, load, reach
@@ -105,3 +107,8 @@ def test_drivers_and_cameras_are_found_there_too(tmp_path: Path) -> None:
         load("robofleet.drivers", "driving_lab:Mine")
     reach(tmp_path, "driving_lab:Mine")
     assert load("robofleet.drivers", "driving_lab:Mine").__name__ == "Mine"
+
+
+def test_the_largest_of_a_figure_that_has_a_sign_is_its_magnitude() -> None:
+    found = statistics(np.array([[1.0, -4.0], [2.0, np.nan]]))
+    assert found == {"mean": -0.3333, "max": 4.0, "per_robot_mean": [1.5, -4.0]}

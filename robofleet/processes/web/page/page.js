@@ -70,7 +70,6 @@ function enter(tick) {
   writePhase(tick);
   if (phase === state.phase) return;
   state.phase = phase;
-  document.body.dataset.phase = phase;
   if (phase === "estop") performance.mark("estop-shown");
   controls.entered(phase);
   look();
@@ -79,6 +78,7 @@ function enter(tick) {
 /** Of a run that has ended the banner says how; what latches the robots stays in sight. */
 function writePhase({ phase, cause, stage, what_next: next }) {
   const over = link.ended !== null && !ALARMS.includes(phase);
+  document.body.dataset.phase = over ? "ended" : phase;
   write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
   write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
   write("phase-next", over ? "" : next);

@@ -31,11 +31,12 @@ export class Plots {
     this.#panel.hidden = hello.figures.length === 0;
     const shown = hello.robots.filter(({ id }) => hello.figures.some(({ robots }) => robots.includes(id)));
     const few = shown.length <= FEW;
-    this.#legend.replaceChildren(...(few ? shown.map(chip) : []));
+    const common = few && hello.groups.length < 2; // several groups have headings with their own
+    this.#legend.replaceChildren(...(common ? shown.map(chip) : []));
     if (!few) this.#legend.textContent = `${shown.length} robots: the area from the least to the most, and the mean`;
     this.#resizes.disconnect();
-    this.#plots = hello.figures.map((figure) => ({ figure, few, lines: boundsOf(figure), ...parts(figure, groupsOf(hello, figure)) }));
-    this.#place.replaceChildren(...this.#plots.map(({ part }) => part));
+    this.#plots = hello.figures.map((figure) => ({ figure, few, lines: boundsOf(figure), ...parts(figure) }));
+    this.#place.replaceChildren(...this.#plots.flatMap(({ figure, part }, k) => [...this.#heading(figure, k), part]));
     for (const { trace } of this.#plots) this.#resizes.observe(trace.canvas);
     this.#resize();
   }
@@ -65,6 +66,16 @@ export class Plots {
     });
   }
 
+  // Above the first plot of other robots than the one before: their groups, and their colours.
+  #heading({ robots: own }, k) {
+    const { groups, robots, figures } = this.#hello;
+    if (groups.length < 2 || (k > 0 && figures[k - 1].robots.join() === own.join())) return [];
+    const names = groups.filter((group) => group.robots.some((id) => own.includes(id))).map(({ name }) => name);
+    const heading = Object.assign(document.createElement("h3"), { className: "chips", textContent: names.join(", ") });
+    if (this.#plots[k].few) heading.append(...robots.filter(({ id }) => own.includes(id)).map(chip));
+    return [heading];
+  }
+
   #words(figure, k) {
     const known = [...(this.#samples.at(-1)?.[k] ?? [])].filter((value) => !Number.isNaN(value));
     if (known.length === 0) return "–";
@@ -86,19 +97,13 @@ function boundsOf({ bounds }) {
   return known.map(([of, at]) => ({ at, words: BOUNDS[of] }));
 }
 
-/** The groups that tell a figure, where there are several. */
-function groupsOf({ groups }, figure) {
-  const own = groups.filter(({ robots }) => robots.some((id) => figure.robots.includes(id)));
-  return groups.length > 1 ? own.map(({ name }) => name).join(", ") : "";
-}
-
-function parts(figure, groups) {
+function parts(figure) {
   const [part, words, canvas] = ["div", "p", "canvas"].map((kind) => document.createElement(kind));
   const [name, now] = [document.createElement("b"), document.createElement("span")];
   part.className = "plot";
   name.textContent = heading(figure);
   name.title = figure.meaning;
-  words.append(name, " ", Object.assign(document.createElement("small"), { textContent: groups }), " ", now);
+  words.append(name, " ", now);
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", `${heading(figure)} of each robot over the last minute; the table has the newest`);
   part.append(words, canvas);
