@@ -41,8 +41,8 @@ class Feed:
         self.ended: Frame | None = None  # how the run did, once it has
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
         self._groups = groups.descriptions(config)
+        self.hello = dumps(frames.hello(config, self._groups, folder))
         self.hearing = Hearing(config, bus, clock, self._wake)
-        self.hello = dumps(frames.hello(config, self._groups, self.hearing.way, folder))
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
         self.seq = 0  # of the newest tick frame

@@ -37,7 +37,7 @@ _LONGEST_MS = 1000.0  # two hosts' stamps give any number: more is no latency
 _DIGITS = 6  # of a figure that is shown
 
 
-def hello(config: Config, groups: Sequence[Group], way: OnTheWay, folder: Path) -> Frame:
+def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
     """Return what does not change in a run."""
     camera = config.camera
     seen = config.tracker.source == "camera"
@@ -58,7 +58,7 @@ def hello(config: Config, groups: Sequence[Group], way: OnTheWay, folder: Path) 
             for group in groups
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
-        "places": {phase_word(phase): _places(places) for phase, places in way.places.items()},
+        "places": {phase_word(phase): _places(places) for phase, places in OnTheWay(config).places.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
