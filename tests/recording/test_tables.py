@@ -67,7 +67,7 @@ def test_robots_figures_stand_below_their_names_however_large_they_are(story: Ma
     told.control_error[:] = [0.1, 0.02, 1.5, 0.003]
     text = printed(summary_table(figures(told.recording()), told.config))
     names, values = (
-        re.finditer(what, row(text, label)) for label, what in (("figure", r"r\d"), ("control", r"[\d.]+"))
+        re.finditer(what, row(text, label)) for label, what in (("figure ", r"r\d"), ("control", r"[\d.]+"))
     )
     assert {name.end() for name in names} <= {value.end() for value in values}
 
