@@ -274,7 +274,8 @@ class Behaviour:
         return ()
 
     def summary(self, past: Past) -> dict[str, Any]:
-        """Return its part of ``summary.json``: by default mean, maximum and each robot's mean of figures and measures.
+        """Return its part of ``summary.json``: by default mean, ``max`` and each robot's mean of figures and
+        measures. ``max`` is the largest magnitude: a figure may have a sign.
 
         A figure that was not measured is None.
         """
@@ -288,16 +289,15 @@ class Behaviour:
 
 
 def statistics(values: Array) -> dict[str, Any] | None:
-    """Return mean, maximum and each column's mean of values (K, n), without those that are not known.
+    """Return mean, largest magnitude and each column's mean of values (K, n), without those that are not known.
 
-    Signed values keep their sign: their mean is their bias, and their maximum the largest value, not the largest
-    magnitude. A behaviour that wants magnitudes tells magnitudes.
+    Means keep the values' sign: the mean of a signed figure is its bias.
     """
     known = values[np.isfinite(values)]
     if not known.size:
         return None
     each = [rounded(column[np.isfinite(column)].mean()) if np.isfinite(column).any() else None for column in values.T]
-    return {"mean": rounded(known.mean()), "max": rounded(known.max()), "per_robot_mean": each}
+    return {"mean": rounded(known.mean()), "max": rounded(np.abs(known).max()), "per_robot_mean": each}
 
 
 def rounded(value: float, digits: int = 4) -> float:

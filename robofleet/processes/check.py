@@ -137,7 +137,8 @@ def _ways(config: Config) -> Iterator[Complaint]:
         missing = [robot.id for robot in config.members if robot.id not in known]
         for name in missing:
             option = "run.begin: go_to_start" if phase is Phase.POSITIONING else "run.end: park"
-            yield f"robots.{rows[name]}.{key}", f"is missing: {option} must know where {name} is to go"
+            mend = f"add `{key}: {{x_m: ..., y_m: ..., heading_deg: ...}}`"
+            yield f"robots.{rows[name]}.{key}", f"is missing: {option} must know where {name} is to go: {mend}"
         if missing:
             continue
         way = groups.on_the_way(config, phase)

@@ -64,11 +64,14 @@ def stop(arena: ArenaName = None) -> None:
         raise typer.Exit(1)
 
 
-def _asking(what: str, described: str) -> None:
+def _asking(what: str, described: str, then: str = "") -> None:
+    """Make a command that asks the supervisor; ``then``: what the robots do when it says ok."""
+
     def command(arena: ArenaName = None) -> None:
         from robofleet.processes import operator  # noqa: PLC0415
 
-        _told(*operator.ask(_running(arena), what))
+        done, answer = operator.ask(_running(arena), what)
+        _told(done, f"{answer}: {then}" if done and then else answer)
 
     app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
 
@@ -77,7 +80,11 @@ _asking("arm", "Check a fleet that waits for its operator, and try its wheels; `
 _asking("start", "Start a fleet that waits for its operator (run.start: operator).")
 _asking("hold", "Let every robot stand; `robofleet resume` goes on.")
 _asking("resume", "Continue after a hold.")
-_asking("park", "Let every robot drive to its place to park; the run ends there.")
+_asking(
+    "park",
+    "Let every robot drive to its place to park; the run ends there.",
+    "every robot drives to its place to park; the run ends there",
+)
 _asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
 
 

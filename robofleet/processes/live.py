@@ -1,12 +1,14 @@
 """The live view of a run, drawn by the launcher's process from what it hears on the bus."""
 
 import sys
+from functools import cached_property
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
+from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -20,12 +22,15 @@ from robofleet.comms.messages import (
     RUN_STATE,
     TICK_RECORD,
     TRACKER_NEWS,
+    BusyMachine,
     FleetPoses,
+    RunState,
     TickRecord,
 )
 from robofleet.config.tree import Config
 from robofleet.processes import live_robots
 from robofleet.processes.live_state import READY, UNDER_WAY, WAITING, arming, banner, compiling_line, keys
+from robofleet.processes.on_the_way import OnTheWay
 from robofleet.processes.qr_code import qr_code
 from robofleet.processes.terminal import Terminal
 from robofleet.recording import busy_machine
@@ -73,7 +78,7 @@ class LiveView:
     def __call__(self, recording: Recording, phase: str) -> None:
         """Show the run as it stands, if it is time to."""
         if phase == READY and not self._quiet:
-            _ = recording.groups  # loads the behaviours: a launcher that stalls later is no operator
+            _ = recording.groups, self._way  # loads the behaviours: a launcher that stalls later is no operator
         now_ns = self._clock.now_ns()
         if self._terminal.page != self._page and (self._quiet or self._live is None):
             print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
@@ -138,26 +143,41 @@ class LiveView:
         if tick is not None and tick.run_tick >= 0:
             self._reached_s = min(self._time(tick), duration_s)
         state = self._newest(recording, STATE, RUN_STATE)
+        if state is not None:
+            self._way.hear(state.phase)
+        to_go_m = self._way.to_go_m(tick)
         head = Text(f"{phase:<12}", _COLOURS.get(phase, "bold yellow"))
-        head.append(f"{self._reached_s:5.1f} s of {duration_s:g} s   ", "default not bold")
+        doing = arming(state, self._ids) if phase == "arming" and state is not None else _DOING.get(phase)
+        doing = (self._way.words(to_go_m) or doing) if phase in UNDER_WAY else doing
+        when = (
+            "  " if phase in UNDER_WAY else f"{self._reached_s:5.1f} s of {duration_s:g} s   "
+        )  # on the way it stands
+        head.append(when, "default not bold")
         line = Table.grid()
         line.add_column(no_wrap=True)
-        doing = arming(state, self._ids) if phase == "arming" and state is not None else _DOING.get(phase)
         line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=_BAR))
         compiling: list[Any] = [
             compiling_line(progress) for progress in self._terminal.compiling if phase == "compiling"
         ]
         parts: list[Any] = [*(compiling or [line]), keys(self._terminal, phase)]  # what a low terminal cuts off is last
         busy = self._newest(recording, BUSY, BUSY_MACHINE)
-        if state is not None and (seen := banner(state, busy, self._ids, by_key=self._terminal.present)) is not None:
+        if state is not None and (seen := self._banner(state, busy)) is not None:
             parts += ["", seen]
         elif busy is not None:
             parts += ["", Text(busy_machine.notice(busy, self._ids), "yellow")]
         if tick is not None:
             statuses = [self._newest(recording, STATUS, ROBOT_STATUS, robot.id) for robot in self._config.members]
-            robots = live_robots.tables(recording.groups, tick, statuses, state)
+            way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None
+            robots = live_robots.tables(recording.groups, tick, statuses, state, way)
             parts += ["", self._health(recording, tick), *robots]
         return Group(*parts)
+
+    @cached_property
+    def _way(self) -> OnTheWay:
+        return OnTheWay(self._config)
+
+    def _banner(self, state: RunState, busy: BusyMachine | None) -> Panel | None:
+        return banner(state, busy, self._ids, by_key=self._terminal.present, way=self._way.phase)
 
     def _health(self, recording: Recording, tick: TickRecord) -> Table:
         arena = self._config.arena.name

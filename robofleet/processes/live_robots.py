@@ -2,7 +2,8 @@
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -11,11 +12,13 @@ from robofleet.behaviours.described import Group
 from robofleet.behaviours.interface import Figure
 from robofleet.comms.messages import RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.processes import live_figures
+from robofleet.processes.on_the_way import OnTheWay
 from robofleet.recording.causes import named, own_halt
 from robofleet.recording.fitting import Fitting
 from robofleet.safety.gate import GateStatus, Latch
 
 _ROBOT, _POSE, _WHEELS, _BATTERY, _STATE = "robot", "pose", "wheels", "battery", "state"
+_TO_GO = "way"
 _COMMON = _ROBOT, _POSE, _WHEELS, _BATTERY  # columns of every robot; then its behaviour's figures, then its state
 _HEADS = {_POSE: "x m    y m   deg", _WHEELS: "wheels rad/s", _BATTERY: "battery\n%"}
 _LEAST_FIRST = _BATTERY, _POSE, _WHEELS  # to be left out of a narrow terminal; then the figures, the last one first
@@ -35,10 +38,21 @@ def lines(groups: Sequence[Group], tick: TickRecord) -> Iterator[str]:
             yield f"{of}{live_figures.title(every[k])} {words} {live_figures.unit(every[k])}".rstrip()
 
 
+class Way(NamedTuple):
+    """The way that the robots are on, to their start or to the park."""
+
+    on: OnTheWay
+    to_go_m: Sequence[float | None]  # of the members
+
+
 def tables(
-    groups: Sequence[Group], tick: TickRecord, statuses: Sequence[RobotStatus | None], state: RunState | None
-) -> Iterator[str | Text | Fitting]:
-    """Yield a table for each group, with its name where there are several; statuses: of the members."""
+    groups: Sequence[Group], tick: TickRecord, statuses: Sequence[RobotStatus | None], state: RunState | None,
+    way: Way | None = None,
+) -> Iterator[str | Text | Fitting]:  # fmt: skip
+    """Yield a table for each group, with its name where there are several; statuses: of the members.
+
+    On the way no behaviour tells figures: the tables have the way instead.
+    """
     every, figures = live_figures.columns(groups), live_figures.told(groups, tick).figures
     widest, row = max(len(robot) for group in groups for robot in group.robots), 0
     for group in groups:
@@ -46,20 +60,27 @@ def tables(
         if len(groups) > 1:
             does = "" if group.name == group.behaviour else f"  {group.behaviour}"
             yield Text(group.name, "bold").append(does, "not bold dim")
-        own: list[int] = live_figures.own(group, every)
+        own: list[int] = live_figures.own(group, every) if way is None else []
         rows: list[tuple[str | Text, ...]] = []
         for robot in group.robots:
             item, status = tick.robots[row], statuses[row]
             told = [live_figures.words(every[k], figures[row, k]) or _UNKNOWN for k in own]
+            told += [] if way is None else [_to_go(way, row)]
             rows.append((robot.ljust(widest), *_common(item, status), *told, _state(item, status, state, row)))
             row += 1
-        yield _table(rows, [every[k] for k in own])
+        heads = {live_figures.title(every[k]): _head(every[k]) for k in own}
+        yield _table(rows, heads | ({} if way is None else {_TO_GO: _TO_GO}))
 
 
-def _table(rows: Sequence[Sequence[str | Text]], figures: Sequence[Figure]) -> Fitting:
-    titles = [live_figures.title(figure) for figure in figures]
+def _to_go(way: Way, row: int) -> str:
+    to_go_m = way.to_go_m[row]
+    return _UNKNOWN if to_go_m is None else way.on.robot_words(to_go_m)
+
+
+def _table(rows: Sequence[Sequence[str | Text]], figures: Mapping[str, str]) -> Fitting:
+    titles = list(figures)
     names = [*_COMMON, *titles, _STATE]
-    heads = [*(_HEADS.get(name, name) for name in _COMMON), *map(_head, figures), _STATE]
+    heads = [*(_HEADS.get(name, name) for name in _COMMON), *figures.values(), _STATE]
 
     def make(left_out: Sequence[str]) -> Table:
         table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
@@ -83,7 +104,7 @@ def _head(figure: Figure) -> str:
 
 def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]:
     """Return what every robot has: its pose, its wheels and its battery."""
-    pose = f"{item.x_m:6.3f} {item.y_m:6.3f} {math.degrees(item.psi_rad):5.0f}"
+    pose = f"{item.x_m:z6.3f} {item.y_m:z6.3f} {math.degrees(item.psi_rad):z5.0f}"
     battery = _UNKNOWN if status is None or status.battery < 0.0 else f"{100 * status.battery:.0f}"
     return _UNKNOWN if item.lost else pose, f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}", battery
 

@@ -11,7 +11,7 @@ from robofleet.processes.compiling import Progress
 from robofleet.processes.terminal import Terminal
 from robofleet.recording import busy_machine
 from robofleet.safety.arming import Stage
-from robofleet.safety.supervisor import Phase
+from robofleet.safety.supervisor import Event, Phase
 from robofleet.safety.wiggle import STROKES
 
 _STAGES = {
@@ -31,6 +31,10 @@ UNDER_WAY = {
     "positioning": "every robot drives to its start",
     "parking": "every robot drives to where it is parked",
 }
+_GOES_ON = {
+    Phase.POSITIONING: "the robots drive on to their start",
+    Phase.PARKING: "the robots drive on to where they are parked",
+}
 
 
 def arming(state: RunState, robots: tuple[str, ...]) -> str:
@@ -49,16 +53,24 @@ def _stroke(index: int) -> str:
     return f"{wheels} {'forwards' if max(left, right) > 0.0 else 'backwards'}" if wheels else "it must stand"
 
 
-def banner(state: RunState, busy: BusyMachine | None, robots: tuple[str, ...], *, by_key: bool) -> Panel | None:
-    """Return what must be seen: why the fleet stands, and what to do; ``busy``: what is known of the machine's load."""
+def banner(
+    state: RunState, busy: BusyMachine | None, robots: tuple[str, ...], *, by_key: bool, way: Phase | None = None
+) -> Panel | None:
+    """Return what must be seen: why the fleet stands, and what to do.
+
+    ``busy``: what is known of the machine's load; ``way``: to the start or to the park, where that is held.
+    """
     cause = busy_machine.told(state, busy, robots)
     if busy_machine.goes_on(state, busy):
         return _panel(
             "HOLD", cause, "Every robot stands. Everything is simulated: the run goes on by itself.", "yellow"
         )
     if state.phase == Phase.HOLD:
-        how = "press r and the run goes on; q ends it" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
-        return _panel("HOLD", cause, f"Every robot stands. Look, mend it, then {how}.", "yellow")
+        goes_on = "the run goes on" if way is None else _GOES_ON[way]
+        how = f"press r and {goes_on}; q ends the run" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
+        asked = state.cause == Event.HOLD_REQUESTED  # then there is nothing to mend
+        what = f"{how[0].upper()}{how[1:]}" if asked else f"Look, mend it, then {how}"
+        return _panel("HOLD", cause, f"Every robot stands. {what}.", "yellow")
     if state.phase == Phase.ESTOP:
         silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
         what = f"NOT acknowledged by {', '.join(silent)}" if silent else "Every robot has latched its gate."

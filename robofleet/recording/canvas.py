@@ -29,7 +29,7 @@ _PHASES = {
     Phase.RUNNING: "#d8ebdb",
     Phase.HOLD: "#f7e3b5",
     Phase.FAULT: "#f0c4b8",
-    Phase.POSITIONING: "#cfe3ea",
+    Phase.POSITIONING: "#bfe3dd",
     Phase.PARKING: "#dcdcec",
     Phase.ESTOP: "#e59a88",
 }

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from matplotlib.patheffects import withStroke
 
 from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config.robots import Robot
@@ -87,7 +88,8 @@ def _body(axes: Axes, robot: Robot, pose: Array, colour: str) -> None:
     axes.add_patch(Circle((x, y), radius, fc=colour, ec=colour, alpha=0.35, zorder=3))
     nose = x + radius * np.cos(psi), y + radius * np.sin(psi)
     axes.plot([x, nose[0]], [y, nose[1]], color=colour, lw=2, zorder=4)
-    axes.annotate(robot.id, (x, y), color=INK, ha="center", va="center", fontsize=8, fontweight="bold", zorder=5)
+    name = axes.annotate(robot.id, (x, y), color=INK, ha="center", va="center", fontsize=8, fontweight="bold", zorder=5)
+    name.set_path_effects([withStroke(linewidth=2.0, foreground="white")])  # trails cross it
 
 
 def trail(points: Array) -> Array:

@@ -16,7 +16,7 @@ class OwnFigure(NamedTuple):
     label: str  # "control error"
     unit: str
     mean: float | None  # of what counts; None: not measured
-    largest: float | None
+    largest: float | None  # magnitude
     each: tuple[float | None, ...]  # of each robot; empty: it is not of robots
     deviation: tuple[float, str] | None = None  # the largest one from what was asked, and its unit
 
@@ -49,6 +49,11 @@ def own_figures(group: Mapping[str, Any]) -> Iterator[OwnFigure]:
                 key, label, unit, value["mean"], largest if _is_number(largest) else None,
                 _each([v if _is_number(v) else None for v in each], robots) if isinstance(each, list) else (),
             )  # fmt: skip
+
+
+def heading(name: str, behaviour: str) -> str:
+    """Return a group's name, and its behaviour where that is another word."""
+    return name if name == behaviour else f"{name} ({behaviour})"
 
 
 def words(key: str) -> tuple[str, str]:

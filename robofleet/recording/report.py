@@ -8,13 +8,14 @@ from typing import Any
 
 import matplotlib as mpl
 
+from robofleet.behaviours.interface import scale
 from robofleet.config.load import resolved_yaml
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
 from robofleet.recording.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.recording.canvas import View
 from robofleet.recording.columns import CSV, write_csv
-from robofleet.recording.own_figures import own_figures
+from robofleet.recording.own_figures import OwnFigure, asked, heading, own_figures
 from robofleet.recording.paper_figures import FigureFiles
 from robofleet.recording.plots import HAPPENED, sections
 from robofleet.recording.run import Recording, Run
@@ -144,7 +145,9 @@ def _short(value: float) -> str:
 def _bounds(page: Page, summary: Summary) -> None:
     if not summary["bounds"]:
         page.note("To have runs judged, write bounds into the configuration, e.g.")
-        page.listing("run:\n  bounds: {control_error_mean_mm: 1.0, spacing_max_deviation_mm: 12, stops: 0}")
+        has = {key for group in summary["groups"].values() for key in group}
+        own = "control_error_mean_mm: 1.0, " if "control_error_mm" in has else ""
+        page.listing(f"run:\n  bounds: {{{own}min_gap_mm: 10, stops: 0}}")
         return
     completed = summary["outcome"] == "completed"
     rest = "has not met its bound" if completed else "was not judged: the run ended too early"
@@ -197,14 +200,25 @@ def _robots(page: Page, summary: Summary) -> None:
     page.section("Robots", "Means over the time that counts.")
     own = [stop["robot"] for stop in summary["stops"] if not stop["by_operator"]]
     for name, group in summary["groups"].items():
-        columns = {figure.title: figure.each for figure in own_figures(group) if figure.each}
+        columns = dict(_column(group, figure) for figure in own_figures(group) if figure.each)
         rows = [
             (robot, *(values[k] for values in columns.values()), own.count(robot), summary["rejected"][robot])
             for k, robot in enumerate(group["robots"])
         ]
         if len(summary["groups"]) > 1:
-            page.note(f"{name}: {group['behaviour']}")
+            page.note(heading(name, group["behaviour"]))
         page.table(("robot", *columns, "stops by itself", "messages refused"), rows)
+
+
+def _column(group: Summary, figure: OwnFigure) -> tuple[str, tuple[float | None, ...]]:
+    """Return a figure's title and its value of each robot, in the unit of what it should be."""
+    should = asked(group, figure)
+    if should is None:
+        return figure.title, figure.each
+    value, unit = should
+    factor = scale(figure.unit, unit)
+    each = tuple(None if mean is None else mean * factor for mean in figure.each)
+    return f"{figure.label}, {unit} (of {value:g})", each
 
 
 def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:

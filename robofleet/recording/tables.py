@@ -11,7 +11,7 @@ from rich.text import Text
 from robofleet.behaviours.interface import scale
 from robofleet.config.tree import Config
 from robofleet.recording.fitting import Fitting
-from robofleet.recording.own_figures import asked, own_figures
+from robofleet.recording.own_figures import asked, heading, own_figures
 from robofleet.recording.paper import CONTROL_ERROR_MM, is_papers
 from robofleet.recording.stops import together
 
@@ -20,7 +20,7 @@ Summary = dict[str, Any]
 _SHOWN = 4  # stops
 _PAPER, _EACH = "the paper", "each robot"
 _WHAT = 16  # columns, at least, for what was proved
-_MM = 5  # columns of a robot's figure
+_NARROW = 5  # columns of a robot's figure, at least
 _ENDS = {"fault": "ended by a fault", "stopped": "stopped"}
 
 
@@ -30,7 +30,7 @@ class _Row(NamedTuple):
     label: str
     value: str
     paper: str = "-"
-    each: str = ""
+    each: str | Sequence[str] = ""  # a cell a robot, or words
 
 
 def summary_table(summary: Summary, config: Config) -> Group:
@@ -48,18 +48,20 @@ def summary_table(summary: Summary, config: Config) -> Group:
 
 def _summary_table(summary: Summary, rows: Sequence[_Row], columns: Sequence[str]) -> Table:
     ended = _ENDS.get(summary["outcome"], summary["outcome"])
+    columns_of = [summary["robots"], *(row.each for row in rows if not isinstance(row.each, str))]
+    width = max(_NARROW, *(len(cell) for cells in columns_of for cell in cells))
     title = f"{summary['config']}: {ended} after {summary['duration_s']:.1f} s"
     table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     heads = {
         "figure": "\nfigure",
         "this run": f"this run\n({_mode(summary)})",
         _PAPER: f"{_PAPER}\n(hardware)",
-        _EACH: f"{_EACH}\n" + (_ids(summary["robots"]) if len(summary["groups"]) == 1 else ""),
+        _EACH: f"{_EACH}\n" + (_in_columns(summary["robots"], width) if len(summary["groups"]) == 1 else ""),
     }
     for column in columns:
         table.add_column(heads[column], justify="right" if column in ("this run", _PAPER) else "left", no_wrap=True)
     for row in rows:
-        cells = dict(zip(heads, row, strict=True))
+        cells = dict(zip(heads, (*row[:-1], _in_columns(row.each, width)), strict=True))
         table.add_row(*(Text(cells[column]) for column in columns))  # no text of a run is markup
     return table
 
@@ -70,8 +72,9 @@ def _mode(s: Summary) -> str:
 
 
 def _caption(s: Summary) -> Iterator[str]:
-    truth = "" if s["estimated"] else ", on the true poses"
-    yield f"errors and deviations: mean (max){truth}; times: p50, p99"
+    yield "figures: mean (largest, without its sign); times: p50, p99"
+    if not s["estimated"]:
+        yield "what a behaviour told at each tick is by its own estimate; all else is measured on the true poses"
     if s["control_error_mm"] is not None:
         yield "the control error is of x + T u, of x + T (u + w) with a disturbance w"
     if s["estimated"]:
@@ -85,7 +88,7 @@ def _errors(s: Summary, config: Config) -> Iterator[_Row]:
     papers = f"about {CONTROL_ERROR_MM:g}"
     for name, group in s["groups"].items():
         if len(s["groups"]) > 1:
-            yield _Row(f"{name}: {group['behaviour']}", "", "", _ids(group["robots"]))
+            yield _Row(heading(name, group["behaviour"]), "", "", group["robots"])
         for figure in own_figures(group):
             paper = papers if figure.key == "control_error_mm" else "-"
             should = asked(group, figure)
@@ -106,12 +109,13 @@ def _errors(s: Summary, config: Config) -> Iterator[_Row]:
                 yield _Row(f"{figure.label}'s deviation, {unit}", f"({off:.1f})")
 
 
-def _each(values: Sequence[float | None], digits: int) -> str:
-    return " ".join(f"{'-':>{_MM}}" if value is None else f"{value:{_MM}.{digits}f}" for value in values)
+def _each(values: Sequence[float | None], digits: int) -> list[str]:
+    return ["-" if value is None else f"{value:.{digits}f}" for value in values]
 
 
-def _ids(robots: Sequence[str]) -> str:
-    return " ".join(f"{robot:>{_MM}}" for robot in robots)
+def _in_columns(cells: str | Sequence[str], width: int) -> str:
+    """Return robots' cells in columns of their own; words as they are."""
+    return cells if isinstance(cells, str) else " ".join(f"{cell:>{width}}" for cell in cells)
 
 
 def _health(s: Summary) -> Iterator[_Row]:
@@ -167,17 +171,12 @@ def proofs_table(title: str, rows: Sequence[tuple[str, ...]]) -> Fitting:
     return Fitting(make, ("used",))
 
 
-def status_table(status: dict[str, Any]) -> Table:
+def status_table(status: dict[str, Any]) -> Group:
     """Return what a running arena says of itself: ``processes.operator.status``."""
     phase, cause = status["phase"] or "the supervisor is silent", status["cause"]
-    table = Table(
-        title=Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold"),
-        title_justify="left",
-        caption=Text(f"{status['folder']}, since {status['started']}, process {status['pid']}"),
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    title = Text(f"{status['arena']}: {phase}" + (f" ({cause})" if cause else ""), "bold")  # wider than its table
+    caption = Text(f"{status['folder']}, since {status['started']}, process {status['pid']}", "dim")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in ("robot", "gate", "latch", "battery", "heard", "halted"):
         table.add_column(column)
     for robot in status["robots"]:
@@ -188,4 +187,4 @@ def status_table(status: dict[str, Any]) -> Table:
         gate = Text(robot["gate"], "green" if robot["gate"] == "open" else "yellow")
         latch = Text(robot["latch"], "" if robot["latch"] == "none" else "bold red")
         table.add_row(robot["id"], gate, latch, battery, f"{robot['age_ms']:.0f} ms ago", Text(robot["halted"] or ""))
-    return table
+    return Group(title, table, caption)

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator, StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from robofleet.figures import COLOURS, QUIET
 from robofleet.recording.canvas import View, sheet
@@ -61,6 +61,7 @@ def _histogram(axes: Axes, values: Array, label: str) -> None:
     values = np.maximum(values, 1.0)
     axes.hist(values, np.geomspace(1.0, max(2.0, 1.2 * values.max()), _BINS).tolist(), color=COLOURS[0])
     axes.set(xscale="log", yscale="log")
+    axes.xaxis.set_major_locator(LogLocator(numticks=5))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))

@@ -109,6 +109,6 @@ def test_drivers_and_cameras_are_found_there_too(tmp_path: Path) -> None:
     assert load("robofleet.drivers", "driving_lab:Mine").__name__ == "Mine"
 
 
-def test_a_signed_figure_keeps_its_sign() -> None:
-    told = statistics(np.array([[-3.0, 1.0], [-1.0, np.nan]]))
-    assert told == {"mean": -1.0, "max": 1.0, "per_robot_mean": [-2.0, 1.0]}
+def test_means_keep_the_sign_of_a_figure_and_its_largest_is_a_magnitude() -> None:
+    told = statistics(np.array([[1.0, -4.0], [2.0, np.nan]]))
+    assert told == {"mean": -0.3333, "max": 4.0, "per_robot_mean": [1.5, -4.0]}

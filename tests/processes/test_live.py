@@ -28,6 +28,7 @@ from robofleet.comms.messages import (
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.processes.live import LiveView
+from robofleet.processes.on_the_way import OnTheWay
 from robofleet.processes.terminal import Terminal
 from robofleet.recording.run import Recording
 from robofleet.safety.arming import Stage
@@ -221,6 +222,38 @@ def test_a_behaviour_that_failed_is_seen_with_its_robots_and_what_to_do(view: Vi
 @pytest.mark.parametrize(("phase", "words"), [("positioning", "drives to its start"), ("parking", "it is parked")])
 def test_on_the_way_it_says_where_to(view: View, phase: str, words: str) -> None:
     assert words in view.shown(phase, 80)
+
+
+def test_on_the_way_it_says_who_is_there_how_far_the_others_are_and_what_a_hold_holds(
+    platoon_of: Callable[..., Config],
+) -> None:
+    config = platoon_of("run.begin=go_to_start")
+    said = View(config)
+    said.terminal = Attended()
+    shown = LiveView(config, SimulatedClock(), said.terminal, quiet=True)
+
+    def text(phase: str) -> str:
+        output = io.StringIO()
+        Console(file=output, width=80, color_system=None).print(shown.picture(said.recording, phase))
+        return output.getvalue()
+
+    robots = []
+    for away, place in zip((0.0, 0.5, 0.0, 0.0), OnTheWay(config).places[Phase.POSITIONING], strict=True):
+        assert place is not None
+        robots.append(STANDING._replace(x_m=place[0] + away, y_m=place[1], psi_rad=place[2]))
+    said.tick(*robots)
+    said.state(Phase.POSITIONING)
+    going = text("positioning")
+    assert "at their start: 3 of 4 robots; r2 has 0.50 m to go, at least 3 s" in going
+    assert "at its start" in row(going, "r1")
+    assert "0.50 m to its start" in row(going, "r2")
+    assert "control error" not in going, "no behaviour tells figures"
+    said.state(Phase.HOLD, Event.HOLD_REQUESTED)
+    held = text("held")
+    assert "press r and the robots drive on to their start" in " ".join(held.replace("┃", " ").split()).lower()
+    assert "0.50 m to its start" in row(held, "r2")
+    said.state(Phase.RUNNING)
+    assert "control error" in text("running").replace("\n", " ")
 
 
 def test_a_busy_machine_is_seen_and_a_run_that_it_holds_goes_on_by_itself(

@@ -130,6 +130,26 @@ def test_on_the_way_the_references_are_told_and_no_figures(stand: WebStand) -> N
     assert set(row(hello, tick, "r1")["figures"]) == {None}
 
 
+def test_on_the_way_the_page_knows_where_each_robot_goes_and_how_far_it_is(tmp_path: Path) -> None:
+    with web_stand(tmp_path, TRUTH, "run.begin=go_to_start") as stand, stand.page() as page:
+        hello = page.next("hello")
+        goals = hello["places"]["positioning"]
+        aways = (0.0, 0.5, 0.0, 0.0)
+        robots = [placed(x + away, y, psi_rad=psi) for (x, y, psi), away in zip(goals, aways, strict=True)]
+        stand.say_state(Phase.POSITIONING, Event.SET_OUT)
+        stand.say_tick(-1, *robots, phase=Phase.POSITIONING)
+        tick = page.next("tick", lambda tick: tick["way"] and row(hello, tick, "r2")["to_go_m"])
+        assert [row(hello, tick, robot)["to_go_m"] for robot in stand.robots] == pytest.approx(aways, abs=1e-3)
+        assert tick["what_next"].startswith("At their start: 3 of 4 robots; r2 has 0.50 m to go")
+        stand.say_state(Phase.HOLD, Event.HOLD_REQUESTED)
+        held = page.next("tick", lambda tick: tick["phase"] == "hold")
+        assert (held["way"], "on its way to its start" in held["what_next"]) == ("positioning", True)
+        stand.say_state(Phase.RUNNING, Event.AT_START)
+        running = page.next("tick", lambda tick: tick["phase"] == "running")
+    assert running["way"] is None
+    assert row(hello, running, "r2")["to_go_m"] is None
+
+
 def test_a_robot_whose_behaviour_failed_stands_in_words(stand: WebStand) -> None:
     with stand.page() as page:
         hello = page.next("hello")
@@ -292,7 +312,7 @@ def test_the_end_of_a_run_is_told_with_its_verdict_and_its_report_to_who_still_l
         assert httpx.get(report).status_code == 404
         stand.over.set()
         heard = page.next("ended")
-        assert (heard["text"], heard["good"], heard["report"]) == ("idle: stop requested", None, None)
+        assert (heard["text"], heard["good"], heard["report"]) == ("stop requested", None, None)
         bounds = [{"figure": "overruns", "value": 2, "limit": 0, "pass": False}]
         summary = {"outcome": "completed", "cause": None, "ticks": 9, "bounds": bounds}
         (tmp_path / "summary.json").write_text(json.dumps(summary))

@@ -62,6 +62,16 @@ def test_the_table_shows_what_was_measured_beside_the_paper(
     assert "(hardware)" in text
 
 
+def test_robots_figures_stand_below_their_names_however_large_they_are(story: Make, figures: Make) -> None:
+    told = story()
+    told.control_error[:] = [0.1, 0.02, 1.5, 0.003]
+    text = printed(summary_table(figures(told.recording()), told.config))
+    names, values = (
+        re.finditer(what, row(text, label)) for label, what in (("figure ", r"r\d"), ("control", r"[\d.]+"))
+    )
+    assert {name.end() for name in names} <= {value.end() for value in values}
+
+
 @pytest.mark.parametrize(("width", "left_out"), [(120, ""), (80, ""), (60, "the paper, each robot")])
 def test_it_fits_a_terminal_and_says_what_it_leaves_out(story: Make, figures: Make, width: int, left_out: str) -> None:
     told = story()

@@ -9,6 +9,7 @@ from robofleet.processes.web.frames import Frame
 from robofleet.processes.web.verdict import REPORT, Verdict, verdict_of
 from robofleet.processes.web.words import phase_name
 from robofleet.recording.causes import run_cause
+from robofleet.safety.supervisor import Phase
 
 STAYS_MIN = 10  # after the end, while somebody looks
 _GRACE_NS = 3 * S  # for a page that is loaded again
@@ -62,8 +63,10 @@ class Ending:
 
 def _heard(state: RunState | None, robots: tuple[str, ...]) -> Verdict:
     """Return what the supervisor said last, while there is no summary."""
-    said = _UNKNOWN if state is None else f"{phase_name(state)}: {run_cause(state, robots)}"
-    return Verdict(said, (), None)
+    if state is None:
+        return Verdict(_UNKNOWN, (), None)
+    where = "" if state.phase == Phase.IDLE else f"{phase_name(state)}: "
+    return Verdict(f"{where}{run_cause(state, robots)}", (), None)
 
 
 def _frame(folder: Path, verdict: Verdict, *, reported: bool) -> Frame:

@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from robofleet.behaviours.described import Group
-from robofleet.behaviours.interface import Dots, Figure, Shape, with_unit
+from robofleet.behaviours.interface import Dots, Figure, Pose, Shape, with_unit
 from robofleet.clock import MS, S
 from robofleet.comms.messages import FleetPoses, RobotStatus, RobotTick, RunState
 from robofleet.config import barrier
 from robofleet.config.tree import Config
 from robofleet.figures import robot_colours
 from robofleet.processes import live_figures
+from robofleet.processes.on_the_way import OnTheWay
 from robofleet.processes.web.hearing import Hearing
-from robofleet.processes.web.words import phase_name, stage, what_next
+from robofleet.processes.web.words import phase_name, phase_word, stage, what_next
 from robofleet.recording import busy_machine
 from robofleet.recording.causes import named, own_halt
 from robofleet.safety.barrier import apart
@@ -29,7 +30,8 @@ Frame = dict[str, Any]
 
 COLUMNS = (
     "x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "reference_x_m", "reference_y_m", "left_rad_s", "right_rad_s",
-    "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "figures",
+    "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "to_go_m",
+    "figures",
 )  # fmt: skip
 _LONGEST_MS = 1000.0  # two hosts' stamps give any number: more is no latency
 _DIGITS = 6  # of a figure that is shown
@@ -56,6 +58,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
             for group in groups
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
+        "places": {phase_word(phase): _places(places) for phase, places in OnTheWay(config).places.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
@@ -63,6 +66,10 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "folder": str(folder),
         "columns": COLUMNS,
     }
+
+
+def _places(places: Sequence[Pose | None]) -> list[list[float | None] | None]:
+    return [None if place is None else [_rounded(value, 4) for value in place] for place in places]
 
 
 def _shape(shape: Shape) -> Frame:
@@ -90,7 +97,8 @@ def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -
 
 def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
     """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
-    state, robots = hearing.state, config.ids
+    state, robots, way = hearing.state, config.ids, hearing.way
+    to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
         "seq": seq,
@@ -98,9 +106,10 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "phase": phase_name(state),
         "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
         "stage": stage(state, robots) if state is not None else launcher or None,
-        "what_next": what_next(state, hearing.busy, hearing.statuses.newest, config),
+        "what_next": what_next(state, hearing.busy, hearing.statuses.newest, config, way.phase, way.words(to_go_m)),
+        "way": None if way.phase is None else phase_word(way.phase),
         "health": _health(hearing),
-        "robots": _rows(hearing, groups, state, now_ns),
+        "robots": _rows(hearing, groups, state, to_go_m, now_ns),
     }
 
 
@@ -191,7 +200,9 @@ def _tracker(images: list[FleetPoses], robots: int) -> tuple[float | None, float
     return _rounded(rate, 1), _rounded(100.0 * min(1.0, measured / robots), 1)
 
 
-def _rows(hearing: Hearing, groups: Sequence[Group], state: RunState | None, now_ns: int) -> list[list[Any]]:
+def _rows(
+    hearing: Hearing, groups: Sequence[Group], state: RunState | None, to_go_m: Sequence[float | None], now_ns: int
+) -> list[list[Any]]:
     ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
     told = live_figures.told(groups, ticks)
     unknown = [None] * told.figures.shape[1]
@@ -205,6 +216,7 @@ def _rows(hearing: Hearing, groups: Sequence[Group], state: RunState | None, now
             *(_drive(its) if its is not None else [None] * 2),
             *_gate(status), own_halt(state, row, its) or None, _battery(status), _age_ms(hearing.heard_ns[row], now_ns),
             *((int(its.measured), int(its.lost), int(its.filtered)) if its is not None else [None] * 3),
+            _rounded(to_go_m[row], 3) if driven else None,
             [_known(value, _DIGITS) for value in told.figures[row]] if driven else unknown,
         ])  # fmt: skip
     return rows

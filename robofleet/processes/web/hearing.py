@@ -23,6 +23,7 @@ from robofleet.comms.messages import (
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
+from robofleet.processes.on_the_way import OnTheWay
 from robofleet.safety.supervisor import Phase
 
 _IMAGES = 64  # two seconds of a camera, by which its rate is told
@@ -65,6 +66,7 @@ class Hearing:
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
         self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
         self.shown: Shown | None = None
+        self.way = OnTheWay(config)
         self.t_s: float | None = None  # of the run; stays while it is held
 
     def hear(self) -> bool:
@@ -78,6 +80,7 @@ class Hearing:
         if state is not None:
             changed = self.state is None or self.state._replace(seq=0) != state._replace(seq=0)
             self.state, self.state_ns = state, self._states.arrival_ns
+            self.way.hear(state.phase)
             if state.phase in (Phase.IDLE, Phase.ARMED):
                 self.t_s = None
         return changed or record is not None

@@ -13,20 +13,31 @@ from robofleet.safety.supervisor import Phase
 _NEXT = {
     Phase.IDLE: "Arm: every robot's wheels and its emergency stop are tried, one after the other.",
     Phase.ARMED: "Wait for the checks, or stop.",
-    Phase.POSITIONING: "The robots drive to their start by themselves; then the run begins. Hold them, or stop.",
     Phase.RUNNING: "Hold the run, or stop it.",
-    Phase.PARKING: "The robots drive to where they are parked by themselves. Hold them, or stop.",
     Phase.HOLD: "Every robot stands. Look, mend what is wrong, then resume; or stop.",
     Phase.FAULT: "Every robot stands. Mend the cause, then reset.",
     Phase.ESTOP: "Every robot has latched its gate. Look at the robots, then reset.",
 }
 _GOES_ON = "Every robot stands. Everything is simulated: the run goes on by itself."
+_UNDER_WAY = {
+    Phase.POSITIONING: ("The robots drive to their start by themselves", "Then the run begins."),
+    Phase.PARKING: ("The robots drive to where they are parked by themselves", "Then the run ends."),
+}
+_HELD = {
+    Phase.POSITIONING: "Every robot stands on its way to its start. Look, mend what is wrong, then resume; or stop.",
+    Phase.PARKING: "Every robot stands on its way to the park. Look, mend what is wrong, then resume; or stop.",
+}
 ENDED = (Phase.IDLE, Phase.FAULT, Phase.ESTOP)  # nothing moves, and nothing will by itself
 
 
 def phase_name(state: RunState | None) -> str:
     """Return a run's phase; ``starting`` while the supervisor has not spoken."""
-    return "starting" if state is None else named(Phase, state.phase)
+    return "starting" if state is None else phase_word(state.phase)
+
+
+def phase_word(phase: int) -> str:
+    """Return a phase as the page knows it."""
+    return named(Phase, phase)
 
 
 def stage(state: RunState | None, robots: tuple[str, ...]) -> str | None:
@@ -35,9 +46,10 @@ def stage(state: RunState | None, robots: tuple[str, ...]) -> str | None:
 
 
 def what_next(
-    state: RunState | None, busy: BusyMachine | None, statuses: Sequence[RobotStatus | None], config: Config
-) -> str:
-    """Return what the operator can do now."""
+    state: RunState | None, busy: BusyMachine | None, statuses: Sequence[RobotStatus | None], config: Config,
+    way: Phase | None, how_far: str,
+) -> str:  # fmt: skip
+    """Return what the operator can do now; ``way``: that the robots are on, ``how_far`` they are."""
     if state is None:
         return "Wait: the processes are starting."
     robots = config.ids
@@ -52,6 +64,11 @@ def what_next(
     if state.phase == Phase.IDLE and latched:
         return f"The gate of {', '.join(latched)} is latched: look at the robots, then reset."
     words = next((words for phase, words in _NEXT.items() if phase == state.phase), "")
+    if way is not None and state.phase == way:
+        goes, then = _UNDER_WAY[way]
+        words = f"{how_far[:1].upper()}{how_far[1:] or goes}. {then}"
+    elif way is not None and state.phase == Phase.HOLD:
+        words = _HELD[way]
     if state.phase == Phase.ARMED and state.stage == Stage.DONE:
         words = "Every check is passed: start the run, or stop."
     return _GOES_ON if goes_on(state, busy) else words

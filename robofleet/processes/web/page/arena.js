@@ -35,6 +35,7 @@ export class Arena {
   /** Take what does not change in a run. */
   begin(hello) {
     this.#hello = hello;
+    document.body.classList.remove("aims");
     this.#trails = hello.robots.map(() => []);
     const [width, height] = hello.arena.size_m;
     this.#stage.style.aspectRatio = `${width} / ${height}`;
@@ -46,6 +47,7 @@ export class Arena {
   draw(robots) {
     if (this.#tick && robots.every((robot) => robot.x_m === null)) return;
     this.#tick = robots;
+    if (robots.some((robot) => robot.reference_x_m !== null)) document.body.classList.add("aims");
     if (this.#taken++ % TRAIL_EVERY === 0) this.#remember(robots);
     this.#drawRobots();
   }
@@ -99,6 +101,7 @@ export class Arena {
     const seen = this.#tick.filter((robot) => robot.x_m !== null);
     g.clearRect(0, 0, view.width, view.height);
     drawTrails(g, view, this.#trails, this.#colours);
+    drawPlaces(g, view, seen, this.#colours);
     drawAims(g, view, seen);
     drawBodies(g, view, seen, this.#colours);
     this.#labels.draw(g, view, seen);
@@ -127,6 +130,30 @@ function drawBands(g, view, trails, colour) {
       }
     }
     g.stroke();
+  }
+}
+
+// Where each robot goes by itself that is not there yet: a dashed ring with a heading, and a straight line to it.
+function drawPlaces(g, view, robots, colours) {
+  g.lineWidth = 1.5;
+  for (const robot of robots) {
+    if (robot.place === null || robot.to_go_m === 0) continue;
+    const [x, y, psi] = [view.x(robot.place[0]), view.y(robot.place[1]), robot.place[2]];
+    const [u, v, r] = [view.x(robot.x_m), view.y(robot.y_m), view.radius(robot)];
+    g.strokeStyle = g.fillStyle = colours[robot.row];
+    g.setLineDash([3, 3]);
+    g.beginPath();
+    circle(g, x, y, r);
+    g.stroke();
+    g.globalAlpha = 0.4;
+    g.beginPath();
+    line(g, u, v, x, y);
+    g.stroke();
+    g.globalAlpha = 1;
+    g.setLineDash([]);
+    g.beginPath();
+    arrow(g, x, y, psi, 0.5 * r);
+    g.fill();
   }
 }
 

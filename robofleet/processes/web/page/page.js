@@ -24,10 +24,12 @@ const PHASES = {
   fault: "FAULT",
   estop: "EMERGENCY STOP",
 };
+const ENDED = "Ended";
+const ALARMS = ["fault", "estop"];
 const id = (name) => document.getElementById(name);
 
 /** What the page shows now, for whoever looks at it from outside. */
-const state = { hello: null, tick: null, robots: [], phase: null, lost: null, drawn: 0 };
+const state = { hello: null, tick: null, robots: [], phase: null, t_s: null, lost: null, drawn: 0 };
 const link = new Link((frame) => frames[frame.type]?.(frame));
 const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
 const [legend, plots] = [new Legend(), new Plots()];
@@ -62,16 +64,24 @@ const frames = {
 };
 
 // At once, not with the next drawing: a page in the background draws nothing.
-function enter({ phase, cause, stage, what_next: next }) {
-  write("phase-cause", stage ?? (cause === "nothing" ? "" : (cause ?? "")));
-  write("phase-next", next);
+function enter(tick) {
+  const phase = tick.phase;
+  document.body.dataset.way = tick.way ?? "";
+  writePhase(tick);
   if (phase === state.phase) return;
   state.phase = phase;
-  write("phase-name", PHASES[phase] ?? phase);
-  document.body.dataset.phase = phase;
   if (phase === "estop") performance.mark("estop-shown");
   controls.entered(phase);
   look();
+}
+
+/** Of a run that has ended the banner says how; what latches the robots stays in sight. */
+function writePhase({ phase, cause, stage, what_next: next }) {
+  const over = link.ended !== null && !ALARMS.includes(phase);
+  document.body.dataset.phase = over ? "ended" : phase;
+  write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
+  write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
+  write("phase-next", over ? "" : next);
 }
 
 function draw(now) {
@@ -93,8 +103,10 @@ function draw(now) {
 }
 
 function writeFigures({ t_s: t, health }) {
-  write("time-now", t === null ? "–" : t.toFixed(1));
-  id("time-progress").value = Math.min(1, (t ?? 0) / state.hello.duration_s);
+  if (t !== null || state.phase !== "idle") state.t_s = t; // what a run reached stays in sight when it is over
+  const reached = state.t_s === null ? null : Math.min(state.t_s, state.hello.duration_s);
+  write("time-now", reached === null ? "–" : reached.toFixed(1));
+  id("time-progress").value = (reached ?? 0) / state.hello.duration_s;
   write("health-overruns", `${health.overruns ?? "–"}`);
   write("health-tracker", health.tracker_hz === null ? "–" : `${health.tracker_hz.toFixed(1)} Hz`);
   write("health-seen", health.seen_pct === null ? "–" : `${health.seen_pct.toFixed(1)} %`);
@@ -125,7 +137,7 @@ function look() {
     write("lost-since", `For ${(lost.ms / 1000).toFixed(lost.ms < 10_000 ? 1 : 0)} s.`);
   }
   if (link.ended !== null) writeEnd(link.ended);
-  const title = `${lost ? "LINK LOST" : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
+  const title = `${lost ? "LINK LOST" : link.ended !== null ? ENDED : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
   if (document.title !== title) document.title = title;
   const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
   controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
@@ -133,6 +145,7 @@ function look() {
 
 /** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
 function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
+  if (state.tick) writePhase(state.tick);
   write("ended-text", text);
   id("ended-banner").dataset.good = `${good}`;
   id("ended-lines").hidden = lines.length === 0;

@@ -31,11 +31,12 @@ export class Plots {
     this.#panel.hidden = hello.figures.length === 0;
     const shown = hello.robots.filter(({ id }) => hello.figures.some(({ robots }) => robots.includes(id)));
     const few = shown.length <= FEW;
-    this.#legend.replaceChildren(...(few ? shown.map(chip) : []));
+    const common = few && hello.groups.length < 2; // several groups have headings with their own
+    this.#legend.replaceChildren(...(common ? shown.map(chip) : []));
     if (!few) this.#legend.textContent = `${shown.length} robots: the area from the least to the most, and the mean`;
     this.#resizes.disconnect();
     this.#plots = hello.figures.map((figure) => ({ figure, few, lines: boundsOf(figure), ...parts(figure) }));
-    this.#place.replaceChildren(...this.#plots.map(({ part }) => part));
+    this.#place.replaceChildren(...this.#plots.flatMap(({ figure, part }, k) => [...this.#heading(figure, k), part]));
     for (const { trace } of this.#plots) this.#resizes.observe(trace.canvas);
     this.#resize();
   }
@@ -63,6 +64,16 @@ export class Plots {
       const text = this.#words(figure, k);
       if (now.textContent !== text) now.textContent = text;
     });
+  }
+
+  // Above the first plot of other robots than the one before: their groups, and their colours.
+  #heading({ robots: own }, k) {
+    const { groups, robots, figures } = this.#hello;
+    if (groups.length < 2 || (k > 0 && figures[k - 1].robots.join() === own.join())) return [];
+    const names = groups.filter((group) => group.robots.some((id) => own.includes(id))).map(({ name }) => name);
+    const heading = Object.assign(document.createElement("h3"), { className: "chips", textContent: names.join(", ") });
+    if (this.#plots[k].few) heading.append(...robots.filter(({ id }) => own.includes(id)).map(chip));
+    return [heading];
   }
 
   #words(figure, k) {

@@ -5,6 +5,7 @@ import { heading, inWords } from "./figures.js";
 import { HALTED, LATCHED } from "./robots.js";
 
 const ON_A_PHONE = 4; // figures that have room beside a robot's name
+const LONG_MS = 10_000;
 const PARKED = { name: "no group", behaviour: "parked" };
 
 const fixed = (value, digits) => (value === null ? "–" : value.toFixed(digits));
@@ -12,7 +13,7 @@ const STATE = { kind: "state", head: "State", of: (robot) => robot.words };
 const REST = [
   { kind: "wheels", head: "Wheels", unit: "rad/s", of: (robot) => `${fixed(robot.left_rad_s, 2)} ${fixed(robot.right_rad_s, 2)}` },
   { kind: "battery", head: "Battery", unit: "%", of: ({ battery }) => fixed(battery === null ? null : 100 * battery, 0) },
-  { kind: "age", head: "Age", unit: "ms", of: (robot) => fixed(robot.age_ms, 0) },
+  { kind: "age", head: "Age", unit: "ms", of: ({ age_ms: age }) => (age >= LONG_MS ? "> 10 s" : fixed(age, 0)) },
 ]; // prettier-ignore
 
 export class RobotTables {

@@ -33,6 +33,8 @@ export class Trace {
     const [left, right, top, bottom] = [
       MARGIN_PX.left, width - MARGIN_PX.right, MARGIN_PX.top, HEIGHT_PX - MARGIN_PX.bottom,
     ]; // prettier-ignore
+    const known = samples.some(({ [of]: values }) => values.some((value) => !Number.isNaN(value)));
+    if (!known) return drawNothing({ g, left, right, top, bottom }, colours);
     const [low, high] = range(samples, of, lines, finest);
     const x = (at_ms) => left + ((at_ms - from_ms) / (to_ms - from_ms)) * (right - left);
     const y = (value) => bottom - ((value - low) / (high - low)) * (bottom - top);
@@ -48,6 +50,17 @@ export class Trace {
     g.restore();
     drawCut(place, samples, of, colours);
   }
+}
+
+function drawNothing({ g, left, right, top, bottom }, { muted, grid }) {
+  g.font = "12px system-ui, sans-serif";
+  g.fillStyle = muted;
+  g.strokeStyle = grid;
+  g.lineWidth = 1;
+  g.strokeRect(left, top, right - left, bottom - top);
+  g.textAlign = "center";
+  g.textBaseline = "middle";
+  g.fillText("no value in the last minute", (left + right) / 2, (top + bottom) / 2);
 }
 
 // What is shown: most samples and every bound, from 0 where that is near.
