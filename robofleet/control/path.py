@@ -67,14 +67,14 @@ class Path:
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         warm = np.full(len(points), np.nan) if near is None else np.asarray(near, dtype=np.float64)
-        return np.array([nearest(self.coefficients, q[0], q[1], w) for q, w in zip(points, warm, strict=True)])
+        return np.asarray(_nearest_of(self.coefficients, points, warm))
 
     def back(self, sigma: Array, distance: float) -> Array:
         """Return the first parameters met going back from ``sigma`` (N,) whose points are ``distance`` [m] away.
 
         NaN where no point of the path is so far away.
         """
-        return np.array([back(self.coefficients, float(s), distance) for s in sigma])
+        return np.asarray(_back_of(self.coefficients, np.ascontiguousarray(sigma, dtype=np.float64), distance))
 
     def _power_sum(self, sigma: Array | float, factors: Array, order: int) -> Array:
         sigma = np.asarray(sigma, dtype=np.float64)
@@ -156,6 +156,22 @@ def back(coefficients: Array, sigma: float, distance: float) -> float:
                 return (side + _solve(excess, lower, upper)) % sides
             upper = lower
     return np.nan
+
+
+@kernel
+def _nearest_of(coefficients: Array, points: Array, near: Array) -> Array:
+    found = np.empty(len(points))
+    for k in range(len(points)):
+        found[k] = nearest(coefficients, points[k, 0], points[k, 1], near[k])
+    return found
+
+
+@kernel
+def _back_of(coefficients: Array, sigma: Array, distance: float) -> Array:
+    found = np.empty(len(sigma))
+    for k in range(len(sigma)):
+        found[k] = back(coefficients, sigma[k], distance)
+    return found
 
 
 @kernel
