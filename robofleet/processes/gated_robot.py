@@ -61,6 +61,7 @@ class GatedRobot:
         self._unsaved: Kept | None = None
         self._lost = False  # what is kept was made to count as lost
         self._gate = GateState(boot_id, *self._kept)
+        self._settled: GateState | None = None  # the newest one of which nothing is left to be kept
         self._commands = Inbox(bus.newest(COMMAND, context.robot, wake), WHEEL_COMMAND)
         self._enables = Inbox(bus.newest(ENABLE, context.robot, wake), ENABLE_LAYOUT)
         self._lease = bus.serve(LEASE, context.robot, wake)
@@ -135,9 +136,13 @@ class GatedRobot:
         request = self._lease()
         if request is not None:
             self._answer(request, now_ns)
+        if self._gate is self._settled:
+            return
         memory = kept(self._gate)
         if memory != self._kept and (due or memory != self._unsaved) and not self._save(memory):
             self._lose(memory)
+        if memory == self._kept:
+            self._settled = self._gate
 
     def publish(self, now_ns: int, *, status: bool) -> None:
         """Publish the robot's status, and the truth of a simulated one."""

@@ -1,14 +1,13 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import numpy as np
 from mcap.records import Attachment, Metadata
 
 from robofleet.clock import MS
@@ -86,7 +85,8 @@ class RunLog:
         self._container.add_message(channel, self.messages & 0xFFFFFFFF, log_ns, payload)
         for topic, drawn in self._scene.update(full, payload, at_ns):
             self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
-        self._add_robot_ticks(self._robot_ticks.update(full, payload, log_ns))
+        if ticks := self._robot_ticks.update(full, payload, log_ns):
+            self._add_robot_ticks(ticks)
         if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
             self._write()
 
@@ -175,16 +175,9 @@ class RunLog:
 def _news(config: Config) -> dict[str, slice]:
     """Return the part of a message that must be in the file at once when it changes, for each key that has one."""
     arena = config.arena.name
-    latch = _span(ROBOT_STATUS.dtype, "latch", "latch_id")
+    latch = ROBOT_STATUS.span("latch", "latch_id")
     return {
-        key(arena, STATE): _span(RUN_STATE.head_dtype, "phase", "cause"),
+        key(arena, STATE): RUN_STATE.span("phase", "cause"),
         key(arena, NEWS, CAMERA): slice(None),
         **{key(arena, STATUS, robot.id): latch for robot in config.robots},
     }
-
-
-def _span(dtype: "np.dtype[Any]", first: str, last: str) -> slice:
-    """Return where neighbouring fields lie in a message."""
-    fields: Mapping[str, Any] = dtype.fields or {}
-    end, size = fields[last][1], fields[last][0].itemsize
-    return slice(fields[first][1], end + size)
