@@ -62,7 +62,8 @@ class Layout(Generic[M]):
     def __init__(self, make: type[M], fields: str, doubles: int) -> None:
         self._make = make
         self._fields = fields + "d" * doubles
-        self._struct = Struct(f"<B{self._fields}")
+        self._struct, self._body = Struct(f"<B{self._fields}"), Struct(f"<x{self._fields}")
+        self._floats = slice(len(self._fields) - doubles, None)
         self._columns = [("version", "u1"), *_columns(make, self._fields)]
         self._doubles = doubles
         self.size = self._struct.size
@@ -88,7 +89,7 @@ class Layout(Generic[M]):
             payload = self._struct.pack(VERSION, *message)
         except _TOO_LARGE:
             return self._struct.pack(VERSION, *_fitted(self._fields, message))
-        if self._doubles and not math.isfinite(sum(message[-self._doubles :])):
+        if self._doubles and not math.isfinite(sum(message[self._floats])):
             return self._struct.pack(VERSION, *_fitted(self._fields, message))
         return payload
 
@@ -96,10 +97,10 @@ class Layout(Generic[M]):
         """Return the message, or None where length, version or finiteness is wrong."""
         if len(payload) != self.size or payload[0] != VERSION:
             return None
-        values = self._struct.unpack(payload)
-        if self._doubles and not math.isfinite(sum(values[-self._doubles :])):
+        values = self._body.unpack(payload)
+        if self._doubles and not math.isfinite(sum(values[self._floats])):
             return None
-        return tuple.__new__(self._make, values[1:])  # the layout has as many as the message: no need to count
+        return tuple.__new__(self._make, values)  # the layout has as many as the message: no need to count
 
 
 class ListLayout(Generic[M]):

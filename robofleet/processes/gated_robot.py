@@ -34,7 +34,7 @@ _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at res
 _BAD_LINK_NS = 70 * MS
 _NO_LINK_NS = S // 2  # it is not a bad one
 _HURRY_NS = 60 * S
-_LATCHES = tuple(Latch)
+_LATCHES = {int(latch): latch for latch in Latch}
 _ACTIONS = tuple(LeaseAction)
 _LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
 
@@ -261,5 +261,5 @@ def _command(message: WheelCommand) -> gate.Command:
 
 def _permission(message: Enable) -> gate.Permission:
     epoch, seq, boot_id, nonce, _, latch, clear, limit = message
-    known = Latch(latch) if latch in _LATCHES else Latch.EMERGENCY_STOP  # of another version: stop
+    known = _LATCHES.get(latch, Latch.EMERGENCY_STOP)  # one of another version: stop
     return gate.Permission(epoch, seq, boot_id, nonce, known, clear, limit)

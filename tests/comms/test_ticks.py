@@ -17,7 +17,7 @@ MakeBus = Callable[[int], MemoryBus]
 
 def record(tick: int) -> bytes:
     stamp = OTHER_CLOCK + tick * PERIOD  # of a clock that has nothing to do with this one
-    return TICK_RECORD.encode(TickRecord(1, 1, tick, 0, stamp, *[0] * 6, 2, 0, 0, 0, ()))
+    return TICK_RECORD.encode(TickRecord(1, 1, tick, 0, stamp, *[0] * 6, 2, 0, 0, 0, 0, (), ()))
 
 
 @pytest.fixture
