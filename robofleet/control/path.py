@@ -186,7 +186,7 @@ def _box_distance(c: Array, x: float, y: float) -> float:
         q = x if axis == 0 else y
         first, last = c[0, axis], c[0, axis] + c[1, axis] + c[2, axis] + c[3, axis]
         second, third = first + c[1, axis] / 3.0, first + (2.0 * c[1, axis] + c[2, axis]) / 3.0
-        low, high = min(min(first, second), min(third, last)), max(max(first, second), max(third, last))
+        low, high = min(first, second, third, last), max(first, second, third, last)
         squared += max(low - q, q - high, 0.0) ** 2
     return squared
 
