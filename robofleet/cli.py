@@ -1,5 +1,6 @@
 """The operator's commands. Exit 0: completed; 1: ended by a fault or the operator, or results lost; 2: bad input."""
 
+import gc
 import json
 import shlex
 import sys
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
     from robofleet.config.tree import Config
     from robofleet.processes.page_process import PageWanted
+
+_COLLECT_AFTER = 50_000  # objects: loading libraries makes hundreds of thousands, and hardly any garbage
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -244,6 +247,7 @@ def main(*before: str) -> None:
 
     ``before``: words that stand before those of the command line.
     """
+    gc.set_threshold(_COLLECT_AFTER)
     speak_its_language()
     silence_libraries()
     never_raise()

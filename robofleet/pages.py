@@ -18,7 +18,7 @@ from robofleet.files import write_text
 
 GOOD, BAD = COLOURS[2], COLOURS[1]
 
-_PRECISION = re.compile(r"(\.\d\d)\d+")  # a hundredth of a point is finer than any screen
+_PRECISION = re.compile(r"(?<=\.\d\d)\d+")  # a hundredth of a point is finer than any screen
 _NAMES = re.compile(r' id="(?!C\d)[\w.]+_\d+"')  # nobody refers to them, and every plot has the same
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 _CSS = f"""
@@ -159,7 +159,7 @@ class Page:
         with mpl.rc_context({**STYLE, "svg.fonttype": "none"}):
             figure.savefig(buffer, format="svg", metadata=_NO_METADATA, transparent=True)
         _, start, rest = buffer.getvalue().partition("<svg")
-        svg = _NAMES.sub("", _PRECISION.sub(r"\1", rest))
+        svg = _NAMES.sub("", _PRECISION.sub("", rest))
         svg = f'{start} role="img" aria-label="{_text(title or caption)}"{svg}'
         chips = "".join(f'<span><i style="background:{colour}"></i>{_text(label)}</span>' for label, colour in legend)
         head = f"<h3>{_text(title)}</h3>" if title else ""

@@ -72,8 +72,12 @@ class Situation(NamedTuple):
 
     def points(self, ahead: float) -> Array:
         """Return the points (N, 2) that are ``ahead`` [m] in front of the axles [m]."""
-        psi = self.poses[:, 2]
-        return np.asarray(self.poses[:, :2] + ahead * np.column_stack([np.cos(psi), np.sin(psi)]))
+        psi, points = self.poses[:, 2], np.empty((len(self.poses), 2))
+        np.cos(psi, out=points[:, 0])
+        np.sin(psi, out=points[:, 1])
+        points *= ahead
+        points += self.poses[:, :2]
+        return points
 
 
 class Decision(NamedTuple):

@@ -13,6 +13,7 @@ permission permits nothing, and a counter that is used up repeats its last value
 import math
 from collections.abc import Iterable
 from functools import cached_property
+from itertools import accumulate
 from struct import Struct, error
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
@@ -37,6 +38,12 @@ def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
     return [(name, _NUMPY[letter]) for name, letter in zip(make._fields, fields, strict=False)]
 
 
+def _span(columns: list[tuple[str, str]], first: str, last: str) -> slice:
+    """Return the bytes from one column to another one, with both."""
+    names, ends = [name for name, _ in columns], [*accumulate(int(kind[-1]) for _, kind in columns)]
+    return slice(ends[names.index(first) - 1], ends[names.index(last)])
+
+
 def _nearest(letter: str, value: float) -> float:
     """Return the nearest number that a field can hold; for what is not a number, the least."""
     if letter == "d":
@@ -55,7 +62,9 @@ class Layout(Generic[M]):
     def __init__(self, make: type[M], fields: str, doubles: int) -> None:
         self._make = make
         self._fields = fields + "d" * doubles
-        self._struct = Struct(f"<B{self._fields}")
+        self._struct, self._body = Struct(f"<B{self._fields}"), Struct(f"<x{self._fields}")
+        self._floats = slice(len(self._fields) - doubles, None)
+        self._columns = [("version", "u1"), *_columns(make, self._fields)]
         self._doubles = doubles
         self.size = self._struct.size
 
@@ -64,11 +73,15 @@ class Layout(Generic[M]):
         """The layout of a message, for reading many at once."""
         import numpy as np  # noqa: PLC0415
 
-        return np.dtype([("version", "u1"), *_columns(self._make, self._fields)])
+        return np.dtype(self._columns)
+
+    def span(self, first: str, last: str) -> slice:
+        """Return where neighbouring fields lie in a message."""
+        return _span(self._columns, first, last)
 
     def describe(self) -> Description:
         """Return the message's name, and the numpy types of its parts."""
-        return self._make.__name__, {"fields": [("version", "u1"), *_columns(self._make, self._fields)]}
+        return self._make.__name__, {"fields": self._columns}
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -76,7 +89,7 @@ class Layout(Generic[M]):
             payload = self._struct.pack(VERSION, *message)
         except _TOO_LARGE:
             return self._struct.pack(VERSION, *_fitted(self._fields, message))
-        if self._doubles and not math.isfinite(sum(message[-self._doubles :])):
+        if self._doubles and not math.isfinite(sum(message[self._floats])):
             return self._struct.pack(VERSION, *_fitted(self._fields, message))
         return payload
 
@@ -84,10 +97,10 @@ class Layout(Generic[M]):
         """Return the message, or None where length, version or finiteness is wrong."""
         if len(payload) != self.size or payload[0] != VERSION:
             return None
-        values = self._struct.unpack(payload)
-        if self._doubles and not math.isfinite(sum(values[-self._doubles :])):
+        values = self._body.unpack(payload)
+        if self._doubles and not math.isfinite(sum(values[self._floats])):
             return None
-        return tuple.__new__(self._make, values[1:])  # the layout has as many as the message: no need to count
+        return tuple.__new__(self._make, values)  # the layout has as many as the message: no need to count
 
 
 class ListLayout(Generic[M]):
@@ -131,6 +144,10 @@ class ListLayout(Generic[M]):
         """Return the message's name, and the numpy types of its parts."""
         rest = {"rest": self._make._fields[-1]} if self._numbers else {}
         return self._make.__name__, {"fields": self._columns, "items": self._item_columns, **rest}
+
+    def span(self, first: str, last: str) -> slice:
+        """Return where neighbouring fields lie in a message's head."""
+        return _span(self._columns, first, last)
 
     def _fits(self, length: int, count: int) -> bool:
         """Return whether a message of this length can have so many items."""

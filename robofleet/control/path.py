@@ -16,6 +16,7 @@ from robofleet.kernels import kernel
 Array = NDArray[np.float64]
 
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
+_CLEARLY = 0.999  # of a squared distance: beyond any rounding
 _NEWTON_STEPS = 60  # bisection alone would need 53
 
 
@@ -67,14 +68,14 @@ class Path:
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         warm = np.full(len(points), np.nan) if near is None else np.asarray(near, dtype=np.float64)
-        return np.array([nearest(self.coefficients, q[0], q[1], w) for q, w in zip(points, warm, strict=True)])
+        return np.asarray(_nearest_of(self.coefficients, points, warm))
 
     def back(self, sigma: Array, distance: float) -> Array:
         """Return the first parameters met going back from ``sigma`` (N,) whose points are ``distance`` [m] away.
 
         NaN where no point of the path is so far away.
         """
-        return np.array([back(self.coefficients, float(s), distance) for s in sigma])
+        return np.asarray(_back_of(self.coefficients, np.ascontiguousarray(sigma, dtype=np.float64), distance))
 
     def _power_sum(self, sigma: Array | float, factors: Array, order: int) -> Array:
         sigma = np.asarray(sigma, dtype=np.float64)
@@ -116,13 +117,16 @@ def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
     """Return the parameter of the nearest point of the path, in [0, S).
 
     Searched within half a side of ``near`` (a path that crosses itself is not mistaken for its other branch), or on
-    the whole path if ``near`` is NaN. Exact: every root of every side's quintic in the range is looked at.
+    the whole path if ``near`` is NaN. Exact: every root of every side's quintic in the range is looked at, but for
+    sides that are further away as a whole than what was found.
     """
     sides = len(coefficients)
     low, high = (0.0, float(sides)) if np.isnan(near) else (near - 0.5, near + 0.5)
     best, best_value = low, np.inf
     roots = np.empty(8)
     for side in range(int(np.floor(low)), int(np.ceil(high))):
+        if _CLEARLY * _box_distance(coefficients[side % sides], x, y) > best_value:
+            continue
         start, end = max(low - side, 0.0), min(high - side, 1.0)
         squared = _squared_distance(coefficients[side % sides], x, y)
         count = _real_roots(_differentiate(squared), start, end, roots)
@@ -156,6 +160,35 @@ def back(coefficients: Array, sigma: float, distance: float) -> float:
                 return (side + _solve(excess, lower, upper)) % sides
             upper = lower
     return np.nan
+
+
+@kernel
+def _nearest_of(coefficients: Array, points: Array, near: Array) -> Array:
+    found = np.empty(len(points))
+    for k in range(len(points)):
+        found[k] = nearest(coefficients, points[k, 0], points[k, 1], near[k])
+    return found
+
+
+@kernel
+def _back_of(coefficients: Array, sigma: Array, distance: float) -> Array:
+    found = np.empty(len(sigma))
+    for k in range(len(sigma)):
+        found[k] = back(coefficients, sigma[k], distance)
+    return found
+
+
+@kernel
+def _box_distance(c: Array, x: float, y: float) -> float:
+    """Return the squared distance of (x, y) from the box around the side's Bezier points, which holds the side."""
+    squared = 0.0
+    for axis in range(2):
+        q = x if axis == 0 else y
+        first, last = c[0, axis], c[0, axis] + c[1, axis] + c[2, axis] + c[3, axis]
+        second, third = first + c[1, axis] / 3.0, first + (2.0 * c[1, axis] + c[2, axis]) / 3.0
+        low, high = min(first, second, third, last), max(first, second, third, last)
+        squared += max(low - q, q - high, 0.0) ** 2
+    return squared
 
 
 @kernel

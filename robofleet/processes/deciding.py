@@ -144,8 +144,8 @@ class Deciding:
                 raise ValueError(f"of={decision.of!r}: must be 'point' or 'body'")
             if velocities.shape != (own.stop - own.start, 2):
                 return self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
-            unknown = ~(np.abs(velocities) < _BEYOND).all(axis=1) & now.driving
-            if unknown.any():
+            known = np.abs(velocities) < _BEYOND
+            if not known.all() and (unknown := ~known.all(axis=1) & now.driving).any():
                 row = int(unknown.argmax())
                 return self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {velocities[row]}")
             if late:

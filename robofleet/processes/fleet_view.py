@@ -1,6 +1,7 @@
 """What the supervisor hears, gathered into one view: the newest of every message, and all news."""
 
 from collections.abc import Callable
+from typing import Any
 
 from robofleet.comms.bus import Bus, Inbox
 from robofleet.comms.keys import CAMERA, NEWS, POSES, RECORDER, TICK, key
@@ -143,18 +144,17 @@ class FleetListener:
             image_tick=image.echo_tick,
         )
         self._missed = [missed + 1 for missed in self._missed]
+        seen: dict[int, Any] = {}
         for tag, _, coasted_ns, *pose in image.poses:
             if (row := self._rows.get(tag)) is not None:
                 self._measured_ns[row] = image.exposure_ns - coasted_ns
                 self._missed[row] = _MISSED if coasted_ns else 0  # a tracker that predicts knows how long
                 if coasted_ns == 0:
-                    self._robots[row] = self._robots[row]._replace(
-                        seen_ns=now_ns, image=image.seq, pose=(pose[0], pose[1], pose[2])
-                    )
+                    seen[row] = {"seen_ns": now_ns, "image": image.seq, "pose": tuple(pose)}
         for row, robot in enumerate(self._robots):
-            if robot.seen_ns != NEVER:
-                unseen_ns = image.exposure_ns - self._measured_ns[row]
-                self._robots[row] = robot._replace(unseen_ns=unseen_ns if self._missed[row] >= _MISSED else 0)
+            if row in seen or robot.seen_ns != NEVER:
+                unseen_ns = image.exposure_ns - self._measured_ns[row] if self._missed[row] >= _MISSED else 0
+                self._robots[row] = robot._replace(**seen.get(row, {}), unseen_ns=unseen_ns)
 
     def _heard_news(self) -> tuple[Happening, ...]:
         """Return what the tracker told, of the camera and of our tags, in the run's own words."""

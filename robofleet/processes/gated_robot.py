@@ -34,7 +34,7 @@ _TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at res
 _BAD_LINK_NS = 70 * MS
 _NO_LINK_NS = S // 2  # it is not a bad one
 _HURRY_NS = 60 * S
-_LATCHES = tuple(Latch)
+_LATCHES = {int(latch): latch for latch in Latch}
 _ACTIONS = tuple(LeaseAction)
 _LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
 
@@ -61,6 +61,7 @@ class GatedRobot:
         self._unsaved: Kept | None = None
         self._lost = False  # what is kept was made to count as lost
         self._gate = GateState(boot_id, *self._kept)
+        self._settled: GateState | None = None  # the newest one of which nothing is left to be kept
         self._commands = Inbox(bus.newest(COMMAND, context.robot, wake), WHEEL_COMMAND)
         self._enables = Inbox(bus.newest(ENABLE, context.robot, wake), ENABLE_LAYOUT)
         self._lease = bus.serve(LEASE, context.robot, wake)
@@ -135,9 +136,13 @@ class GatedRobot:
         request = self._lease()
         if request is not None:
             self._answer(request, now_ns)
+        if self._gate is self._settled:
+            return
         memory = kept(self._gate)
         if memory != self._kept and (due or memory != self._unsaved) and not self._save(memory):
             self._lose(memory)
+        if memory == self._kept:
+            self._settled = self._gate
 
     def publish(self, now_ns: int, *, status: bool) -> None:
         """Publish the robot's status, and the truth of a simulated one."""
@@ -256,5 +261,5 @@ def _command(message: WheelCommand) -> gate.Command:
 
 def _permission(message: Enable) -> gate.Permission:
     epoch, seq, boot_id, nonce, _, latch, clear, limit = message
-    known = Latch(latch) if latch in _LATCHES else Latch.EMERGENCY_STOP  # of another version: stop
+    known = _LATCHES.get(latch, Latch.EMERGENCY_STOP)  # one of another version: stop
     return gate.Permission(epoch, seq, boot_id, nonce, known, clear, limit)

@@ -203,7 +203,8 @@ class Lockstep:
             if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
                 self._run_tick = head[3]
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
-                self.status = RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
+                if (told := state[2:6]) != self.status[:4]:
+                    self.status = RunStatus(Phase(told[0]), Event(told[1]), *told[2:])
                 if self.faults is not None and not self.faults.begun and self.status.phase is Phase.RUNNING:
                     self.faults.begin(self.clock.now_ns())
                     self._queue.slots["faults"].schedule(self.clock.now_ns())

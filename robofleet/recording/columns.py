@@ -143,7 +143,9 @@ def write_csv(columns: Series, file: Path) -> None:
     row = "".join(",%.0f" if column.whole else ",%.6g" for column in COLUMNS) + ",%.6g" * len(own)
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
         out.write(",".join(["t_s", "tick", "run_tick", "robot", "group", *names]) + "\n")
-        for t, tick, of_tick in zip(columns.t, columns.run.ticks, values, strict=True):
-            when = f"{t:.3f},{tick['tick']},{tick['run_tick']},"
-            for robot, of in zip(robots, of_tick, strict=True):
+        ticks = columns.run.ticks
+        whens = zip(columns.t.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
+        for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written
+            when = f"{t:.3f},{tick},{run_tick},"
+            for robot, of in zip(robots, of_tick.tolist(), strict=True):
                 out.write(when + robot + (row % tuple(of)).replace("nan", "") + "\n")

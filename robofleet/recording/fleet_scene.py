@@ -103,12 +103,11 @@ class FleetScene:
             frames.append(_frame(robot, at, item.x_m, item.y_m, item.psi_rad))
             pose = Pose(position=Vector3(x=item.x_m, y=item.y_m), orientation=shapes.turned(item.psi_rad))
             said.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
-        told = described.told(self._said, np.array([tick.figures]))
-        there = np.concatenate([of.references[0] for of in told])
+        told = described.parts(self._said, np.array([tick.figures]))
+        there = np.concatenate([of[0, :, :2] for of in told])
+        known = np.isfinite(there).all(axis=1).tolist()
         referring = [
-            row
-            for row in (driven if tick.phase == Phase.RUNNING else ())
-            if self._permitted(row) and np.isfinite(there[row]).all()
+            row for row in (driven if tick.phase == Phase.RUNNING else ()) if known[row] and self._permitted(row)
         ]
         if referring or self._references:
             here = [(self._items[row].point_x_m, self._items[row].point_y_m) for row in referring]

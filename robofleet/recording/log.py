@@ -1,14 +1,13 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import numpy as np
 from mcap.records import Attachment, Metadata
 
 from robofleet.clock import MS
@@ -44,8 +43,11 @@ class RunLog:
     could not be written is counted.
     """
 
-    def __init__(self, file: Path, config: Config, *, epoch_ns: int = 0) -> None:
-        """Begin a file; FileExistsError if it is there already, OSError if it cannot be."""
+    def __init__(self, file: Path, config: Config, *, epoch_ns: int = 0, drawn: bool = True) -> None:
+        """Begin a file; FileExistsError if it is there already, OSError if it cannot be.
+
+        ``drawn``: with what viewers draw, which is derived from the messages and takes a quarter of the file.
+        """
         self._epoch_ns = epoch_ns
         self._file = file.open("xb", buffering=0)
         with suppress(OSError):  # a network's disk may know no locks
@@ -61,11 +63,11 @@ class RunLog:
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
         said = groups.descriptions(config)
-        self._scene = Scene(config, said, epoch_ns=epoch_ns)
-        for topic, name, descriptor in self._scene.channels:
+        self._scene = Scene(config, said, epoch_ns=epoch_ns) if drawn else None
+        for topic, name, descriptor in self._scene.channels if self._scene else ():
             self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
-        self._robot_ticks = RobotTicks(config, said)
-        for topic, of in self._robot_ticks.channels:
+        self._robot_ticks = RobotTicks(config, said) if drawn else None
+        for topic, of in self._robot_ticks.channels if self._robot_ticks else ():
             self._channels[topic] = self._channel(topic, "protobuf", of.name, "protobuf", of.descriptor)
         self._flushed_ns = 0
         self.messages = 0  # that came
@@ -84,9 +86,11 @@ class RunLog:
         self._waiting += 1
         log_ns = at_ns + self._epoch_ns
         self._container.add_message(channel, self.messages & 0xFFFFFFFF, log_ns, payload)
-        for topic, drawn in self._scene.update(full, payload, at_ns):
-            self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
-        self._add_robot_ticks(self._robot_ticks.update(full, payload, log_ns))
+        if self._scene and (shown := self._scene.update(full, payload, at_ns)):
+            for topic, drawn in shown:
+                self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
+        if self._robot_ticks and (ticks := self._robot_ticks.update(full, payload, log_ns)):
+            self._add_robot_ticks(ticks)
         if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
             self._write()
 
@@ -111,7 +115,8 @@ class RunLog:
         """End the file with its index. Idempotent."""
         if self._file.closed:
             return
-        self._add_robot_ticks(self._robot_ticks.rest())
+        if self._robot_ticks:
+            self._add_robot_ticks(self._robot_ticks.rest())
         self._write()
         try:
             if self.failed is None:
@@ -175,16 +180,9 @@ class RunLog:
 def _news(config: Config) -> dict[str, slice]:
     """Return the part of a message that must be in the file at once when it changes, for each key that has one."""
     arena = config.arena.name
-    latch = _span(ROBOT_STATUS.dtype, "latch", "latch_id")
+    latch = ROBOT_STATUS.span("latch", "latch_id")
     return {
-        key(arena, STATE): _span(RUN_STATE.head_dtype, "phase", "cause"),
+        key(arena, STATE): RUN_STATE.span("phase", "cause"),
         key(arena, NEWS, CAMERA): slice(None),
         **{key(arena, STATUS, robot.id): latch for robot in config.robots},
     }
-
-
-def _span(dtype: "np.dtype[Any]", first: str, last: str) -> slice:
-    """Return where neighbouring fields lie in a message."""
-    fields: Mapping[str, Any] = dtype.fields or {}
-    end, size = fields[last][1], fields[last][0].itemsize
-    return slice(fields[first][1], end + size)

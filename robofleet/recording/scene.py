@@ -32,6 +32,7 @@ from robofleet.recording.overlay import Overlay
 
 _PERIOD_NS = S // 10
 _IMAGES = 8  # whose poses are kept until their picture comes
+_LATCH = ROBOT_STATUS.span("latch", "latch")
 
 
 class Channel(NamedTuple):
@@ -118,8 +119,10 @@ class Scene:
         return _log(state_lines(before, state, self._ids), date_ns)
 
     def _status(self, row: int, payload: bytes, date_ns: int) -> Said:
+        if payload[_LATCH] == bytes((self._fleet.latches[row],)):
+            return ()  # of a thousand statuses hardly one has another latch than the one before
         status = ROBOT_STATUS.decode(payload)
-        if status is None or status.latch == self._fleet.latches[row]:
+        if status is None:
             return ()
         self._fleet.latches[row] = status.latch
         return _log([latch_line(self._ids[row], status.latch)], date_ns)

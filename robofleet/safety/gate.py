@@ -254,9 +254,10 @@ def _follow(state: GateState, target: WheelSpeeds, acceleration: float, now_ns: 
     if furthest > reach:
         ratio = reach / furthest
         output = WheelSpeeds(state.output.left + ratio * left, state.output.right + ratio * right)
-    moved = state._replace(target=target, output=output, at_ns=now_ns)
     if target != STOP:
-        return moved._replace(moved_by=min(state.command_nonce, state.enabled[0]))
+        moved_by = min(state.command_nonce, state.enabled[0])
+        return state._replace(target=target, output=output, at_ns=now_ns, moved_by=moved_by)
+    moved = state._replace(target=target, output=output, at_ns=now_ns)
     after_ns = UNKNOWN if state.moved_by == _NEVER else now_ns - state.moved_by
     if state.target != STOP:
         moved = moved._replace(target_after_ns=after_ns, output_after_ns=UNKNOWN)

@@ -47,7 +47,8 @@ _FAULTS = {
     RobotFault.OVERCURRENT: Event.OVERCURRENT,
     RobotFault.CHARGING: Event.CHARGING,
 }
-_NAMED = sum(_FAULTS) + int(RobotFault.WIRED_STOP)
+_PRESSED = int(RobotFault.WIRED_STOP)  # a plain number: a flag's own `&` costs fifty times as much
+_NAMED = sum(_FAULTS) + _PRESSED
 
 
 class MonitorSettings(NamedTuple):
@@ -198,7 +199,7 @@ def _body(row: int, robot: RobotView, phase: Phase, *, runs: bool) -> Iterator[H
 def _pressed(robot: RobotView, phase: Phase) -> bool:
     """Return whether a robot's own e-stop is pressed."""
     # What was short is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
-    return bool(robot.faults & RobotFault.WIRED_STOP) or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
+    return bool(robot.faults & _PRESSED) or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
 
 
 def _turns(robot: RobotView, phase: Phase) -> bool:

@@ -40,8 +40,11 @@ class World:
         for stream, history in zip(self._streams, self._histories, strict=True):
             for _, _, payload in stream.drain():
                 truth = TRUTH_LAYOUT.decode(payload)
-                if truth is not None and max(map(abs, (truth.x_m, truth.y_m, truth.psi_rad))) < _BEYOND:
-                    history.add(*truth[2:])
+                if truth is None:
+                    continue
+                _, _, stamp_ns, x, y, psi, v, omega = truth
+                if abs(x) < _BEYOND and abs(y) < _BEYOND and abs(psi) < _BEYOND:
+                    history.add(stamp_ns, x, y, psi, v, omega)
 
     def poses_at(self, instants_ns: Sequence[int]) -> list[tuple[float, float, float] | None]:
         """Return x, y [m], psi [rad] of each robot at its own instant; None for one that has not spoken yet."""

@@ -28,6 +28,8 @@ class SimulatedBody:
 
     def advance(self, now_ns: int) -> None:
         """Let time pass until then [ns]; an instant that was reached already changes nothing."""
+        if now_ns <= self._reached_ns:
+            return
         stuck, slip, left, right, pushed = _HEALTHY if self._trouble is None else self._trouble()
         while self._reached_ns < now_ns:
             while self._coming and self._coming[0][0] <= self._reached_ns:

@@ -5,7 +5,6 @@ a gain error, a wrong base and slip. Randomness is passed in; time is passed in.
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_f
 from robofleet.vehicles.interface import DriverReading, Imperfections, TruePose, WheelSpeeds
 
 _RANDOM_BLOCK = 512
+_OBEYING = (None, None)  # of wheels that turn by themselves
 _AT_REST = 1e-3  # friction holds a wheel slower than this [rad/s]
 
 
@@ -90,7 +90,7 @@ class Plant:
         *,
         blocked: bool = False,
         slip: float = 0.0,
-        runs: Sequence[float | None] = (None, None),
+        runs: tuple[float | None, float | None] = _OBEYING,
     ) -> None:
         """Advance by ``duration`` > 0 [s] with constant commands.
 
@@ -105,11 +105,11 @@ class Plant:
             return
         used = min(1.0, self._used / self._p.battery_life)
         top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * used)
-        asked = self._through_wires(*command)
-        if runs[0] is not None or runs[1] is not None:
-            asked = WheelSpeeds(*(told if own is None else own for told, own in zip(asked, runs, strict=True)))
-        left = self._left.gain * self._left.turn(asked.left, top, duration)
-        right = self._right.gain * self._right.turn(asked.right, top, duration)
+        left, right = self._through_wires(*command)
+        if runs != _OBEYING:
+            left, right = (told if own is None else own for told, own in zip((left, right), runs, strict=True))
+        left = self._left.gain * self._left.turn(left, top, duration)
+        right = self._right.gain * self._right.turn(right, top, duration)
         if left == 0.0 and right == 0.0:
             self._body = (0.0, 0.0)
             return
@@ -134,13 +134,13 @@ class Plant:
     def reading(self) -> DriverReading:
         """Return what the robot's own sensors say: angles and speeds in whole counts."""
         quantum, period = self._p.speed_quantum, self._p.loop_period
-        angles = self._through_wires(self._left.angle, self._right.angle)
-        speeds = self._through_wires(self._left.speed, self._right.speed)
+        left_angle, right_angle = self._through_wires(self._left.angle, self._right.angle)
+        left_speed, right_speed = self._through_wires(self._left.speed, self._right.speed)
         return DriverReading(
-            _quantised(angles.left, quantum * period),
-            _quantised(angles.right, quantum * period),
-            _quantised(speeds.left, quantum),
-            _quantised(speeds.right, quantum),
+            _quantised(left_angle, quantum * period),
+            _quantised(right_angle, quantum * period),
+            _quantised(left_speed, quantum),
+            _quantised(right_speed, quantum),
             self.charge,
             0,
         )
@@ -149,11 +149,11 @@ class Plant:
         """Return the true pose and body velocity."""
         return TruePose(*self._pose, *self._body)
 
-    def _through_wires(self, left: float, right: float) -> WheelSpeeds:
+    def _through_wires(self, left: float, right: float) -> tuple[float, float]:
         """Return what arrives at the other end of the robot's wires, in either direction."""
         if self._swapped:
-            return WheelSpeeds(right, left)
-        return WheelSpeeds(self._left_sign * left, self._right_sign * right)
+            return right, left
+        return self._left_sign * left, self._right_sign * right
 
     def _slip_factor(self) -> float:
         if not self._noise:

@@ -17,7 +17,7 @@ MakeBus = Callable[[int], MemoryBus]
 
 def record(tick: int) -> bytes:
     stamp = OTHER_CLOCK + tick * PERIOD  # of a clock that has nothing to do with this one
-    return TICK_RECORD.encode(TickRecord(1, 1, tick, 0, stamp, *[0] * 6, 2, 0, 0, 0, ()))
+    return TICK_RECORD.encode(TickRecord(1, 1, tick, 0, stamp, *[0] * 6, 2, 0, 0, 0, 0, (), ()))
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_a_run_begins_where_its_first_tick_was(follower: Follower) -> None:
 
     def say(tick: int, run_tick: int) -> int:
         stamp_ns = OTHER_CLOCK + tick * PERIOD
-        publish(TICK_RECORD.encode(TickRecord(1, 1, tick, run_tick, stamp_ns, *[0] * 6, 2, 0, 0, 0, ())))
+        publish(TICK_RECORD.encode(TickRecord(1, 1, tick, run_tick, stamp_ns, *[0] * 6, 2, 0, 0, 0, 0, (), ())))
         ticks.update()
         return (ticks.began_ns - OTHER_CLOCK) // PERIOD if ticks.began_ns else 0
 

@@ -10,7 +10,7 @@ from robofleet.recording.run import Run
 from tests.recordings.make import HERE, SCENARIOS
 
 ANEW = "if the change is meant, make the recordings anew: python -m tests.recordings.make"
-_LARGEST, _ALL = 220_000, 2_000_000  # [bytes]
+_LARGEST, _ALL = 150_000, 1_200_000  # [bytes]
 _SAME = 1e-9  # on another machine
 
 

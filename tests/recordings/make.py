@@ -119,7 +119,7 @@ def keep(run: Lockstep, file: Path) -> None:
     arena = recording.config.arena.name
     keys = key(arena, TICK), key(arena, STATE), key(arena, POSES, CAMERA)
     placed = sorted((place, full, payload) for full in keys for place, payload in recording.placed(full))
-    with RunLog(file, recording.config) as log:
+    with RunLog(file, recording.config, drawn=False) as log:
         for place, full, payload in placed:
             log.add(full, payload, place)
 

@@ -134,8 +134,8 @@ SABOTAGES: dict[str, tuple[str, str]] = {
     ),
     "the end of validity on the way": ("else min(now_ns + RAMP_NS, until_ns)", "else now_ns + RAMP_NS"),
     "the older nonce times a stop": (
-        "min(state.command_nonce, state.enabled[0]))",
-        "max(state.command_nonce, state.enabled[0]))",
+        "min(state.command_nonce, state.enabled[0])",
+        "max(state.command_nonce, state.enabled[0])",
     ),
     "a stop is timed": ("if state.target != STOP:", "if False:"),
     "only a stop is timed": ("if state.target != STOP:", "if True:"),
