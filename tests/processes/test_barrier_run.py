@@ -15,12 +15,13 @@ from robofleet.vehicles.differential_drive import body_from_wheels
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
+CLOSER = "robots.2.start={x_m: -1.463, y_m: 0.116, heading_deg: 50.0}"  # 0.16 m behind r2
 
 
 @pytest.fixture(scope="module")
 def started(platoon_of: Callable[..., Config]) -> Lockstep:
     """Return a run whose robots start too close to each other."""
-    run = Lockstep(platoon_of(TRUTH, "run.duration_s=12"))
+    run = Lockstep(platoon_of(TRUTH, CLOSER, "run.duration_s=12"))
     assert run.run() == ("completed", None)
     return run
 

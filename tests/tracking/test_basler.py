@@ -48,7 +48,7 @@ class Lab:
         return self.cameras[-1]
 
     def tick(self, number: int) -> None:
-        self._say(TICK_RECORD.encode(TickRecord(1, 1, number, -1, self.clock.now_ns(), *[0] * 10, ())))
+        self._say(TICK_RECORD.encode(TickRecord(1, 1, number, -1, self.clock.now_ns(), *[0] * 11, (), ())))
         self.ticks.update()
 
 

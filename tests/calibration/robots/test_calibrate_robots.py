@@ -111,8 +111,8 @@ def test_a_drives_configuration_is_changed_by_set(
 ) -> None:
     assert calibrate(command, lab, "--recording", recorded, "--set", "robots.0.id=x1") == 2
     assert "groups.0.robots" in capsys.readouterr().err
-    assert calibrate(command, lab, "--lockstep", "--set", "groups.0.settings.spacing_m=9") == 2
-    assert "spacing_m" in capsys.readouterr().err
+    assert calibrate(command, lab, "--lockstep", "--set", "robots.1.start.x_m=9") == 2
+    assert "robots.1.start" in capsys.readouterr().err
     assert not (lab.parent / "robots").exists()
 
 
