@@ -276,9 +276,8 @@ class Launcher:
         except TimeoutError as error:
             raise RunError(str(error)) from error
         if not answer.startswith(b"ok"):
-            latched = any((status := self._newest(k, ROBOT_STATUS)) and status.latch for k in self._status_keys)
-            way_out = ": `robofleet run --reset` does it" if latched and what == b"start" else ""
             why = answer.decode(errors="replace").removeprefix("refused: ")
+            way_out = ": `robofleet run --reset` does it" if what == b"start" and why.endswith("then reset") else ""
             raise RunError(f"{what.decode()} was refused: {why}{way_out}")
 
     def _polled(self) -> RunState | None:
