@@ -23,3 +23,8 @@ def test_every_cause_that_makes_a_fleet_stand_says_what_to_do(event: Event) -> N
 def test_what_needs_no_advice_and_what_is_not_known_stay_as_they_are() -> None:
     assert advised("hold requested", Event.HOLD_REQUESTED) == "hold requested"
     assert advised("a cause of another version", 999) == "a cause of another version"
+
+
+def test_what_the_machines_load_made_is_mended_on_the_machine() -> None:
+    assert "keep this machine busy" in advised("its tag is late", Event.TAG_LOST, busy=True)
+    assert "keep this machine busy" not in advised("its tag is late", Event.TAG_LOST)

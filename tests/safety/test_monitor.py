@@ -326,6 +326,27 @@ def test_robots_that_block_each_other_are_told_while_they_drive() -> None:
     assert told(robot(1, blocked=True), Phase.HOLD) == []
 
 
+@pytest.mark.parametrize("phase", MOVING)
+def test_a_behaviour_that_failed_is_told_with_its_robot_while_the_fleet_moves(phase: Phase) -> None:
+    failed = robot(1, failed=int(Event.BEHAVIOUR_NOT_FINITE))
+    assert told(failed, phase) == [Happening(Event.BEHAVIOUR_NOT_FINITE, 1)]
+    assert told(failed, Phase.HOLD) == []
+
+
+@pytest.mark.parametrize(
+    ("phase", "event"),
+    [
+        (Phase.POSITIONING, Event.AT_START),
+        (Phase.RUNNING, Event.ACCOMPLISHED),
+        (Phase.PARKING, Event.PARKED),
+    ],
+)
+def test_behaviours_that_have_done_all_end_their_own_phase_alone(phase: Phase, event: Event) -> None:
+    assert told(fleet(arrived=int(phase)), phase) == [Happening(event)]
+    for other in {*MOVING, Phase.HOLD} - {phase}:
+        assert told(fleet(arrived=int(phase)), other) == []
+
+
 @pytest.mark.parametrize("jump_ns", [500 * MS + 1, -500 * MS - 1])
 def test_a_supervisor_that_stood_still_or_whose_clock_jumped_says_so_of_itself(jump_ns: int) -> None:
     views = [healthy(NOW), healthy(NOW + jump_ns), healthy(NOW + jump_ns + 40 * MS)]
@@ -336,7 +357,12 @@ def test_a_supervisor_that_stood_still_or_whose_clock_jumped_says_so_of_itself(j
 
 @pytest.mark.parametrize(
     ("phase", "limit_ns", "event"),
-    [(Phase.ARMED, 39 * S, Event.ARMED_TOO_LONG), (Phase.HOLD, 60 * S, Event.HELD_TOO_LONG)],
+    [
+        (Phase.ARMED, 39 * S, Event.ARMED_TOO_LONG),
+        (Phase.HOLD, 60 * S, Event.HELD_TOO_LONG),
+        (Phase.POSITIONING, 300 * S, Event.UNDER_WAY_TOO_LONG),
+        (Phase.PARKING, 300 * S, Event.UNDER_WAY_TOO_LONG),
+    ],
 )
 def test_patience_ends(phase: Phase, limit_ns: int, event: Event) -> None:
     memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, healthy(NOW - 400 * MS))

@@ -12,6 +12,7 @@ from robofleet.safety.supervisor import (
     Event,
     Happening,
     Phase,
+    Roster,
     RunStatus,
     describe,
     step,
@@ -155,3 +156,23 @@ def test_every_cause_has_its_words() -> None:
 def test_a_cause_names_the_robot_and_its_figure(happening: Happening, words: str) -> None:
     assert describe(happening, ("a", "b")) == words
     assert RunStatus(Phase.FAULT, *happening).describe(("a", "b")) == words
+
+
+def test_a_behaviours_failure_names_its_group_where_the_groups_are_known() -> None:
+    late = Happening(Event.BEHAVIOUR_LATE, 1)
+    assert describe(late, Roster(("a", "b"), ("", "ring"))).startswith("b: the behaviour of its group ring ")
+    assert describe(late, ("a", "b")).startswith("b: the behaviour of its group ")
+    assert "ring" not in describe(late._replace(robot=NOBODY), Roster(("a", "b"), ("", "ring")))
+
+
+@pytest.mark.parametrize("phase", sorted(MOVING))
+def test_a_resume_goes_on_with_what_was_held(phase: Phase) -> None:
+    held = step(RunStatus(phase), Happening(Event.HOLD_REQUESTED))
+    assert step(held, Happening(Event.TAG_LATE, 1)).held is phase
+    assert step(held, Happening(Event.RESUME_REQUESTED)).phase is phase
+
+
+def test_what_was_held_is_forgotten_by_a_phase_that_comes_after() -> None:
+    held = step(RunStatus(Phase.POSITIONING), Happening(Event.HOLD_REQUESTED))
+    parking = step(held, Happening(Event.PARK_REQUESTED))
+    assert (parking.phase, parking.held) == (Phase.PARKING, Phase.PARKING)
