@@ -8,6 +8,7 @@ import pytest
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage, free_m
 from robofleet.safety.gate import Latch
+from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView
 from robofleet.safety.wiggle import room_m
@@ -166,6 +167,28 @@ def test_a_proved_fleet_is_started_only_while_it_is_ready(alter: Alter, unready:
     lab = Lab(2)
     lab.arm()
     assert arming.unready(lab.settings, alter(lab.view._replace(now_ns=lab.now_ns))) == unready
+
+
+@pytest.mark.parametrize(
+    ("order", "told"),
+    [(None, Happening(Event.WAYS_CROSS, 1, 0)), ((1, 0), Happening(Event.WRONG_ORDER, 0, 1))],
+)
+def test_who_would_not_get_past_whom_is_named_before_a_wheel_is_tried(
+    order: tuple[int, ...] | None, told: Happening
+) -> None:
+    asked: list[object] = []
+
+    def jam(poses: tuple[tuple[float, float, float], ...]) -> Reason:
+        asked.append(poses)
+        return Reason(0, 1, order)
+
+    lab = Lab(3)
+    lab.settings = lab.settings._replace(jam=jam)
+    assert lab.arm() == told
+    assert lab.state.stage is Stage.CHECKS
+    view = one(2, driven=False)(lab.view._replace(now_ns=lab.now_ns))
+    assert arming.unready(lab.settings, view) == told
+    assert asked[-1] == tuple(robot.pose for robot in view.robots[:2]), "it is asked of the robots that drive"
 
 
 @pytest.mark.parametrize(
