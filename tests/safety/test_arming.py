@@ -171,7 +171,7 @@ def test_a_proved_fleet_is_started_only_while_it_is_ready(alter: Alter, unready:
 
 @pytest.mark.parametrize(
     ("order", "told"),
-    [(None, Happening(Event.WAYS_CROSS, 1, 0)), ((1, 0), Happening(Event.WRONG_ORDER, 0, 1))],
+    [(None, Happening(Event.WAYS_CROSS, 2, 1)), ((0, 2, 1), Happening(Event.WRONG_ORDER, 1, 2))],
 )
 def test_who_would_not_get_past_whom_is_named_before_a_wheel_is_tried(
     order: tuple[int, ...] | None, told: Happening
@@ -180,7 +180,7 @@ def test_who_would_not_get_past_whom_is_named_before_a_wheel_is_tried(
 
     def jam(poses: tuple[tuple[float, float, float], ...]) -> Reason:
         asked.append(poses)
-        return Reason(0, 1, order)
+        return Reason(1, 2, order)
 
     lab = Lab(3)
     lab.settings = lab.settings._replace(jam=jam)
