@@ -98,11 +98,9 @@ def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, st
         with claimed(config, folder), Terminal() as terminal:
             check_free(config)
             outcome, cause = Launcher(config, folder, watch, terminal).run()
-        return (
-            outcome,
-            cause,
-            read(folder, groups.own(config).__contains__) if outcome == "completed" else Recording(config),
-        )
+        if outcome != "completed":
+            return outcome, cause, Recording(config)
+        return outcome, cause, read(folder, groups.own(config).__contains__)
     except (ArenaBusyError, PlaceError, RecordingError) as error:
         raise CalibrationError(str(error)) from error
 
