@@ -5,3 +5,8 @@ PRIVATE = "private"  # the endpoint that needs no name: a socket in this user's 
 TCP, SOCKET = "tcp/", "unixsock-stream/"
 ENDPOINT_PATTERN = rf"^({PRIVATE}|{SOCKET}/[^\s?#;]+|{TCP}[^\s/?#;]+:\d{{1,5}})$"
 LONGEST_SOCKET_PATH = 107  # [bytes] that the system takes
+
+
+def driver_role(unit: str) -> str:
+    """Return what the process of a unit is called: among the living, in its log, in faults that strike it."""
+    return f"driver-{unit}"

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from robofleet.patterns import NAME_PATTERN
 
 LAST_TAG = 586  # AprilTag 36h11 has 587 ids
-TAGS = LAST_TAG + 1  # so many robots can be told apart
+TAGS = LAST_TAG + 1  # so many robots can a camera tell apart
+ROBOTS = 2048  # of a fleet
 MANY = 10_000  # of anything in a list
 
 

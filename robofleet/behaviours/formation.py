@@ -32,7 +32,7 @@ from robofleet.behaviours.limits import clear_of_each_other, inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.point import PointFlow
 from robofleet.control.trajectory import Trajectory, demanded
-from robofleet.settings import TAGS, Coordinate, Degrees, within
+from robofleet.settings import ROBOTS, Coordinate, Degrees, within
 
 _STEP = 0.01  # between the instants that are looked at before a run [s]
 _SIDE_SAMPLES = 256  # of a side of the path, to turn it into ways of the robots
@@ -50,7 +50,7 @@ class Formation(Behaviour):
         """Speed of the shape's origin, in sides of the path per second."""
         offsets_m: Annotated[
             tuple[Annotated[tuple[Coordinate, Coordinate], Field(strict=False)], ...],
-            Field(min_length=1, max_length=TAGS, strict=False),
+            Field(min_length=1, max_length=ROBOTS, strict=False),
         ]
         """Place of each robot in the shape, in the group's order: forwards and to the left of the origin."""
         heading_deg: Degrees | None = None

@@ -34,7 +34,7 @@ from robofleet.control.following import Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
 from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge
-from robofleet.settings import TAGS, Coordinate, Degrees, Model, Name, within
+from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 
 _PARTS = 5  # of the search in a tick
 _MARGIN = 0.01  # of what robots keep under way beyond what the barrier keeps [m]
@@ -72,7 +72,7 @@ class GoTo(Behaviour):
     class Settings(Model):
         """Keys of a group that goes to poses."""
 
-        goals: Annotated[dict[Name, Goal], Field(min_length=1, max_length=TAGS)]
+        goals: Annotated[dict[Name, Goal], Field(min_length=1, max_length=ROBOTS)]
         """Goal of each robot, by the robot's id. With ``assignment: nearest`` the ids only count the goals."""
         assignment: Literal["labelled", "nearest"] = "labelled"
         """``labelled``: each robot has its own goal. ``nearest``: the goals are shared out so that the longest way is

@@ -34,7 +34,7 @@ from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow
 from robofleet.control.point import PointFlow
 from robofleet.control.trajectory import demanded
 from robofleet.control.unicycle import unicycle_plant
-from robofleet.settings import TAGS, Model, Name
+from robofleet.settings import ROBOTS, Model, Name
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_point
 
 _STEP = 0.01  # between the instants of a reference that are looked at before a run [s]
@@ -51,7 +51,7 @@ class Track(Behaviour):
 
         law: Literal["point_ahead", "unicycle"] = "point_ahead"
         """``point_ahead``: the point ahead follows the reference. ``unicycle``: the robot's centre follows it."""
-        references: Annotated[dict[Name, Reference], Field(min_length=1, max_length=TAGS)]
+        references: Annotated[dict[Name, Reference], Field(min_length=1, max_length=ROBOTS)]
         """Reference of each robot, by its id."""
 
     figures = (Figure("control_error", "m", "mm", "Distance of the prediction from the reference (|r - g|)."),)

@@ -15,7 +15,7 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S
 from robofleet.comms.endpoint import check_free, settled
 from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.comms.private_folder import PlaceError
 from robofleet.config import groups
 from robofleet.config.calibrated import TagOffset
@@ -132,7 +132,7 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         offset = TagOffset() if robot.calibration is None else robot.calibration.tag_offset
         poses = [(at_s, *tag_from_centre(x, y, psi, offset)) for at_s, x, y, psi in seen[robot.tag]]
         wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
-        statuses = recording.rows(key(arena, STATUS, robot.id), ROBOT_STATUS)
+        statuses = recording.of_robot(STATUS, robot.id)
         held_s = float(held[:, row].sum()) * config.controller.tick_s
         commands_s = (ticks["stamp_ns"] - start_ns) / S
         scalars = held_s, robot.vehicle.max_wheel_acceleration_rad_s2

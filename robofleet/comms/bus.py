@@ -10,7 +10,6 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from robofleet.clock import Clock
 from robofleet.comms.keys import Topic, key
-from robofleet.comms.layouts import Layout, ListLayout
 
 M = TypeVar("M")
 
@@ -94,9 +93,8 @@ class Bus(Protocol):
 class Inbox(Generic[M]):
     """Decoded messages of one key; one that fails decoding is counted and dropped."""
 
-    def __init__(self, subscription: Subscription, layout: "Layout[M] | ListLayout[M]") -> None:  # type: ignore[type-var]
-        self._take = subscription.take
-        self._decode = layout.decode
+    def __init__(self, subscription: Subscription, decode: Callable[[bytes], M | None]) -> None:
+        self._take, self._decode = subscription.take, decode
         self.rejected = 0
 
     def take(self) -> M | None:

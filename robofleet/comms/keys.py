@@ -1,50 +1,55 @@
 """The table of topics: who says what to whom, how often, how much at most, and with which quality of service."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from robofleet.comms import messages
+from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
+from robofleet.patterns import driver_role
+
+AnyLayout = Layout[Any] | ListLayout[Any] | BlobLayout[Any]
 
 
 class Topic(NamedTuple):
-    """One row; ``{}`` in the key is a robot, a camera or a process."""
+    """One row; ``{}`` in the key is a unit, a camera or a process. A *unit* is one driver process and its robots."""
 
     key: str
+    sender: str  # role; a query's: who asks
+    receivers: str  # roles; a query's: who answers
     period_s: float  # nominal; 0: on demand
     priority: str  # Zenoh's names
     largest: int  # [bytes] of a message, and of an answer: the router and every receiver drop what is larger
+    layout: AnyLayout | None  # None: text, or nothing
     reliable: bool = False
 
 
-_FIXED = 256  # [bytes]; the largest fixed layout has 190
-_FLEET = 128 * 1024  # [bytes] of a list of robots, of which there can be 587
+_FIXED = 256  # [bytes]; the largest fixed layout has 60
+_FLEET = 512 * 1024  # [bytes] of a list of robots, of which there can be 2048
 
-COMMAND = Topic("robot/{}/cmd", 0.033, "REAL_TIME", _FIXED)
-STATUS = Topic("robot/{}/status", 0.020, "DATA_HIGH", _FIXED)
-ENABLE = Topic("robot/{}/enable", 0.040, "REAL_TIME", _FIXED)
-LEASE = Topic("robot/{}/lease", 0.0, "REAL_TIME", _FIXED, reliable=True)
-POSES = Topic("poses/{}", 0.033, "REAL_TIME", _FLEET)
-NEWS = Topic("poses/{}/news", 0.0, "DATA_HIGH", _FIXED, reliable=True)
-PICTURE = Topic("poses/{}/picture", 1.0, "DATA_LOW", 1_000_000)
-TICK = Topic("tick", 0.033, "DATA", _FLEET)
-RECORDER = Topic("recorder", 0.250, "DATA_LOW", _FIXED)
-STATE = Topic("state", 0.040, "REAL_TIME", _FLEET, reliable=True)
-BUSY = Topic("busy", 0.0, "REAL_TIME", _FLEET, reliable=True)
-TRUTH = Topic("sim/{}/truth", 0.010, "DATA_LOW", _FIXED)
-REQUEST = Topic("request/{}", 0.0, "REAL_TIME", _FLEET, reliable=True)
-ALIVE = Topic("alive/{}", 0.0, "DATA", 0, reliable=True)
+COMMAND = Topic("unit/{}/cmd", "controller", "unit", 0.033, "REAL_TIME", _FLEET, messages.UNIT_COMMAND)
+STATUS = Topic("unit/{}/status", "unit", "all", 0.020, "DATA_HIGH", _FLEET, messages.UNIT_STATUS)
+ENABLE = Topic("unit/{}/enable", "supervisor", "unit", 0.040, "REAL_TIME", _FLEET, messages.UNIT_ENABLE)
+LEASE = Topic("unit/{}/lease", "controller", "unit", 0.0, "REAL_TIME", _FLEET, messages.LEASE_REQUEST, reliable=True)
+POSES = Topic("poses/{}", "tracker", "controller", 0.033, "REAL_TIME", _FLEET, messages.FLEET_POSES)
+NEWS = Topic("poses/{}/news", "tracker", "all", 0.0, "DATA_HIGH", _FIXED, messages.TRACKER_NEWS, reliable=True)
+PICTURE = Topic("poses/{}/picture", "tracker", "viewers", 1.0, "DATA_LOW", 1_000_000, messages.PICTURE)
+TICK = Topic("tick", "controller", "all", 0.033, "DATA", _FLEET, messages.TICK_RECORD)
+RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
+STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
+BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)
+TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.010, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
+REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
+ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
 TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, REQUEST, ALIVE)
+OF_UNITS = tuple(topic for topic in TOPICS if "unit" in (topic.sender, topic.receivers))
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:
     """Return the full key of a topic."""
     return f"rf/{arena}/{topic.key.format(name)}"
-
-
-def driver_role(robot: str) -> str:
-    """Return what a process that drives a robot is called among the living."""
-    return f"driver-{robot}"
 
 
 def served_by(topic: Topic, name: str) -> str:

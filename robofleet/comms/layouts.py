@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 if TYPE_CHECKING:
     import numpy as np
 
-VERSION = 5
+VERSION = 6
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
 _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
@@ -115,9 +115,13 @@ class ListLayout(Generic[M]):
     ) -> None:
         self._make, self._make_item, self._numbers = make, make_item, numbers
         self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
-        self._head_letters, self._item_letters = head, item
+        self._head_letters, self._item_letters, self._count = head, item, Struct("<H")
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
         self._item_columns = _columns(make_item, item)
+        plain = item.rstrip("d")
+        assert "d" not in plain, "an item's floats are its last fields"
+        self.item_floats, self._floats_at = len(item) - len(plain), self._item.size - 8 * (len(item) - len(plain))
+        self._head_floats = [name for name, kind in self._columns if kind == "<f8"]
 
     @cached_property
     def head_dtype(self) -> "np.dtype[Any]":
@@ -160,6 +164,52 @@ class ListLayout(Generic[M]):
             return None
         _, *head, count = self._head.unpack_from(payload)
         return tuple(head) if self._fits(len(payload), count) else None
+
+    def arrays(self, payload: bytes) -> "tuple[np.ndarray, np.ndarray] | None":
+        """Return the head (1,) and the items (N,) as structured arrays that share the payload's memory.
+
+        None where length, version or finiteness is wrong. The numbers of a message with ``numbers`` are left out.
+        """
+        import numpy as np  # noqa: PLC0415
+
+        if len(payload) < self._head.size or payload[0] != VERSION:
+            return None
+        head: np.ndarray = np.ndarray((1,), self.head_dtype, payload)
+        count = int(self._count.unpack_from(payload, self._head.size - self._count.size)[0])
+        if not self._fits(len(payload), count):
+            return None
+        items: np.ndarray = np.ndarray((count,), self.item_dtype, payload, self._head.size)
+        if self.item_floats and not math.isfinite(self.floats(items).sum()):
+            return None
+        if self._head_floats and not math.isfinite(sum(head[name][0] for name in self._head_floats)):
+            return None
+        return head, items
+
+    def view(self, payload: bytes) -> "tuple[M, np.ndarray] | None":
+        """Return the message without its items, and these as a structured array (N,); None as of ``arrays``."""
+        arrays = self.arrays(payload)
+        if arrays is None:
+            return None
+        head, items = arrays
+        rest = [()] * (1 + self._numbers)
+        return self._make._make([*head[0].item()[1:-1], *rest]), items
+
+    def floats(self, items: "np.ndarray") -> "np.ndarray":
+        """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
+        import numpy as np  # noqa: PLC0415
+
+        strides = self._item.size, 8
+        return np.ndarray((len(items), self.item_floats), "<f8", items.data, self._floats_at, strides)
+
+    def encode_view(self, message: M, items: "np.ndarray") -> bytes:
+        """Return the payload of a message whose items are an array (N,) of ``item_dtype``; its own are passed over."""
+        head = message[: len(self._head_letters)]
+        if len(items) <= _MOST_ITEMS and (not self.item_floats or math.isfinite(self.floats(items).sum())):
+            try:
+                return self._head.pack(VERSION, *head, len(items)) + items.tobytes()
+            except _TOO_LARGE:
+                pass
+        return self.encode_parts(head, len(items), items.tobytes())
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""

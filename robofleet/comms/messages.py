@@ -5,36 +5,48 @@ from typing import NamedTuple
 from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
 
 
-class WheelCommand(NamedTuple):
-    """Controller to driver."""
+class UnitCommand(NamedTuple):
+    """Controller to unit."""
 
-    epoch: int  # of the lease
-    seq: int  # above that of every command before, in this epoch
-    session: int  # of the controller that holds the lease; its upper half is the epoch of that controller's ticks
-    boot_id: int  # of the driver, echoed
-    nonce: int  # of the driver, newest seen, echoed
+    seq: int  # above that of every command before, in a session
+    session: int  # of the controller that holds the leases; its upper half is the epoch of that controller's ticks
+    boot_id: int  # of the unit, echoed
+    nonce: int  # of the unit, newest seen, echoed
     exposure_ns: int  # mid-exposure of the newest image behind this command [tracker's host's clock]; 0: none
+    robots: tuple["WheelCommand", ...]  # in the unit's order
+
+
+class WheelCommand(NamedTuple):
+    """One robot's part of a unit's command."""
+
+    epoch: int  # of the robot's lease; 0: nothing is said to this robot
     left_rad_s: float
     right_rad_s: float
 
 
-class RobotStatus(NamedTuple):
-    """Driver to all."""
+class UnitStatus(NamedTuple):
+    """Unit to all."""
 
-    epoch: int  # of the lease
     seq: int
     build: int  # config.slices.build: equal in every process of a run
-    session: int  # of the controller that holds the lease; 0: nobody
-    boot_id: int  # drawn when the driver started
+    boot_id: int  # drawn when the unit started
     nonce: int  # opaque to everybody else
-    stamp_ns: int  # [driver's clock]
+    stamp_ns: int  # [unit's clock]
+    hurry: int  # 1: its link was bad a short while ago: what is said to it should be said often
+    robots: tuple["RobotStatus", ...]  # in the unit's order
+
+
+class RobotStatus(NamedTuple):
+    """One robot's part of a unit's status."""
+
+    epoch: int  # of the lease
+    session: int  # of the controller that holds the lease; 0: nobody
     applied_exposure_ns: int  # of the newest command that reached the wheels
-    applied_ns: int  # when it did [driver's clock]
+    applied_ns: int  # when it did [unit's clock]
     rejected: int  # messages refused so far
     gate: int  # safety.gate.GateStatus
     latch: int  # safety.gate.Latch: what holds the gate closed until it is cleared
     latch_id: int  # counts the latches of this robot; who clears one names it
-    hurry: int  # 1: its link was bad a short while ago: what is said to it should be said often
     faults: int  # vehicles.interface.RobotFault: what lasts, and what was felt since the gate was latched
     target_after_ns: int  # last stop: from the issue of the newest nonce echoed to a target of zero; -1: none yet
     output_after_ns: int  # and to an output of zero
@@ -49,14 +61,20 @@ class RobotStatus(NamedTuple):
     battery: float  # charge [0..1]; -1 where unknown
 
 
-class Enable(NamedTuple):
-    """Supervisor to driver: permission to move; to latch, also from whoever asks for the emergency stop."""
+class UnitEnable(NamedTuple):
+    """Supervisor to unit: permission to move; to latch, also from whoever asks for the emergency stop."""
 
-    epoch: int  # of the driver's lease, echoed
     seq: int
-    boot_id: int  # of the driver, echoed
-    nonce: int  # of the driver, newest seen, echoed
+    boot_id: int  # of the unit, echoed
+    nonce: int  # of the unit, newest seen, echoed
     phase: int  # safety.supervisor.Phase
+    robots: tuple["Enable", ...]  # in the unit's order
+
+
+class Enable(NamedTuple):
+    """One robot's part of a unit's permission."""
+
+    epoch: int  # of the robot's lease, echoed
     latch: int  # safety.gate.Latch that the gate must close by, until it is cleared; 0: none
     clear: int  # latch_id that may be cleared, if the robot is at rest; 0: none
     limit_rad_s: float  # the fastest wheel that is permitted; 0: the wheels must stand
@@ -107,12 +125,18 @@ class BusyMachine(NamedTuple):
     late: tuple[Late, ...]  # everybody who was late so far
 
 
-class Truth(NamedTuple):
-    """A simulated robot's true state, for the simulated camera and for the summary."""
+class UnitTruth(NamedTuple):
+    """A unit's simulated robots as they really are, for the simulated camera and for the summary."""
 
-    epoch: int
     seq: int
-    stamp_ns: int  # [driver's clock]
+    stamp_ns: int  # [unit's clock]
+    robots: tuple["Truth", ...]  # those of the unit that are simulated by whoever says this
+
+
+class Truth(NamedTuple):
+    """One simulated robot's true state."""
+
+    place: int  # in the unit's order
     x_m: float  # [world]
     y_m: float
     psi_rad: float
@@ -228,14 +252,20 @@ class RecorderStatus(NamedTuple):
 
 
 class LeaseRequest(NamedTuple):
-    """Controller to driver, a query: let me drive this robot."""
+    """Controller to unit, a query: let me drive these robots."""
 
     session: int
     action: int  # safety.gate.LeaseAction
 
 
+class UnitLeases(NamedTuple):
+    """Unit to controller, the answer."""
+
+    robots: tuple["LeaseAnswer", ...]  # in the unit's order
+
+
 class LeaseAnswer(NamedTuple):
-    """Driver to controller."""
+    """One robot's lease after a request."""
 
     granted: int  # 1, or 0
     epoch: int  # of the lease that stands now
@@ -243,14 +273,14 @@ class LeaseAnswer(NamedTuple):
 
 
 # Whatever counts has 64 bits: at a million a second it ends after 292,000 years. What is drawn has those it needs.
-WHEEL_COMMAND = Layout(WheelCommand, "QQQQQq", 2)
-ROBOT_STATUS = Layout(RobotStatus, "QQIQQQqqqQBBQBIqq", 9)
-ENABLE = Layout(Enable, "QQQQBBQ", 1)
-TRUTH = Layout(Truth, "QQq", 5)
+UNIT_COMMAND = ListLayout(UnitCommand, "QQQqq", WheelCommand, "Qdd")
+UNIT_STATUS = ListLayout(UnitStatus, "QIQqqB", RobotStatus, "QQqqQBBQIqq" + "d" * 9)
+UNIT_ENABLE = ListLayout(UnitEnable, "QQqB", Enable, "QBQd")
+UNIT_TRUTH = ListLayout(UnitTruth, "Qq", Truth, "H" + "d" * 5)
+UNIT_LEASES = ListLayout(UnitLeases, "", LeaseAnswer, "BQQ")
 TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
 RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
-LEASE_ANSWER = Layout(LeaseAnswer, "BQQ", 0)
 FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hiiddd")
 TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBBQqq", RobotTick, "d" * 15, numbers=True)
 PICTURE = BlobLayout(Picture, "IQqHH")

@@ -1,33 +1,63 @@
-"""The newest status of every driver: its heartbeat."""
+"""The newest status of every unit: its robots' heartbeat."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.clock import MS
 from robofleet.comms.bus import Bus, Inbox
 from robofleet.comms.keys import STATUS
-from robofleet.comms.messages import ROBOT_STATUS, RobotStatus
+from robofleet.comms.messages import UNIT_STATUS, UnitStatus
 
 HURRY_NS = 5 * MS
 
 
+class Part(NamedTuple):
+    """A unit among the robots that somebody looks after."""
+
+    name: str
+    size: int  # all robots of the unit
+    rows: NDArray[np.intp]  # (K,) of those that are looked after, in the looker's own order
+    places: NDArray[np.intp]  # (K,) of the same robots in the unit
+
+
 class Statuses:
-    """The newest status of every robot; what was overtaken on its way is passed over."""
+    """The newest status of every robot (N,), in an order of one's own; what was overtaken on its way is passed over.
 
-    def __init__(self, bus: Bus, robots: Sequence[str]) -> None:
-        self._inboxes = [Inbox(bus.newest(STATUS, robot), ROBOT_STATUS) for robot in robots]
-        self.newest: list[RobotStatus | None] = [None] * len(robots)
+    ``units``: the units by name with their robots; ``robots``: those that one looks after.
+    """
 
-    def take(self) -> list[tuple[int, RobotStatus]]:
-        """Take what came; returns the robots of which there is a newer status, and it."""
+    def __init__(self, bus: Bus, units: Mapping[str, Sequence[str]], robots: Sequence[str]) -> None:
+        rows = {robot: row for row, robot in enumerate(robots)}
+        self.units: list[Part] = []
+        for name, members in units.items():
+            mine = [(rows[robot], place) for place, robot in enumerate(members) if robot in rows]
+            if mine:
+                of, places = (np.array(column, np.intp) for column in zip(*mine, strict=True))
+                self.units.append(Part(name, len(members), of, places))
+        self._inboxes = [Inbox(bus.newest(STATUS, unit.name), UNIT_STATUS.view) for unit in self.units]
+        self.newest: list[UnitStatus | None] = [None] * len(self.units)  # without their robots
+        self.robots: NDArray[Any] = np.zeros(len(robots), UNIT_STATUS.item_dtype)
+        self.heard = np.zeros(len(robots), np.bool_)  # whose status is known
+
+    def take(self) -> list[int]:
+        """Take what came; returns the units, as numbers, of which there is a newer status."""
         newer = []
-        for row, inbox in enumerate(self._inboxes):
-            status, known = inbox.take(), self.newest[row]
-            if status is None or (known and known.boot_id == status.boot_id and status.nonce <= known.nonce):
+        for number, (inbox, unit) in enumerate(zip(self._inboxes, self.units, strict=True)):
+            said = inbox.take()
+            if said is None:
                 continue
-            self.newest[row] = status
-            newer.append((row, status))
+            (status, items), known = said, self.newest[number]
+            if len(items) != unit.size or (known and known.boot_id == status.boot_id and status.nonce <= known.nonce):
+                continue
+            self.newest[number] = status
+            self.robots[unit.rows] = items[unit.places]
+            self.heard[unit.rows] = True
+            newer.append(number)
         return newer
 
     def hurried(self) -> list[int]:
-        """Return whose link is bad: what is said to these is said every HURRY_NS."""
-        return [row for row, status in enumerate(self.newest) if status is not None and status.hurry]
+        """Return the units whose link is bad: what is said to these is said every HURRY_NS."""
+        return [number for number, status in enumerate(self.newest) if status is not None and status.hurry]

@@ -21,6 +21,7 @@ from robofleet.patterns import (
     SOCKET,
     TCP,
 )
+from robofleet.settings import LAST_TAG
 
 Complaint = tuple[str, str]  # dotted path, message
 
@@ -94,6 +95,7 @@ def cross_checks(config: Config) -> list[Complaint]:
     complaints = [
         *_repeated("tag", [robot.tag for robot in config.robots]),
         *_members(config),
+        *_units(config),
         *_troubles(config),
         *_endpoint(config),
         *_camera_model(config),
@@ -273,6 +275,16 @@ def _simulated(config: Config) -> Iterator[Complaint]:
     for i, robot in enumerate(config.robots):
         if robot.vehicle.simulated is None and (robot.driver == "simulated" or robot.twin is not None):
             yield no_errors(i)
+
+
+def _units(config: Config) -> Iterator[Complaint]:
+    """Units of one name, and tags that no camera can see."""
+    taken = {robots[0]: unit for unit, robots in config.units.items() if unit == robots[0]}
+    for i, robot in enumerate(config.robots):
+        if robot.unit in taken and config.robot(robot.unit).unit is None:
+            yield f"robots.{i}.unit", f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name"
+        if robot.tag > LAST_TAG and config.tracker.source == "camera" and robot.reality == "real":
+            yield f"robots.{i}.tag", f"{robot.tag}: the family 36h11 has the ids 0 to {LAST_TAG}: give it one of these"
 
 
 def _members(config: Config) -> Iterator[Complaint]:

@@ -7,7 +7,6 @@ from pydantic import Field, JsonValue
 
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.settings import (
-    LAST_TAG,
     MANY,
     Coordinate,
     Degrees,
@@ -103,8 +102,10 @@ class Robot(Model):
 
     id: Name
     """Name of the robot on the bus, in messages and in the summary."""
-    tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
-    """Id of its AprilTag, of the family 36h11."""
+    tag: Annotated[int, Field(ge=0, le=65535)]
+    """Id of its AprilTag, of the family 36h11: at most 586 where a camera must see it."""
+    unit: Name | None = None
+    """Name of the driver process that drives it, with all robots of the same unit; null: ``drivers`` says it."""
     tag_height_m: Height | None = None
     """Height of its tag above the floor; null: ``tracker.tag_height_m``."""
     driver: Named = "simulated"

@@ -3,6 +3,8 @@
 Every key carries its unit. World frame: the arena's centre on the floor, x along the long side, y left, z up.
 """
 
+from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue
@@ -12,9 +14,23 @@ from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
-from robofleet.patterns import ENDPOINT_PATTERN, PRIVATE
+from robofleet.patterns import ENDPOINT_PATTERN, PRIVATE, driver_role
 from robofleet.safety.supervisor import Roster
-from robofleet.settings import MANY, TAGS, Count, Delay, Fraction, Height, Length, Model, Name, Named, Text, within
+from robofleet.settings import (
+    MANY,
+    ROBOTS,
+    TAGS,
+    Count,
+    Delay,
+    Fraction,
+    Height,
+    Length,
+    Model,
+    Name,
+    Named,
+    Text,
+    within,
+)
 
 Side = Annotated[float, within(0.1, 1000)]
 Most = Annotated[float, within(1e-6, 1e9)]
@@ -47,7 +63,7 @@ class Group(Model):
     """Name of the group in messages, figures and the summary; null: its behaviour's name, or ``group1``, ``group2``."""
     behaviour: Named
     """What the group does: an entry point of ``robofleet.behaviours``, or a class as ``module:Class``."""
-    robots: Annotated[tuple[Name, ...], Field(min_length=1, max_length=TAGS, strict=False)]
+    robots: Annotated[tuple[Name, ...], Field(min_length=1, max_length=ROBOTS, strict=False)]
     """Ids of the robots, in the order of the group: where one leads, the leader first."""
     settings: Annotated[dict[Text, JsonValue], Field(max_length=MANY)] = Field(default={})
     """Settings of the behaviour. ``configs/keys/behaviours.md`` lists them."""
@@ -93,8 +109,9 @@ class TrackerSettings(Model):
 class DriverSettings(Model):
     """How the robots' drivers share processes, and who starts them."""
 
-    robots_per_process: Annotated[int, within(1, TAGS)] = 1
-    """Largest number of robots in one driver process. They are taken in the order of ``robots``."""
+    robots_per_process: Annotated[int, within(1, ROBOTS)] | None = None
+    """Largest number of robots in one driver process, of those without ``robots[].unit``. They are taken in the order
+    of ``robots``. null: all robots with the driver ``simulated`` in one process, each other robot in one of its own."""
     started_by: Literal["run", "systemd"] = "run"
     """``run``: ``robofleet run`` starts the drivers. ``systemd``: the services of ``tools/deploy`` start them, and
     ``robofleet run`` starts everything else."""
@@ -166,10 +183,10 @@ class Config(Model):
     """The floor: name and size."""
     bus: BusSettings = BusSettings()
     """The address at which the processes meet."""
-    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=TAGS, strict=False)]
+    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=ROBOTS, strict=False)]
     """Every robot of the fleet. A robot in no group is a bystander: it does not drive, and the others keep clear of
     it."""
-    groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=TAGS, strict=False)]
+    groups: Annotated[tuple[Group, ...], Field(min_length=1, max_length=ROBOTS, strict=False)]
     """Which robots drive together, and what they do. A robot is in one group at most."""
     controller: ControllerSettings
     """The control law, its filter and the barrier between robots."""
@@ -207,22 +224,50 @@ class Config(Model):
         """The robots that stand in no arena: their poses are merged with what the camera sees of the others."""
         return tuple(robot for robot in self.robots if robot.reality == "simulated")
 
+    @cached_property
+    def units(self) -> dict[str, tuple[str, ...]]:
+        """The units by name, each with its robots' ids: what one driver process drives."""
+        named: dict[str, list[str]] = {}
+        free: list[Robot] = []
+        for robot in self.robots:
+            if robot.unit is None:
+                free.append(robot)
+            else:
+                named.setdefault(robot.unit, []).append(robot.id)
+        crews = [[robot.id for robot in crew] for crew in self._crews(free)]
+        found = {**{crew[0]: tuple(crew) for crew in crews}, **{name: tuple(ids) for name, ids in named.items()}}
+        places = {robot.id: place for place, robot in enumerate(self.robots)}
+        return dict(sorted(found.items(), key=lambda unit: places[unit[1][0]]))
+
+    def _crews(self, free: list[Robot]) -> Iterable[Sequence[Robot]]:
+        """The robots that no unit names, by the processes that they share."""
+        most = self.drivers.robots_per_process
+        if most is not None:
+            return [free[k : k + most] for k in range(0, len(free), most)]
+        simulated = [robot for robot in free if robot.driver == "simulated"]
+        return [*([simulated] if simulated else []), *([robot] for robot in free if robot.driver != "simulated")]
+
     @property
     def driven(self) -> dict[str, tuple[str, ...]]:
         """The driver processes by name, each with its robots' ids."""
-        ids, most = [robot.id for robot in self.robots], self.drivers.robots_per_process
-        return {f"driver-{ids[k]}": tuple(ids[k : k + most]) for k in range(0, len(ids), most)}
+        return {driver_role(unit): robots for unit, robots in self.units.items()}
+
+    @cached_property
+    def unit_of(self) -> dict[str, str]:
+        """The unit of each robot, by their names."""
+        return {robot_id: unit for unit, robots in self.units.items() for robot_id in robots}
 
     def driver_of(self, robot_id: str) -> str:
         """Return the name of the process that drives a robot."""
-        return next(name for name, robots in self.driven.items() if robot_id in robots)
+        return driver_role(self.unit_of[robot_id])
 
     def robot(self, robot_id: str) -> Robot:
         """Return a robot by its id; KeyError if there is none."""
-        for robot in self.robots:
-            if robot.id == robot_id:
-                return robot
-        raise KeyError(robot_id)
+        return self._by_id[robot_id]
+
+    @cached_property
+    def _by_id(self) -> dict[str, Robot]:
+        return {robot.id: robot for robot in self.robots}
 
     @property
     def members(self) -> tuple[Robot, ...]:

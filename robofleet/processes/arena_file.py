@@ -43,6 +43,7 @@ class ArenaFile(NamedTuple):
     folder: str  # of the run
     started: str  # UTC, ISO 8601
     robots: tuple[str, ...]  # the group's in its order, then the bystanders
+    units: dict[str, tuple[str, ...]]  # the same robots by the processes that drive them
     uid: int  # whose run it is
 
     @property
@@ -77,7 +78,7 @@ def claimed(config: "Config", folder: Path) -> Iterator[None]:
     uid, started = os.geteuid(), f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
     mine = ArenaFile(
         config.arena.name, config.bus.endpoint, os.getpid(), str(folder.absolute()), started,
-        config.ids, uid,
+        config.ids, config.units, uid,
     )  # fmt: skip
     with ExitStack() as held:
         for place in (_register(), private_folder()):
@@ -229,8 +230,9 @@ def _checked(text: bytes, arena: str, uid: int) -> ArenaFile | None:
     """Return what a file says; None if no launcher can have written that."""
     try:
         said = json.loads(text)
-        there = ArenaFile(**said | {"robots": tuple(said["robots"]), "uid": uid})
-    except (ValueError, TypeError, KeyError, RecursionError):
+        units = {unit: tuple(robots) for unit, robots in said["units"].items()}
+        there = ArenaFile(**said | {"robots": tuple(said["robots"]), "units": units, "uid": uid})
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     lines = there.folder, there.started, there.endpoint
     if not all(type(line) is str and line.isprintable() and len(line) <= _LONGEST_LINE for line in lines):
@@ -239,7 +241,9 @@ def _checked(text: bytes, arena: str, uid: int) -> ArenaFile | None:
         return None
     if there.endpoint == PRIVATE or not re.match(ENDPOINT_PATTERN, there.endpoint):
         return None
-    if not all(type(robot) is str and re.match(NAME_PATTERN, robot) for robot in there.robots):
+    if not all(type(name) is str and re.match(NAME_PATTERN, name) for name in (*there.robots, *there.units)):
+        return None
+    if sorted(robot for robots in there.units.values() for robot in robots) != sorted(there.robots):
         return None
     return there
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from robofleet.clock import Clock, WallClock
-from robofleet.comms.keys import driver_role
 from robofleet.comms.living import RoleTakenError
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
+from robofleet.patterns import driver_role
 from robofleet.processes.keeping import FileKeeping
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.node import Lifeline, Node, ahead_of_others, realtime_priority, run

@@ -242,6 +242,12 @@ def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool
         known = [robot.id for robot in tree.robots]
         for unknown in (name for name in robots if name not in known):
             raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+        if robots and robots not in tree.units.values():
+            unit = tree.unit_of[robots[0]]
+            raise RefusedError(
+                f"--robots: a process drives all robots of one unit: name {','.join(tree.units[unit])}, or give "
+                f"robots[].unit or drivers.robots_per_process in {config}"
+            )
         if tree.bus.endpoint.endswith(":0"):
             raise RefusedError(
                 f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "

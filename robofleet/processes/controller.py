@@ -12,9 +12,9 @@ from robofleet.comms.messages import (
     FLEET_POSES,
     RUN_STATE,
     TICK_RECORD,
-    WHEEL_COMMAND,
+    UNIT_COMMAND,
     FleetPoses,
-    WheelCommand,
+    UnitCommand,
 )
 from robofleet.comms.statuses import HURRY_NS, Statuses
 from robofleet.config import slices
@@ -59,16 +59,18 @@ class Controller:
         self._config, self._clock = config, clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
         session = self._epoch << 32 | slices.drawn_id(rng, 32)
-        self._leases = Leases(bus, [robot.id for robot in robots], session, take_over=take_over)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._lost_after_ns = round(c.filter.lost_after_s * S)
         self._rows = {robot.tag: row for row, robot in enumerate(config.bodies)}
         self._drives = [slices.drive(robot) for robot in robots]
-        self._statuses = Statuses(bus, [robot.id for robot in robots])
-        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
-        self._state = Inbox(bus.newest(STATE), RUN_STATE)
-        self._commands = [bus.publisher(COMMAND, robot.id) for robot in robots]
+        self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
+        self._leases = Leases(bus, self._statuses, session, take_over=take_over)
+        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.decode)
+        self._state = Inbox(bus.newest(STATE), RUN_STATE.decode)
+        units = self._statuses.units
+        self._commands = [bus.publisher(COMMAND, unit.name) for unit in units]
+        self._items = [np.zeros(unit.size, UNIT_COMMAND.item_dtype) for unit in units]
         self._seq = 0  # of the newest command
         self._publish_tick = bus.publisher(TICK)
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
@@ -85,7 +87,7 @@ class Controller:
         self._deciding.begin()
         self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
         self._bystanders = fleet.bystanders(self._config)
-        self._wheels = [[0.0, 0.0]] * n  # as commanded at the newest tick
+        self._wheels = np.zeros((n, 2))  # as commanded at the newest tick
         self._phase = Phase.IDLE
         self._run_tick = -1
         self._permitted = np.zeros(n, dtype=np.bool_)
@@ -141,10 +143,10 @@ class Controller:
         commanded = self._deciding.wheels
         self._try_wheels(commanded)
         self._filter.command(tick_ns, commanded)
-        self._wheels = commanded.tolist()
+        self._wheels = commanded
         seq = self._seq
-        for row in range(len(self._wheels)):
-            self._command(row)
+        for unit in range(len(self._commands)):
+            self._command(unit)
         self._publish_record(tick_ns, here, measured, lost, seq)
 
     def _keep_apart(self, tick_ns: int, bodies: np.ndarray, turning: np.ndarray, driving: np.ndarray) -> None:
@@ -177,7 +179,7 @@ class Controller:
 
     def _hear_drivers(self) -> None:
         self._statuses.take()
-        self._leases.update(self._statuses.newest)
+        self._leases.update()
 
     def _try_wheels(self, commanded: np.ndarray) -> None:
         """Let the robot that is being tried do its stroke."""
@@ -218,19 +220,24 @@ class Controller:
 
     def _repeat(self) -> None:
         self._statuses.take()
-        for row in self._statuses.hurried():
+        for unit in self._statuses.hurried():
             if not self._leases.refused:
-                self._command(row)
+                self._command(unit)
 
-    def _command(self, row: int) -> None:
-        status = self._statuses.newest[row]
-        if status is not None and status.session == self._leases.session:
-            self._seq += 1
-            command = WheelCommand(
-                status.epoch, self._seq, status.session, status.boot_id, status.nonce, self._exposure_ns,
-                *self._wheels[row],
-            )  # fmt: skip
-            self._commands[row](WHEEL_COMMAND.encode(command))
+    def _command(self, unit: int) -> None:
+        """Command the robots of a unit that answer to this controller; if none does, nothing is said."""
+        status, part, items = self._statuses.newest[unit], self._statuses.units[unit], self._items[unit]
+        mine = self._leases.mine[part.rows]
+        if status is None or not mine.any():
+            return
+        self._seq += 1
+        items["epoch"][part.places] = np.where(mine, self._statuses.robots["epoch"][part.rows], 0)
+        items["left_rad_s"][part.places] = self._wheels[part.rows, 0]
+        items["right_rad_s"][part.places] = self._wheels[part.rows, 1]
+        head = UnitCommand(
+            self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ()
+        )
+        self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
     def _publish_record(self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, seq: int) -> None:
         r, decided = self._record, self._deciding

@@ -1,27 +1,90 @@
-"""A driver process: one robot or several, each behind its gate. It owns the gates; the drivers know no bus."""
+"""A driver process: the robots of one unit, each behind its gate. It owns the gates; the drivers know no bus."""
+
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock
-from robofleet.comms.bus import Bus, Wake
+from robofleet.comms.bus import Bus, Inbox, Publish, Request, Wake
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
+from robofleet.comms.messages import (
+    LEASE_REQUEST,
+    UNIT_COMMAND,
+    UNIT_ENABLE,
+    UNIT_LEASES,
+    UNIT_STATUS,
+    UNIT_TRUTH,
+    LeaseAnswer,
+    UnitLeases,
+    UnitStatus,
+    UnitTruth,
+)
 from robofleet.config import slices
 from robofleet.config.tree import Config
-from robofleet.processes import driver_settings
-from robofleet.processes.drivers import Drivers
-from robofleet.processes.gated_robot import GatedRobot, Witness
+from robofleet.processes.drivers import Drivers, behind_gates
+from robofleet.processes.gated_robot import Witness
 from robofleet.processes.keeping import Keeping
-from robofleet.vehicles.interface import DriverError
+from robofleet.safety.gate import LeaseAction
 
 _LOOP_NS = 10 * MS
+_ACTIONS = tuple(LeaseAction)
+Said = tuple[NDArray[Any], NDArray[Any]]  # a message's head (1,) and its items (N,)
+
+
+class Robots(Protocol):
+    """The robots of a unit (N,), each behind its gate."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def boot_id(self) -> int:
+        """What every message to them must echo."""
+
+    @property
+    def deadline_ns(self) -> int:
+        """When a gate must be asked again."""
+
+    @property
+    def hurries(self) -> bool:
+        """Whether the link was bad a short while ago: then a status goes out in every loop."""
+
+    @property
+    def latch_is_new(self) -> bool:
+        """Whether the newest status does not tell of a gate's latch yet."""
+
+    def set_back(self, from_ns: int, now_ns: int) -> None:
+        """Let every gate begin anew: the clock was set back from one instant to another."""
+
+    def pass_on(self, now_ns: int, command: Said | None, enable: Said | None, *, due: bool) -> None:
+        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
+
+    def lease(self, session: int, action: LeaseAction, now_ns: int) -> tuple[LeaseAnswer, ...]:
+        """Answer a request for the leases."""
+
+    def keep(self, *, due: bool) -> None:
+        """Keep what must be kept of the gates: the disk is slow, so every robot's wheels went before."""
+
+    def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
+        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
+
+    def truths(self) -> NDArray[Any] | None:
+        """Return the part of a truth of each that is simulated; None where all exist."""
+
+    def say(self) -> None:
+        """Say in the log what there is to complain about."""
+
+    def close(self) -> None:
+        """Motors off at once, drivers closed. Idempotent."""
 
 
 class DriverProcess:
-    """The robots of one driver process: a 100 Hz loop that also wakes for a message and for a gate's deadline."""
+    """The robots of one unit: a 100 Hz loop that also wakes for a message and for a gate's deadline."""
 
     def __init__(
         self,
         config: Config,
-        robot_ids: tuple[str, ...],
+        unit: str,
         bus: Bus,
         clock: Clock,
         wake: Wake,
@@ -31,31 +94,19 @@ class DriverProcess:
         witness: Witness | None = None,
     ) -> None:
         """Open every robot; DriverError where one does not answer."""
-        self._clock, self._drivers = clock, drivers
-        self._keeping, self._witness = keeping, witness
-        self._robots: list[GatedRobot] = []
-        try:
-            self._open(config, robot_ids, bus, wake, rng)
-        except BaseException:
-            self.close()
-            raise
+        self._clock, self._build = clock, slices.build(config)
+        self._newest_ns = clock.now_ns()
+        boot_id = slices.drawn_id(rng, 64)
+        self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
+        self._commands = Inbox(bus.newest(COMMAND, unit, wake), UNIT_COMMAND.arrays)
+        self._enables = Inbox(bus.newest(ENABLE, unit, wake), UNIT_ENABLE.arrays)
+        self._requests = bus.serve(LEASE, unit, wake)
+        self._publish_status = bus.publisher(STATUS, unit)
+        self._publish_truth: Publish | None = None if self._robots.truths() is None else bus.publisher(TRUTH, unit)
+        self._refused = 0  # messages and requests that nobody could read
+        self._seq = 0
         self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
         self._loops = 0
-
-    def _open(self, config: Config, robot_ids: tuple[str, ...], bus: Bus, wake: Wake, rng: np.random.Generator) -> None:
-        for robot_id in robot_ids:
-            context = self._drivers.context(robot_id)
-            try:
-                driver = self._drivers.open(context)
-            except DriverError as error:
-                raise DriverError(f"{driver_settings.place(config, config.robot(robot_id))}: {error}") from error
-            boot_id, build = slices.drawn_id(rng, 64), slices.build(config)
-            try:
-                gated = GatedRobot(context, driver, boot_id, build, bus, wake, self._keeping, self._witness)
-            except BaseException:
-                driver.close()
-                raise
-            self._robots.append(gated)
 
     def step(self, now_ns: int) -> int:
         """Pass on what arrived; every 10 ms read and publish. Wheels go first, then latches, disk, bus, log."""
@@ -63,31 +114,54 @@ class DriverProcess:
         if due:
             self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
             self._loops += 1
-        now = self._clock.now_ns  # the robot before may have kept us: no gate decides by an old instant
-        for robot in self._robots:
-            if due:
-                robot.look(now())
-            robot.pass_on(now())
-        for robot in self._robots:
-            if robot.latch_is_new:
-                robot.announce(now())
-        for robot in self._robots:
-            robot.settle(now(), due=due)
-            if due:
-                robot.publish(now(), status=self._loops % 2 == 1 or robot.hurries)
+        robots = self._robots
+        command, enable = self._whole(self._commands.take()), self._whole(self._enables.take())
+        robots.pass_on(self._now(), command, enable, due=due)
+        if robots.latch_is_new:
+            self._tell()  # before the disk, and before anything is said in the log
+        if (request := self._requests()) is not None:
+            self._answer(request)
+        robots.keep(due=due)
         if due:
-            for robot in self._robots:
-                robot.say()
-        deadlines = [robot.deadline_ns for robot in self._robots if robot.deadline_ns is not None]
-        return min([self._loop_ns, *deadlines])
+            self._seq += 1
+            if self._publish_truth is not None and (truths := robots.truths()) is not None:
+                self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
+            if self._loops % 2 == 1 or robots.hurries:
+                self._tell()
+            robots.say()
+        return min(self._loop_ns, robots.deadline_ns)
 
     def close(self) -> None:
         """Motors off, every robot, whatever one of them does."""
-        errors = []
-        for robot in self._robots:
-            try:
-                robot.close()
-            except Exception as error:  # noqa: BLE001 - the others' motors must go off too
-                errors.append(error)
-        if errors:
-            raise ExceptionGroup("closing the drivers", errors)
+        self._robots.close()
+
+    def _now(self) -> int:
+        """Return the instant: no gate decides by an old one, and none goes on when the clock was set back."""
+        now_ns, before_ns = self._clock.now_ns(), self._newest_ns
+        self._newest_ns = now_ns
+        if now_ns < before_ns:
+            self._robots.set_back(before_ns, now_ns)
+        return now_ns
+
+    def _whole(self, said: Said | None) -> Said | None:
+        """Return a message that says something to every robot of the unit, and to no other one."""
+        if said is None or len(said[1]) == len(self._robots):
+            return said
+        self._refused += 1
+        return None
+
+    def _answer(self, request: Request) -> None:
+        asked = LEASE_REQUEST.decode(request.payload)
+        if asked is None or asked.action not in _ACTIONS:
+            self._refused += 1
+            return
+        answers = self._robots.lease(asked.session, LeaseAction(asked.action), self._now())
+        request.reply(UNIT_LEASES.encode(UnitLeases(answers)))
+
+    def _tell(self) -> None:
+        """Publish what every robot says of itself."""
+        robots, now_ns = self._robots, self._now()
+        self._seq += 1
+        refused = self._refused + self._commands.rejected + self._enables.rejected
+        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, int(robots.hurries), ())
+        self._publish_status(UNIT_STATUS.encode_view(head, robots.statuses(now_ns, refused)))

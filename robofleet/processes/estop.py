@@ -5,16 +5,15 @@ that the gate is latched: a supervisor that is frozen, dead or flooded delays no
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import compress
 from typing import NamedTuple
 
 from robofleet.clock import MS, Clock
-from robofleet.comms.bus import Answer, Bus
-from robofleet.comms.keys import ENABLE, REQUEST
-from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import Enable, RobotStatus
-from robofleet.comms.statuses import Statuses
+from robofleet.comms.bus import Answer, Bus, Inbox
+from robofleet.comms.keys import ENABLE, REQUEST, STATUS
+from robofleet.comms.messages import UNIT_ENABLE, UNIT_STATUS, Enable, UnitEnable, UnitStatus
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
 
@@ -41,13 +40,15 @@ class Stopped(NamedTuple):
 class EmergencyStop:
     """One that is on its way: ``step`` it again and again."""
 
-    def __init__(self, bus: Bus, robots: tuple[str, ...], now_ns: int) -> None:
-        """Ask the supervisor; the gates follow with the robots' next words."""
-        self._bus, self._robots, self._started_ns = bus, robots, now_ns
+    def __init__(self, bus: Bus, units: Mapping[str, Sequence[str]], now_ns: int) -> None:
+        """Ask the supervisor; the gates follow with the units' next words."""
+        robots = self._robots = tuple(robot for members in units.values() for robot in members)
+        self._bus, self._started_ns = bus, now_ns
         self._answer: Answer | None = bus.ask(REQUEST, "supervisor", b"estop")
         self._again_ns = now_ns + _AGAIN_NS
-        self._statuses = Statuses(bus, robots)
-        self._tell = [bus.publisher(ENABLE, robot) for robot in robots]
+        self._inboxes = [Inbox(bus.newest(STATUS, unit), UNIT_STATUS.decode) for unit in units]
+        self._units = list(units.values())
+        self._tell = [bus.publisher(ENABLE, unit) for unit in units]
         self._after_ms: dict[str, float] = {}
 
     def step(self, now_ns: int) -> Stopped | None:
@@ -56,18 +57,22 @@ class EmergencyStop:
             self._answer = None  # it need not be asked again
         if self._answer is not None and now_ns >= self._again_ns:
             self._answer, self._again_ns = self._bus.ask(REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
-        for row, status in self._statuses.take():
-            if status.latch not in (Latch.NONE, Latch.DRILL):
-                self._after_ms.setdefault(self._robots[row], (now_ns - self._started_ns) / MS)
-            else:
-                self._tell[row](ENABLE_LAYOUT.encode(_latching(status)))
+        for inbox, tell, robots in zip(self._inboxes, self._tell, self._units, strict=True):
+            status = inbox.take()
+            if status is None or len(status.robots) != len(robots):
+                continue
+            latched = [robot.latch not in (Latch.NONE, Latch.DRILL) for robot in status.robots]
+            for robot in compress(robots, latched):
+                self._after_ms.setdefault(robot, (now_ns - self._started_ns) / MS)
+            if not all(latched):
+                tell(UNIT_ENABLE.encode(_latching(status)))
         silent = tuple(robot for robot in self._robots if robot not in self._after_ms)
         return None if silent and now_ns < self._started_ns + _WITHIN_NS else Stopped(self._after_ms, silent)
 
 
-def emergency_stop(bus: Bus, clock: Clock, robots: tuple[str, ...]) -> Stopped:
+def emergency_stop(bus: Bus, clock: Clock, units: Mapping[str, Sequence[str]]) -> Stopped:
     """Stop every robot and latch its gate; returns when each has said so, or after 200 ms."""
-    stop = EmergencyStop(bus, robots, clock.now_ns())
+    stop = EmergencyStop(bus, units, clock.now_ns())
     while (stopped := stop.step(now_ns := clock.now_ns())) is None:
         clock.sleep_until(now_ns + _POLL_NS)
     return stopped
@@ -88,7 +93,8 @@ def urgent() -> Iterator[None]:
         os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
-def _latching(status: RobotStatus) -> Enable:
-    """Return what closes the gate of a robot that has just said this; that takes no lease, only the newest nonce."""
+def _latching(status: UnitStatus) -> UnitEnable:
+    """Return what closes the gates of a unit that has just said this; that takes no lease, only the newest nonce."""
     latch, none = Latch.EMERGENCY_STOP, 0
-    return Enable(status.epoch, _LAST_SEQ, status.boot_id, status.nonce, Phase.ESTOP, latch, none, 0.0)
+    robots = tuple(Enable(robot.epoch, latch, none, 0.0) for robot in status.robots)
+    return UnitEnable(_LAST_SEQ, status.boot_id, status.nonce, Phase.ESTOP, robots)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 from robofleet.clock import S, SimulatedClock, stopwatch_ns
 from robofleet.comms.bus import Bus
 from robofleet.comms.keys import TRUTH
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.comms.messages import Truth
+from robofleet.comms.messages import UNIT_TRUTH, UnitTruth
+from robofleet.patterns import driver_role
 from robofleet.processes.node import Node
 from robofleet.simulation.faults import Injection, Schedule, SteppedClock
 from robofleet.simulation.faulty_bus import FaultyBus
@@ -109,9 +109,7 @@ class ProcessFaults:
         self._steps = {name: schedule.of("clock_step", process=name) for name in names}
         self._second = schedule.of("second_controller")
         self._acting: set[int] = set()  # by number
-        self._truths = {
-            name: [(robot, bus.publisher(TRUTH, robot)) for robot in robots] for name, robots in schedule.driven.items()
-        }
+        self._truths = {driver_role(unit): (unit, bus.publisher(TRUTH, unit)) for unit in schedule.units}
         self._seq = 0
 
     def step(self, now_ns: int) -> int:
@@ -151,6 +149,6 @@ class ProcessFaults:
             slot.schedule(now_ns)
 
     def _publish_truths(self, name: str, now_ns: int) -> None:
-        for robot, publish in self._truths[name]:
-            self._seq += 1
-            publish(TRUTH_LAYOUT.encode(Truth(0, self._seq, now_ns, *self._schedule.truth(robot))))
+        unit, publish = self._truths[name]
+        self._seq += 1
+        publish(UNIT_TRUTH.encode(UnitTruth(self._seq, now_ns, self._schedule.truths(unit))))

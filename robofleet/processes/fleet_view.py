@@ -14,6 +14,7 @@ from robofleet.comms.messages import (
     RecorderStatus,
     RobotStatus,
     TickRecord,
+    UnitStatus,
 )
 from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
@@ -49,10 +50,10 @@ class FleetListener:
     ) -> None:
         robots, arena, driven = config.bodies, config.arena.name, len(config.members)
         self._free_bytes, self._machine = free_bytes, machine
-        self.statuses = Statuses(bus, [robot.id for robot in robots])
-        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD)
-        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES)
-        self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS)
+        self.statuses = Statuses(bus, config.units, [robot.id for robot in robots])
+        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.decode)
+        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.decode)
+        self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS.decode)
         self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
         self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_STREAM)
         self._rows = {robot.tag: row for row, robot in enumerate(robots)}
@@ -86,15 +87,18 @@ class FleetListener:
 
     def hear_robots(self, now_ns: int) -> None:
         """Take the statuses that came."""
-        for row, status in self.statuses.take():
-            self._take_status(row, status, now_ns)
+        for unit in self.statuses.take():
+            said = self.statuses.newest[unit]
+            assert said is not None
+            for row in self.statuses.units[unit].rows.tolist():
+                self._take_status(row, said, RobotStatus._make(self.statuses.robots[row].item()), now_ns)
 
-    def _take_status(self, row: int, status: RobotStatus, now_ns: int) -> None:
+    def _take_status(self, row: int, unit: UnitStatus, status: RobotStatus, now_ns: int) -> None:
         self._robots[row] = self._robots[row]._replace(
             heard_ns=now_ns,
-            build=status.build,
+            build=unit.build,
             session=status.session,
-            boot_id=status.boot_id,
+            boot_id=unit.boot_id,
             latch=status.latch,
             latch_id=status.latch_id,
             faults=status.faults,

@@ -13,6 +13,11 @@ _PRESSED = int(RobotFault.WIRED_STOP)  # a plain number: the complement of a fla
 _UNREAD = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
 
 
+def said_of_a_runaway(fastest: float) -> str:
+    """Return what is said of a robot whose faster wheel turns by itself [rad/s]."""
+    return f"a wheel turns by itself, {fastest:.1f} rad/s with an output of zero: switch off its power"
+
+
 class Health:
     """A robot's newest reading, and every reason to stop that it gives."""
 
@@ -45,7 +50,7 @@ class Health:
         fastest = 0.0 if self.failed else max(abs(self.reading.left_speed), abs(self.reading.right_speed))
         ran, self._turning = self._turning.runs, runaway.look(self._turning, output != STOP, fastest, now_ns)
         if self._turning.runs and not ran:
-            self.complain(f"a wheel turns by itself, {fastest:.1f} rad/s with an output of zero: switch off its power")
+            self.complain(said_of_a_runaway(fastest))
         self.latch = self._reason()
         return failed
 

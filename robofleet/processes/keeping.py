@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import zlib
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -205,6 +206,41 @@ def _checked(found: dict[str, int]) -> Kept:
     if kept.latch and not kept.latch_id:
         raise ValueError("a latch without its number")
     return kept
+
+
+class Memory:
+    """What one robot's gate must remember: in memory, and where it is kept."""
+
+    def __init__(self, robot: str, keeping: Keeping, complain: Callable[[str], None]) -> None:
+        self._robot, self._keeping, self._complain = robot, keeping, complain
+        self.kept = keeping.load(robot)
+        self._unsaved: Kept | None = None
+        self._lost = False  # what is kept was made to count as lost
+
+    def keep(self, memory: Kept, *, due: bool) -> None:
+        """Keep it, if it is new; ``due``: try again what could not be kept before.
+
+        A latch that cannot be kept must not be forgotten by a restart: nothing is known then.
+        """
+        if memory == self.kept or not (due or memory != self._unsaved) or self.save(memory):
+            return
+        if memory.latch and not (self.kept.latch or self._lost):
+            try:
+                self._keeping.lose(self._robot)
+                self._lost = True
+            except OSError as error:
+                self._complain(f"after a restart its latch is lost: {error}")
+
+    def save(self, memory: Kept) -> bool:
+        """Return whether it could be kept."""
+        try:
+            self._keeping.save(self._robot, memory)
+        except OSError as error:
+            self._unsaved = memory
+            self._complain(f"its lease and its latch cannot be written to disk: {error}")
+            return False
+        self.kept, self._unsaved, self._lost = memory, None, False
+        return True
 
 
 def kept(state: GateState) -> Kept:

@@ -6,8 +6,8 @@ from typing import Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import BUSY, CAMERA, PICTURE, REQUEST, STATE, STATUS, TICK, key
-from robofleet.comms.messages import BUSY_MACHINE, ROBOT_STATUS, RUN_STATE, TICK_RECORD, BusyMachine, RunState
+from robofleet.comms.keys import BUSY, CAMERA, PICTURE, REQUEST, STATE, TICK, key
+from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, TICK_RECORD, BusyMachine, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
@@ -88,7 +88,6 @@ class Launcher:
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
         self._busy_key = key(self._arena, BUSY)
         self._picture_key = key(self._arena, PICTURE, CAMERA)
-        self._status_keys = [key(self._arena, STATUS, robot) for robot in self._robots]
         started = table.started_by("run", config)
         # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
         self._first = [one for one in started if one.row.first]
@@ -257,7 +256,7 @@ class Launcher:
         """Latch every gate; a robot that does not say so is named, and its lifeline is cut at once."""
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
-        stopped = emergency_stop(self._bus, self._clock, self._robots)
+        stopped = emergency_stop(self._bus, self._clock, self._config.units)
         next_step = ""
         if not stopped.silent:
             with suppress(RunError):  # whoever is silent or gone: every gate is latched
@@ -344,7 +343,7 @@ class Launcher:
     def _stop_now(self) -> None:
         """Stop every robot, from the thread that hears the keys: the run's own one hears of it when it can."""
         with suppress(Exception):  # the bus is being left
-            emergency_stop(self._bus, self._clock, self._robots)
+            emergency_stop(self._bus, self._clock, self._config.units)
 
     def _ask_by_key(self, keys: str) -> None:
         for pressed in keys:
@@ -366,11 +365,11 @@ class Launcher:
 
     def _stopped_at_gates(self) -> bool:
         """Whether an emergency stop has reached a gate."""
-        statuses = [self._newest(full, ROBOT_STATUS) for full in self._status_keys]
+        statuses = [self.recording.newest_status(robot) for robot in self._robots]
         return any(status is not None and status.latch == Latch.EMERGENCY_STOP for status in statuses)
 
     def _at_rest(self) -> bool:
-        statuses = [self._newest(full, ROBOT_STATUS) for full in self._status_keys]
+        statuses = [self.recording.newest_status(robot) for robot in self._robots]
         return all(
             status is not None and max(abs(status.left_rad_s), abs(status.right_rad_s)) < _AT_REST_RAD_S
             for status in statuses

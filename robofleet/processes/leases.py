@@ -1,37 +1,49 @@
 """The leases of a controller: by them every robot obeys one controller alone."""
 
+import numpy as np
+
 from robofleet.comms.bus import Answer, Bus
 from robofleet.comms.keys import LEASE
-from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest, RobotStatus
+from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
+from robofleet.comms.statuses import Statuses
 from robofleet.safety.gate import LeaseAction
 
 _ASK_AGAIN_TICKS = 10
 
 
 class Leases:
-    """The leases of this controller: asked for until every driver has granted it, or somebody else holds one.
+    """The leases of this controller: asked for until every unit has granted them, or somebody else holds one.
 
     ``take_over``: each is taken once also from a controller that is alive; who loses it then does not take it back.
     """
 
-    def __init__(self, bus: Bus, robots: list[str], session: int, *, take_over: bool = False) -> None:
-        self._bus, self._robots, self.session = bus, robots, session
-        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(robots)
-        self._asked: list[Answer | None] = [None] * len(robots)
-        self._again = [0] * len(robots)
+    def __init__(self, bus: Bus, statuses: Statuses, session: int, *, take_over: bool = False) -> None:
+        self._bus, self._statuses, self.session = bus, statuses, session
+        units = statuses.units
+        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(units)
+        self._asked: list[Answer | None] = [None] * len(units)
+        self._again = [0] * len(units)
+        self._session = np.uint64(session)
+        self.mine = np.zeros(len(statuses.robots), np.bool_)  # (N,) which robots answer to this controller
         self.refused = False  # somebody else holds the lease of a robot
 
-    def update(self, newest: list[RobotStatus | None]) -> None:
-        """Ask every driver that is there and is not ours, every few ticks."""
-        self.refused = any(status is not None and status.session not in (0, self.session) for status in newest)
-        for row, status in enumerate(newest):
-            if status is None:
+    def update(self) -> None:
+        """Ask every unit that is there and of which a robot is not ours, every few ticks."""
+        held = self._statuses.robots["session"]
+        np.equal(held, self._session, out=self.mine)
+        if self.mine.all():
+            self.refused = False
+            self._actions = [LeaseAction.ACQUIRE] * len(self._actions)
+            return
+        self.refused = bool((~self.mine & (held != 0)).any())
+        for number, unit in enumerate(self._statuses.units):
+            if self._statuses.newest[number] is None:
                 continue
-            if status.session == self.session:
-                self._actions[row] = LeaseAction.ACQUIRE
+            if self.mine[unit.rows].all():
+                self._actions[number] = LeaseAction.ACQUIRE
                 continue
-            self._again[row] -= 1
-            if self._again[row] < 0:
-                self._again[row] = _ASK_AGAIN_TICKS
-                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[row]))
-                self._asked[row] = self._bus.ask(LEASE, self._robots[row], request)
+            self._again[number] -= 1
+            if self._again[number] < 0:
+                self._again[number] = _ASK_AGAIN_TICKS
+                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[number]))
+                self._asked[number] = self._bus.ask(LEASE, unit.name, request)

@@ -14,11 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.clock import Clock, S
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, STATE, STATUS, TICK, key
+from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, STATE, TICK, key
 from robofleet.comms.messages import (
     BUSY_MACHINE,
     FLEET_POSES,
-    ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     TRACKER_NEWS,
@@ -166,7 +165,7 @@ class LiveView:
         elif busy is not None:
             parts += ["", Text(busy_machine.notice(busy, self._ids), "yellow")]
         if tick is not None:
-            statuses = [self._newest(recording, STATUS, ROBOT_STATUS, robot.id) for robot in self._config.members]
+            statuses = [recording.newest_status(robot.id) for robot in self._config.members]
             way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None
             robots = live_robots.tables(recording.groups, tick, statuses, state, way)
             parts += ["", self._health(recording, tick), *robots]

@@ -200,8 +200,8 @@ class Lockstep:
         for full, payload in self._said:
             update(full.encode() + payload)
             add(full, payload)
-            if full == self._tick_key and (head := TICK_RECORD.decode_head(payload)) is not None:
-                self._run_tick = head[3]
+            if full == self._tick_key and (tick := TICK_RECORD.arrays(payload)) is not None:
+                self._run_tick = int(tick[0]["run_tick"][0])
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
                 if (told := state[2:6]) != self.status[:4]:
                     self.status = RunStatus(Phase(told[0]), Event(told[1]), *told[2:])

@@ -12,7 +12,7 @@ from typing import Any
 from robofleet.clock import MS, WallClock
 from robofleet.comms.joining import joined
 from robofleet.comms.keys import STATE, STATUS, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
+from robofleet.comms.messages import RUN_STATE, UNIT_STATUS, RobotStatus, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import ArenaFile, found
@@ -94,7 +94,7 @@ def stop(there: ArenaFile) -> tuple[bool, str]:
     clock = WallClock()
     try:
         with urgent(), _reached(there, clock) as bus:
-            stopped = emergency_stop(bus, clock, there.robots)
+            stopped = emergency_stop(bus, clock, there.units)
             return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
     except UnreachableError:
         _signalled(there)
@@ -132,15 +132,16 @@ def status(there: ArenaFile) -> dict[str, Any]:
     state: RunState | None = None
     newest: dict[str, tuple[int, RobotStatus]] = {}
     with _reached(there, clock) as bus:
-        names = {key(there.arena, STATUS, robot): robot for robot in there.robots}
+        names = {key(there.arena, STATUS, unit): robots for unit, robots in there.units.items()}
         states, statuses = bus.newest(STATE), bus.stream(*names, capacity=16 * len(names))
         end_ns = clock.now_ns() + _LISTEN_NS
         while (now_ns := clock.now_ns()) < end_ns:
             if (payload := states.take()) is not None:
                 state = RUN_STATE.decode(payload) or state
             for _, full, payload in statuses.drain():
-                if full in names and (message := ROBOT_STATUS.decode(payload)) is not None:
-                    newest[names[full]] = now_ns, message
+                if full in names and (message := UNIT_STATUS.decode(payload)) is not None:
+                    for robot, status in zip(names[full], message.robots, strict=False):
+                        newest[robot] = now_ns, status
             clock.sleep_until(now_ns + _POLL_NS)
     return {
         "arena": there.arena,

@@ -1,9 +1,6 @@
 """Why a fleet is not ready: said by the launcher and by lockstep when a run does not start."""
 
-from typing import Any
-
-from robofleet.comms.keys import STATUS, TICK, Topic, key
-from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD
+from robofleet.comms.keys import TICK
 from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import Event, RunStatus
 
@@ -19,16 +16,12 @@ def why(recording: Recording, status: RunStatus) -> str:
 def missing(recording: Recording) -> str:
     """Say who is not ready, and what to look at."""
     robots = recording.config.members
-    tick = _newest(recording, TICK, TICK_RECORD)
+    tick = recording.newest(TICK)
     if tick is None:
         return "no tick of the controller came"
-    silent = [robot.id for robot in robots if _newest(recording, STATUS, ROBOT_STATUS, robot.id) is None]
+    silent = [robot.id for robot in robots if recording.newest_status(robot.id) is None]
     if silent:
         return f"no status of {', '.join(silent)}"
     lost = [f"{robot.id} (tag {robot.tag})" for robot, item in zip(robots, tick.robots, strict=True) if item.lost]
     return f"the tracker does not see {', '.join(lost)}" if lost else "the supervisor did not start the run"
 
-
-def _newest(recording: Recording, topic: Topic, layout: Any, name: str = "") -> Any:
-    messages = recording.messages.get(key(recording.config.arena.name, topic, name))
-    return layout.decode(messages[-1]) if messages else None

@@ -20,7 +20,7 @@ from robofleet.clock import S, SimulatedClock, TickGrid
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
 from robofleet.comms.layouts import ListLayout
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, WHEEL_COMMAND, RobotTick
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, RobotTick
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller
@@ -238,8 +238,8 @@ def _compare_commands(
     wheels = np.full((len(recorded), len(recording.config.members), 2), np.nan)
     wheels[known] = _columns(now)[..., _WHEELS]
     for row, robot in enumerate(recording.config.members):
-        given = recording.rows(key(recording.config.arena.name, COMMAND, robot.id), WHEEL_COMMAND)
-        given = given[given["session"] >> 32 == recorded["epoch"][0]]
+        given = recording.of_robot(COMMAND, robot.id)
+        given = given[(given["epoch"] != 0) & (given["session"] >> 32 == recorded["epoch"][0])]
         given = given[np.argsort(given["seq"], kind="stable")]
         at = np.searchsorted(recorded["command_seq"], given["seq"]) - 1
         first = np.diff(at, prepend=-1) > 0

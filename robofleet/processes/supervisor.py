@@ -7,8 +7,7 @@ import numpy as np
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Request, Wake
 from robofleet.comms.keys import BUSY, ENABLE, REQUEST, STATE
-from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, Enable, RobotState, RunState
-from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
+from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, RobotState, RunState, UnitEnable
 from robofleet.comms.statuses import HURRY_NS
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
@@ -84,7 +83,10 @@ class Supervisor:
         self._lines: list[str] = []  # of this step
         self._replies: list[tuple[Request, str]] = []
         self._listener = FleetListener(config, bus, free_bytes, machine)
-        self._enables = [bus.publisher(ENABLE, robot.id) for robot in robots]
+        units = self._listener.statuses.units
+        self._enables = [bus.publisher(ENABLE, unit.name) for unit in units]
+        self._items = [np.zeros(unit.size, UNIT_ENABLE.item_dtype) for unit in units]
+        self._driven = [unit.rows < driven for unit in units]
         self._publish_state = bus.publisher(STATE)
         self._request = bus.serve(REQUEST, "supervisor", wake)
         self._status = RunStatus()
@@ -101,10 +103,10 @@ class Supervisor:
         self._checks: ArmingState | None = None  # while ARMED
         self._start = False  # is asked for, while ARMED
         self._robots = tuple(RobotState(0, 0, Event.NOTHING) for _ in robots)  # as published last
-        self._permitted = [0.0] * len(robots)  # fastest wheel [rad/s]
+        self._permitted = np.zeros(len(robots))  # fastest wheel [rad/s]
         self._operator_ns = NEVER
         self._naming_ns: int | None = None  # when who has not answered the emergency stop will be named
-        self._clear = [0] * len(robots)  # latches that a reset clears, by their ids; 0: none
+        self._clear = np.zeros(len(robots), np.uint64)  # latches that a reset clears, by their ids; 0: none
         self._resets: list[Request] = []  # that wait for the gates to be clear
         self._resets_end_ns = 0  # when they have waited long enough
         self._next_ns = clock.now_ns()
@@ -118,10 +120,10 @@ class Supervisor:
         request, hurried = self._request(), self._listener.statuses.hurried()
         if hurried and request is None and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
             self._listener.hear_robots(now_ns)
-            for row in hurried:
-                self._enable(row)
+            for unit in hurried:
+                self._enable(unit)
             return self._wakes_ns(now_ns)
-        before = (self._status, self._checks, self._robots, self._clear)
+        before = (self._status, self._checks, self._robots, self._clear.tobytes())
         self._view = self._listener.look(now_ns, self._operator_ns)
         self._memory, self._standing = monitor.watch(
             self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved
@@ -138,7 +140,7 @@ class Supervisor:
         self._go_on()
         self._finish_resets()
         self._judge_robots()
-        if now_ns >= self._next_ns or (self._status, self._checks, self._robots, self._clear) != before:
+        if now_ns >= self._next_ns or (self._status, self._checks, self._robots, self._clear.tobytes()) != before:
             self._tell_busy()
             self._publish()
         self._speak()
@@ -238,7 +240,7 @@ class Supervisor:
 
     def _reset(self, request: Request) -> None:
         """Clear every latch that is there now; the answer waits until the gates say so."""
-        self._clear = [seen.latch_id if seen.latch else 0 for seen in self._view.robots]
+        self._clear = np.array([seen.latch_id if seen.latch else 0 for seen in self._view.robots], np.uint64)
         if not self._resets:
             self._resets_end_ns = self._view.now_ns + _CLEARED_WITHIN_NS
         self._resets.append(request)
@@ -253,7 +255,7 @@ class Supervisor:
         answer = f"refused: {', '.join(held)}: the gate stays latched: look at the robot, then reset" if held else "ok"
         for request in self._resets:
             self._replies.append((request, answer if phase is Phase.IDLE else f"refused: {WAY_OUT[phase]}"))
-        self._resets, self._clear = [], [0] * len(self._ids)
+        self._resets, self._clear = [], np.zeros(len(self._ids), np.uint64)
 
     def _describe(self) -> str:
         """Return where the run is, what led there, and what holds whom, in a line."""
@@ -276,7 +278,7 @@ class Supervisor:
         for happening in self._standing:
             causes.setdefault(happening.robot, happening)
         emergency = self._status.phase is Phase.ESTOP
-        self._permitted = [0.0 if row in causes else self._limit(row) for row in range(len(self._ids))]
+        self._permitted = np.array([0.0 if row in causes else self._limit(row) for row in range(len(self._ids))])
         before = self._robots
         self._robots = tuple(
             RobotState(
@@ -319,24 +321,25 @@ class Supervisor:
             self._robots,
         )
         self._publish_state(RUN_STATE.encode(state))
-        for row in range(len(self._ids)):
-            self._enable(row)
+        for unit in range(len(self._enables)):
+            self._enable(unit)
 
-    def _enable(self, row: int) -> None:
-        status, phase = self._listener.statuses.newest[row], self._status.phase
-        if status is not None:
-            self._enable_seq += 1
-            drill = self._checks.latch if self._checks is not None and self._limits[row] else Latch.NONE
-            latch = Latch.EMERGENCY_STOP if phase is Phase.ESTOP else drill
-            enable = Enable(
-                status.epoch, self._enable_seq, status.boot_id, status.nonce, phase, latch, self._cleared(row),
-                self._permitted[row],
-            )  # fmt: skip
-            self._enables[row](ENABLE_LAYOUT.encode(enable))
-
-    def _cleared(self, row: int) -> int:
-        """Return the id of the latch that a robot's gate may clear; a drill's needs no reset, it was no incident."""
-        seen = self._view.robots[row]
-        if seen.latch == Latch.DRILL and (self._checks is None or self._checks.clear):
-            return seen.latch_id
-        return self._clear[row]
+    def _enable(self, unit: int) -> None:
+        """Say to a unit which of its robots may move, and which gates must close or may be cleared."""
+        statuses, phase, checks = self._listener.statuses, self._status.phase, self._checks
+        status, part = statuses.newest[unit], statuses.units[unit]
+        if status is None:
+            return
+        self._enable_seq += 1
+        seen, items = statuses.robots[part.rows], self._items[unit]
+        places = part.places
+        items["epoch"][places] = seen["epoch"]
+        if phase is Phase.ESTOP:
+            items["latch"][places] = Latch.EMERGENCY_STOP
+        else:
+            items["latch"][places] = self._driven[unit] * int(Latch.NONE if checks is None else checks.latch)
+        drill = (seen["latch"] == Latch.DRILL) & (checks is None or checks.clear)  # it was no incident: it needs no reset
+        items["clear"][places] = np.where(drill, seen["latch_id"], self._clear[part.rows])
+        items["limit_rad_s"][places] = self._permitted[part.rows]
+        head = UnitEnable(self._enable_seq, status.boot_id, status.nonce, phase, ())
+        self._enables[unit](UNIT_ENABLE.encode_view(head, items))

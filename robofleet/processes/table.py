@@ -218,9 +218,15 @@ def _controller(edges: Edges) -> Node:
 def _driver(edges: Edges) -> Node:
     """DriverError where a robot does not answer."""
     from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
-    from robofleet.processes.drivers import ConfiguredDrivers  # noqa: PLC0415
+    from robofleet.processes.drivers import ConfiguredDrivers, in_arrays  # noqa: PLC0415
 
-    drivers: Drivers = ConfiguredDrivers(edges.config, edges.clock.now_ns)
+    config = edges.config
+    unit = config.unit_of[edges.robots[0]]
+    drivers: Drivers = ConfiguredDrivers(config, edges.clock.now_ns)
+    if in_arrays(config, edges.robots):
+        from robofleet.processes.simulated_robots import compile_kernels  # noqa: PLC0415 - it needs numba
+
+        compile_kernels(edges.progress)
     keeping = edges.keeping
     if edges.faults is not None:
         from robofleet.simulation.faulty_disk import FaultyKeeping  # noqa: PLC0415
@@ -228,7 +234,7 @@ def _driver(edges: Edges) -> Node:
 
         drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyKeeping(keeping, edges.faults)
     return DriverProcess(
-        edges.config, edges.robots, edges.bus, edges.clock, edges.wake, edges.rng, keeping, drivers, edges.witness
+        config, unit, edges.bus, edges.clock, edges.wake, edges.rng, keeping, drivers, edges.witness
     )
 
 

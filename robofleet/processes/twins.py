@@ -5,8 +5,7 @@ import sys
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus
 from robofleet.comms.keys import STATE, TRUTH
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.comms.messages import Truth
+from robofleet.comms.messages import UNIT_TRUTH, Truth, UnitTruth
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import twin_port
 from robofleet.processes.node import LineWaker
@@ -14,7 +13,6 @@ from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 
 _TRUTH_NS = round(TRUTH.period_s * S)
-_NO_LEASE = 0  # a truth's epoch: a twin knows of no lease
 
 
 class Twins:
@@ -32,7 +30,8 @@ class Twins:
         except BaseException:
             self.close()
             raise
-        self._publish = {robot: bus.publisher(TRUTH, robot) for robot in self._twins}
+        self._publish = {unit: bus.publisher(TRUTH, unit) for unit in {config.unit_of[robot] for robot in self._twins}}
+        self._units = config.units
         self._truth_ns, self._seq = now_ns, 0
 
     def step(self, now_ns: int) -> int:
@@ -42,8 +41,10 @@ class Twins:
         if now_ns >= self._truth_ns:
             self._truth_ns += _TRUTH_NS * (1 + (now_ns - self._truth_ns) // _TRUTH_NS)
             self._seq += 1
-            for robot, twin in self._twins.items():
-                self._publish[robot](TRUTH_LAYOUT.encode(Truth(_NO_LEASE, self._seq, now_ns, *twin.truth())))
+            for unit, publish in self._publish.items():
+                places = [(place, robot) for place, robot in enumerate(self._units[unit]) if robot in self._twins]
+                truths = tuple(Truth(place, *self._twins[robot].truth()) for place, robot in places)
+                publish(UNIT_TRUTH.encode(UnitTruth(self._seq, now_ns, truths)))
         self._waker.descriptors = [twin.descriptor for twin in self._twins.values() if twin.descriptor is not None]
         return min(next_ns, self._truth_ns)
 

@@ -14,7 +14,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.behaviours import described
 from robofleet.clock import S
-from robofleet.comms.messages import FLEET_POSES, TICK_RECORD, TRUTH, RobotTick, RunState
+from robofleet.comms.messages import FLEET_POSES, TICK_RECORD, UNIT_TRUTH, RobotTick, RunState
 from robofleet.config.tree import Config
 from robofleet.recording import shapes
 from robofleet.recording.shapes import WORLD, Look
@@ -52,7 +52,7 @@ class FleetScene:
         self.state: RunState | None = None  # as the supervisor said it last
         self.latches = [0] * len(self._robots)  # safety.gate.Latch
         self._ticked: tuple[int, bytes] | None = None  # the newest tick not drawn yet, and its date
-        self._truths: dict[int, tuple[int, bytes]] = {}  # the same of every robot's truth
+        self._truths: dict[str, tuple[int, bytes]] = {}  # the same of every unit's truth
         self._items: tuple[RobotTick, ...] = ()  # of the tick drawn last
         self._seen: set[int] = set()  # rows; the others' estimates mean nothing
         self._looks: dict[int, Look] = {}  # as drawn
@@ -63,9 +63,9 @@ class FleetScene:
         self._ticked = date_ns, payload
         return ()
 
-    def truth(self, row: int, payload: bytes, date_ns: int) -> Said:
-        """Take a simulated robot's true state; it is drawn later."""
-        self._truths[row] = date_ns, payload
+    def truth(self, unit: str, payload: bytes, date_ns: int) -> Said:
+        """Take the true states of a unit's simulated robots; they are drawn later."""
+        self._truths[unit] = date_ns, payload
         return ()
 
     def image(self, payload: bytes, date_ns: int) -> Said:
@@ -128,10 +128,12 @@ class FleetScene:
 
     def _true_frames(self) -> list[FrameTransform]:
         frames = []
-        for row, (date_ns, payload) in self._truths.items():
-            if (truth := TRUTH.decode(payload)) is not None:
-                child = f"{self._robots[row].id}/truth"
-                frames.append(_frame(child, stamp(date_ns), truth.x_m, truth.y_m, truth.psi_rad))
+        for unit, (date_ns, payload) in self._truths.items():
+            said, robots = UNIT_TRUTH.decode(payload), self._config.units[unit]
+            for truth in () if said is None else said.robots:
+                if truth.place < len(robots):
+                    child = f"{robots[truth.place]}/truth"
+                    frames.append(_frame(child, stamp(date_ns), truth.x_m, truth.y_m, truth.psi_rad))
         self._truths.clear()
         return frames
 

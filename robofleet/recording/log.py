@@ -1,7 +1,7 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +13,7 @@ from mcap.records import Attachment, Metadata
 from robofleet.clock import MS
 from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, key
 from robofleet.comms.layouts import VERSION
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
+from robofleet.comms.messages import RUN_STATE, UNIT_STATUS
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
@@ -58,7 +58,7 @@ class RunLog:
         for full in keys(config):
             self._register(full)
         self._news = _news(config)
-        self._newest: dict[str, bytes] = {}  # of what is in self._news
+        self._newest: dict[str, object] = {}  # of what is in self._news
         self._kept: list[Attachment | Metadata] = []  # until they are in the file
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
@@ -155,7 +155,7 @@ class RunLog:
         self._kept.append(Attachment(0, 0, name, media_type, data))
 
     def _is_news(self, full: str, payload: bytes) -> bool:
-        told = payload[self._news[full]]
+        told = self._news[full](payload)
         if told == self._newest.get(full):
             return False
         self._newest[full] = told
@@ -177,12 +177,17 @@ class RunLog:
         self._waiting = 0
 
 
-def _news(config: Config) -> dict[str, slice]:
+def _news(config: Config) -> dict[str, Callable[[bytes], object]]:
     """Return the part of a message that must be in the file at once when it changes, for each key that has one."""
     arena = config.arena.name
-    latch = ROBOT_STATUS.span("latch", "latch_id")
+
+    def latches(payload: bytes) -> object:
+        said = UNIT_STATUS.arrays(payload)
+        return None if said is None else said[1][["latch", "latch_id"]].tobytes()
+
+    phase = RUN_STATE.span("phase", "cause")
     return {
-        key(arena, STATE): RUN_STATE.span("phase", "cause"),
-        key(arena, NEWS, CAMERA): slice(None),
-        **{key(arena, STATUS, robot.id): latch for robot in config.robots},
+        key(arena, STATE): lambda payload: payload[phase],
+        key(arena, NEWS, CAMERA): lambda payload: payload,
+        **{key(arena, STATUS, unit): latches for unit in config.units},
     }

@@ -54,8 +54,8 @@ class RobotTicks:
         arena, robots = config.arena.name, config.members
         self._tick_key = key(arena, TICK)
         self._size = TICK_RECORD.dtype(len(robots), described.size(said)).itemsize
-        self._status_keys = {key(arena, STATUS, robot.id) for robot in robots}
-        self._truth_keys = {key(arena, TRUTH, robot.id) for robot in robots}
+        self._status_keys = {key(arena, STATUS, unit) for unit in config.units}
+        self._truth_keys = {key(arena, TRUTH, unit) for unit in config.units}
         self._statuses: dict[str, bytes] = {}  # the newest ones since the tick before
         self._window = Recording(config, said=said)
         self._came: array[int] = array("Q")  # when each tick of the window did [ns]

@@ -5,7 +5,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import compress
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,10 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Past
-from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.layouts import Layout
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RunState
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, Topic, key
+from robofleet.comms.layouts import VERSION, Layout, ListLayout
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotStatus, RunState
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError
@@ -64,6 +62,7 @@ class Recording:
     foreign: frozenset[str] = frozenset()  # behaviours that only a file names: their modules are not imported
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     count: int = 0  # of all messages
+    _arrays: dict[str, tuple[int, list[tuple[NDArray[np.int64], NDArray[Any]]]]] = field(default_factory=dict)
 
     @cached_property
     def groups(self) -> tuple[described.Group, ...]:
@@ -118,6 +117,55 @@ class Recording:
         """Return the rows of a key whose figures can be true."""
         rows = self.rows(full, layout)
         return rows[_can_be(rows)]
+
+    def of_robot(self, topic: Topic, robot: str) -> NDArray[Any]:
+        """Return a robot's part of its unit's messages: the fields of their heads and of its items, and ``message``.
+
+        ``message`` is the place among the messages of the key; those of another size than the unit's are left out.
+        """
+        unit = self.config.unit_of[robot]
+        place = self.config.units[unit].index(robot)
+        layout = topic.layout
+        assert isinstance(layout, ListLayout)
+        parts = [
+            _joined(messages, rows, rows["items"][:, column])
+            for messages, rows in self._of_unit(topic, unit)
+            for column in _columns_of(rows["items"], place, len(self.config.units[unit]))
+        ]
+        if not parts:
+            return _joined(np.empty(0, np.int64), np.empty(0, layout.dtype(0)), np.empty(0, layout.item_dtype))
+        joined = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        return joined[np.argsort(joined["message"], kind="stable")] if len(parts) > 1 else joined
+
+    def _of_unit(self, topic: Topic, unit: str) -> list[tuple[NDArray[np.int64], NDArray[Any]]]:
+        """Return a unit's messages as arrays, one for each size, with their places among the key's messages."""
+        full, layout = key(self.config.arena.name, topic, unit), topic.layout
+        assert isinstance(layout, ListLayout)
+        payloads = self.messages.get(full, [])
+        count, parts = self._arrays.get(full, (-1, []))
+        if count != self.count:  # every robot of the unit asks for the same
+            sizes = np.array([len(payload) for payload in payloads], np.int64)
+            parts = []
+            for n in range(1, len(self.config.units[unit]) + 1):
+                (of,) = np.nonzero(sizes == layout.dtype(n).itemsize)
+                if len(of):
+                    rows = np.frombuffer(b"".join([payloads[k] for k in of.tolist()]), layout.dtype(n))
+                    whole = (rows["count"] == n) & (rows["version"] == VERSION)
+                    parts.append((of[whole], rows[whole]))
+            self._arrays[full] = self.count, parts
+        return parts
+
+    def newest(self, topic: Topic, name: str = "") -> Any:
+        """Return the newest message of a topic; None where there is none, or where it cannot be read."""
+        messages = self.messages.get(key(self.config.arena.name, topic, name))
+        assert topic.layout is not None
+        return topic.layout.decode(messages[-1]) if messages else None
+
+    def newest_status(self, robot: str) -> RobotStatus | None:
+        """Return what a robot's unit said of it last; None where it has not spoken."""
+        unit = self.config.unit_of[robot]
+        said, robots = self.newest(STATUS, unit), self.config.units[unit]
+        return None if said is None or len(said.robots) != len(robots) else said.robots[robots.index(robot)]
 
     def places(self, full: str) -> Sequence[int]:
         """Return the place of a key's messages in the order of all messages."""
@@ -185,14 +233,14 @@ class Run:
         numbers = self.ticks["figures"]
         numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
         self.told = described.told(self.groups, numbers)  # of each group
-        statuses = [recording.rows(key(arena, STATUS, r.id), ROBOT_STATUS) for r in robots]
+        statuses = [recording.of_robot(STATUS, r.id) for r in robots]
         self.statuses = [status[_can_be(status)] for status in statuses]
-        places = [
-            [place for place, p in recording.placed(key(arena, STATUS, r.id)) if len(p) == ROBOT_STATUS.size]
-            for r in robots
+        places = {unit: np.array(recording.places(key(arena, STATUS, unit)), np.uint64) for unit in config.units}
+        self.status_places = [
+            places[config.unit_of[robot.id]][status["message"]]
+            for robot, status in zip(robots, self.statuses, strict=True)
         ]
-        self.status_places = [list(compress(own, _can_be(told))) for own, told in zip(places, statuses, strict=True)]
-        truths = [recording.measured(key(arena, TRUTH, r.id), TRUTH_LAYOUT) for r in config.bodies]
+        truths = [true[_can_be(true)] for true in (recording.of_robot(TRUTH, r.id) for r in config.bodies)]
         known = np.array([len(truth) > 0 for truth in truths])
         # (K, M, 3) of all bodies, the group's robots first; NaN: not told
         self.bodies = self._at_ticks(truths) if known.any() and len(self.t) else None
@@ -232,7 +280,7 @@ class Run:
             return []
         size, placed = self.all_ticks.dtype.itemsize, self._recording.placed(key(self.config.arena.name, TICK))
         ticks = np.array([place for place, p in placed if len(p) == size], np.uint64)[self._counted]
-        return [np.searchsorted(np.array(places, np.uint64), ticks) - 1 for places in self.status_places]
+        return [np.searchsorted(places, ticks) - 1 for places in self.status_places]
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
         """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
@@ -276,6 +324,26 @@ class Run:
     def after(self, start_s: float) -> NDArray[np.bool_]:
         """Return which ticks count."""
         return np.asarray(self.t >= start_s)
+
+
+def _columns_of(items: NDArray[Any], place: int, size: int) -> list[int]:
+    """Return the column of a robot's items (K, n) in messages of ``size`` robots, or of some that say who they are."""
+    if "place" not in (items.dtype.names or ()):
+        return [place] if items.shape[1] == size else []
+    return np.flatnonzero(items["place"][0] == place).tolist() if len(items) else []
+
+
+def _joined(messages: NDArray[np.int64], rows: NDArray[Any], items: NDArray[Any]) -> NDArray[Any]:
+    """Return heads and items of one robot (K,) side by side."""
+    heads = [(name, rows.dtype[name]) for name in rows.dtype.names or () if name not in ("version", "count", "items")]
+    own = [(name, items.dtype[name]) for name in items.dtype.names or ()]
+    joined = np.empty(len(rows), [("message", np.int64), *heads, *own])
+    joined["message"] = messages
+    for name, _ in heads:
+        joined[name] = rows[name]
+    for name, _ in own:
+        joined[name] = items[name]
+    return joined
 
 
 def _can_be(rows: NDArray[Any]) -> NDArray[np.bool_]:

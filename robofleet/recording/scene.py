@@ -22,7 +22,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from robofleet.behaviours import described
 from robofleet.clock import S
 from robofleet.comms.keys import BUSY, CAMERA, NEWS, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import BUSY_MACHINE, FLEET_POSES, ROBOT_STATUS, RUN_STATE, TRACKER_NEWS, FleetPoses
+from robofleet.comms.messages import BUSY_MACHINE, FLEET_POSES, RUN_STATE, TRACKER_NEWS, UNIT_STATUS, FleetPoses
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
 from robofleet.recording import shapes
@@ -32,7 +32,6 @@ from robofleet.recording.overlay import Overlay
 
 _PERIOD_NS = S // 10
 _IMAGES = 8  # whose poses are kept until their picture comes
-_LATCH = ROBOT_STATUS.span("latch", "latch")
 
 
 class Channel(NamedTuple):
@@ -97,9 +96,10 @@ class Scene:
             takes[key(arena, POSES, CAMERA)] = self._poses
         if self._overlay is not None:
             takes[key(arena, PICTURE, CAMERA)] = partial(self._picture, self._overlay)
-        for row, robot in enumerate(self._ids):
-            takes[key(arena, STATUS, robot)] = partial(self._status, row)
-            takes[key(arena, TRUTH, robot)] = partial(self._fleet.truth, row)
+        rows = {robot: row for row, robot in enumerate(self._ids)}
+        for unit, robots in self._config.units.items():
+            takes[key(arena, STATUS, unit)] = partial(self._status, [rows[robot] for robot in robots])
+            takes[key(arena, TRUTH, unit)] = partial(self._fleet.truth, unit)
         return takes
 
     def _unchanging(self, date_ns: int) -> Said:
@@ -118,14 +118,15 @@ class Scene:
         self._fleet.state = state
         return _log(state_lines(before, state, self._ids), date_ns)
 
-    def _status(self, row: int, payload: bytes, date_ns: int) -> Said:
-        if payload[_LATCH] == bytes((self._fleet.latches[row],)):
-            return ()  # of a thousand statuses hardly one has another latch than the one before
-        status = ROBOT_STATUS.decode(payload)
-        if status is None:
+    def _status(self, rows: list[int], payload: bytes, date_ns: int) -> Said:
+        status = UNIT_STATUS.arrays(payload)
+        if status is None or len(status[1]) != len(rows):
             return ()
-        self._fleet.latches[row] = status.latch
-        return _log([latch_line(self._ids[row], status.latch)], date_ns)
+        before = self._fleet.latches
+        new = [(row, its) for row, its in zip(rows, status[1]["latch"].tolist(), strict=True) if its != before[row]]
+        for row, latch in new:
+            before[row] = latch
+        return _log([latch_line(self._ids[row], latch) for row, latch in new], date_ns)
 
     def _news(self, payload: bytes, date_ns: int) -> Said:
         news = TRACKER_NEWS.decode(payload)

@@ -24,9 +24,9 @@ VALID_NS = 120_000_000
 LAPSE_NS = 1_000_000_000  # a lease whose holder gave no command for so long is free, if the robot is at rest
 RAMP_NS = 5_000_000  # while the output is on its way it is renewed so often
 UNKNOWN = -1  # a stop's figure before the first stop, or when the clock was set back
-_LONGEST_RAMP_NS = 20_000_000  # what a process that was held up may catch up with in one step
-_TOLERANCE = 1.01  # of a limit; more is refused, not clamped
-_NEVER = -VALID_NS  # as a nonce: too old at every instant
+LONGEST_RAMP_NS = 20_000_000  # what a process that was held up may catch up with in one step
+TOLERANCE = 1.01  # of a limit; more is refused, not clamped
+NEVER = -VALID_NS  # as a nonce: too old at every instant
 
 
 class GateStatus(IntEnum):
@@ -103,15 +103,15 @@ class GateState(NamedTuple):
     session: int = 0  # of the controller that holds the lease; 0: nobody
     heard_ns: int = 0  # when the holder was granted the lease, or gave a command
     seq: int = 0  # of the command accepted last, in this epoch
-    command_nonce: int = _NEVER
+    command_nonce: int = NEVER
     wheels: WheelSpeeds = STOP
-    enabled: tuple[int, int] = (_NEVER, 0)  # nonce and sequence number of the permission accepted last
+    enabled: tuple[int, int] = (NEVER, 0)  # nonce and sequence number of the permission accepted last
     limit: float = 0.0
     target: WheelSpeeds = STOP
     output: WheelSpeeds = STOP
     at_ns: int = 0  # of the last step
-    since_ns: int = _NEVER  # what was issued before counts no more: the gate was held up
-    moved_by: int = _NEVER  # older one of the two nonces by which the target was last not zero
+    since_ns: int = NEVER  # what was issued before counts no more: the gate was held up
+    moved_by: int = NEVER  # older one of the two nonces by which the target was last not zero
     target_after_ns: int = UNKNOWN  # last stop: that nonce's issue to zero target
     output_after_ns: int = UNKNOWN  # and to zero output
     refused: int = 0
@@ -153,9 +153,9 @@ def step(state: GateState, drive: DifferentialDrive, inputs: Inputs, now_ns: int
 def _started_anew(state: GateState, now_ns: int) -> GateState:
     """The clock was set back: no nonce that was given out before says anything any more."""
     forgetting = state._replace(
-        boot_id=state.boot_id + 1, heard_ns=now_ns, command_nonce=_NEVER, enabled=(_NEVER, 0), moved_by=_NEVER
+        boot_id=state.boot_id + 1, heard_ns=now_ns, command_nonce=NEVER, enabled=(NEVER, 0), moved_by=NEVER
     )
-    return forgetting._replace(since_ns=_NEVER)
+    return forgetting._replace(since_ns=NEVER)
 
 
 def _held_up(state: GateState, now_ns: int) -> GateState:
@@ -196,7 +196,7 @@ def _take_lease(state: GateState, lease: tuple[int, LeaseAction], at_rest: bool,
     if not (at_rest and (state.session == 0 or lapsed or action is LeaseAction.TAKE_OVER)):
         return state, False
     epoch = state.epoch + 1
-    own = state._replace(epoch=epoch, session=session, heard_ns=now_ns, seq=0, command_nonce=_NEVER, limit=0.0)
+    own = state._replace(epoch=epoch, session=session, heard_ns=now_ns, seq=0, command_nonce=NEVER, limit=0.0)
     return own, True
 
 
@@ -221,8 +221,8 @@ def _fresh(state: GateState, message: Command | Permission, now_ns: int) -> bool
 def _within(drive: DifferentialDrive, wheels: WheelSpeeds) -> bool:
     """Return whether the robot can do that; it cannot do what is not a number."""
     body = drive.wheel_radius * abs(wheels.left + wheels.right) / 2.0
-    fastest = _TOLERANCE * drive.max_wheel_speed
-    return body <= _TOLERANCE * drive.max_speed and abs(wheels.left) <= fastest and abs(wheels.right) <= fastest
+    fastest = TOLERANCE * drive.max_wheel_speed
+    return body <= TOLERANCE * drive.max_speed and abs(wheels.left) <= fastest and abs(wheels.right) <= fastest
 
 
 def _target(state: GateState, now_ns: int) -> tuple[WheelSpeeds, GateStatus, int | None]:
@@ -238,7 +238,7 @@ def _target(state: GateState, now_ns: int) -> tuple[WheelSpeeds, GateStatus, int
     if now_ns >= command_until_ns:
         return STOP, GateStatus.NO_COMMAND, enabled_until_ns
     until_ns = min(enabled_until_ns, command_until_ns)
-    if max(abs(state.wheels.left), abs(state.wheels.right)) > _TOLERANCE * state.limit:
+    if max(abs(state.wheels.left), abs(state.wheels.right)) > TOLERANCE * state.limit:
         return STOP, GateStatus.NO_ENABLE, until_ns
     return state.wheels, GateStatus.OPEN, until_ns
 
@@ -246,7 +246,7 @@ def _target(state: GateState, now_ns: int) -> tuple[WheelSpeeds, GateStatus, int
 def _follow(state: GateState, target: WheelSpeeds, acceleration: float, now_ns: int) -> GateState:
     """Move the output towards the target, and time a stop."""
     # on its way it catches up with time that was lost; at rest on its target it had nothing to catch up with
-    longest_ns = RAMP_NS if state.output == state.target else _LONGEST_RAMP_NS
+    longest_ns = RAMP_NS if state.output == state.target else LONGEST_RAMP_NS
     reach = acceleration * max(0, min(now_ns - state.at_ns, longest_ns)) * 1e-9
     left, right = target.left - state.output.left, target.right - state.output.right
     furthest = max(abs(left), abs(right))
@@ -258,7 +258,7 @@ def _follow(state: GateState, target: WheelSpeeds, acceleration: float, now_ns: 
         moved_by = min(state.command_nonce, state.enabled[0])
         return state._replace(target=target, output=output, at_ns=now_ns, moved_by=moved_by)
     moved = state._replace(target=target, output=output, at_ns=now_ns)
-    after_ns = UNKNOWN if state.moved_by == _NEVER else now_ns - state.moved_by
+    after_ns = UNKNOWN if state.moved_by == NEVER else now_ns - state.moved_by
     if state.target != STOP:
         moved = moved._replace(target_after_ns=after_ns, output_after_ns=UNKNOWN)
     if output == STOP and not state.target == STOP == state.output:

@@ -15,7 +15,7 @@ _MS = 1_000_000
 
 TURNING_RAD_S = 0.5  # 8 mm/s of the smallest wheels; a count that flickers, in means over 0.1 s, is a third of it
 RESTS_WITHIN_NS = 800 * _MS  # a lag from top speed, and a reading as old as one may be
-_HEARD_WITHIN_NS = 100 * _MS  # 10 loops of a driver: who did not look did not see the wheel all the time
+HEARD_WITHIN_NS = 100 * _MS  # 10 loops of a driver: who did not look did not see the wheel all the time
 
 WINDOW_NS = 250 * _MS
 WINDOWS = 4  # in a row: a second
@@ -37,7 +37,7 @@ class Turning(NamedTuple):
 
 def look(before: Turning, told: bool, measured: float, now_ns: int) -> Turning:
     """Return what is known now; ``told`` to turn, and the faster wheel as measured [rad/s]."""
-    continuous = before.at_ns <= now_ns <= before.at_ns + _HEARD_WITHIN_NS
+    continuous = before.at_ns <= now_ns <= before.at_ns + HEARD_WITHIN_NS
     asleep = told or not abs(measured) > TURNING_RAD_S or not continuous
     return Turning(now_ns if asleep else before.since_ns, now_ns)
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from robofleet.clock import Clock, S
 from robofleet.comms.keys import ENABLE, STATE, TICK, Topic
-from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, Truth
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
 from robofleet.safety.supervisor import Phase
-from robofleet.vehicles.interface import BodyTrouble, Driver, SimulatedDriver, TruePose
+from robofleet.simulation.bodies import Bodies
+from robofleet.vehicles.interface import BodyTrouble, Driver, SimulatedDriver
 
 _NEVER = math.inf
 _SLIP = 0.5
@@ -62,11 +62,12 @@ class Schedule:
     def __init__(self, config: Config, clock: Clock) -> None:
         self.now_ns = clock.now_ns  # of the world: it does not jump
         self.injections = tuple(Injection(fault, number) for number, fault in enumerate(config.faults))
-        self.driven = config.driven
-        self.driver_of = config.driver_of
+        self.units = config.units
         self.begun = False
         self._seed = config.run.seed
-        self.bodies: dict[str, Driver] = {}  # robots that outlive lockstep's processes that drove them
+        # Robots that outlive lockstep's processes that drove them: by name, and those of a unit that are in arrays.
+        self.drivers: dict[str, Driver] = {}
+        self.bodies: dict[tuple[str, ...], Bodies] = {}
         for injection in self.injections:
             if injection.fault.at_s is None:
                 injection.start(clock.now_ns())
@@ -92,11 +93,11 @@ class Schedule:
         """Learn from what a process hears that the run has begun."""
         if topic is STATE and (state := RUN_STATE.decode(payload)) is not None:
             running = state.phase == Phase.RUNNING
-        elif topic is ENABLE and (enable := ENABLE_LAYOUT.decode(payload)) is not None:
-            running = enable.phase == Phase.RUNNING
+        elif topic is ENABLE and (enable := UNIT_ENABLE.arrays(payload)) is not None:
+            running = enable[0]["phase"][0] == Phase.RUNNING
         else:
-            head = TICK_RECORD.decode_head(payload) if topic is TICK else None
-            running = head is not None and head[3] >= 0
+            tick = TICK_RECORD.arrays(payload) if topic is TICK else None
+            running = tick is not None and tick[0]["run_tick"][0] >= 0
         if running:
             self.begin(now_ns)
 
@@ -119,11 +120,13 @@ class Schedule:
 
         return trouble if stuck or slip or runs or pushes else None
 
-    def truth(self, robot: str) -> TruePose:
-        """Return where a simulated robot is, whether its driver's process lives or not."""
-        body = self.bodies[robot]
-        assert isinstance(body, SimulatedDriver)
-        return body.truth()
+    def truths(self, unit: str) -> tuple[Truth, ...]:
+        """Return where a unit's simulated robots are, whether their process lives or not."""
+        robots = self.units[unit]
+        if (bodies := self.bodies.get(robots)) is not None:
+            return tuple(Truth(place, *row) for place, row in enumerate(bodies.truths().tolist()))
+        drivers = ((place, self.drivers[robot]) for place, robot in enumerate(robots))
+        return tuple(Truth(place, *one.truth()) for place, one in drivers if isinstance(one, SimulatedDriver))
 
     def disk_is_full(self) -> bool:
         """Return whether the disk takes nothing now."""

@@ -5,35 +5,22 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import count
-from struct import pack, unpack_from
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Bus, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, NEWS, POSES, REQUEST, STATE, STATUS, TICK, TRUTH, Topic, named
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named
+from robofleet.comms.layouts import ListLayout
+from robofleet.comms.messages import TICK_RECORD, UNIT_TRUTH
+from robofleet.patterns import driver_role
 from robofleet.simulation.faults import Injection, Schedule, struck
 
-
-def _offset(layout: np.dtype[Any], field: str) -> int:
-    """Return the bytes before a field."""
-    return int(dict(layout.fields or {})[field][1])
-
-
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
-_OF_ONE_ROBOT = (COMMAND, ENABLE, STATUS)
-_SENDERS = {
-    COMMAND: "controller", LEASE: "controller", TICK: "controller", ENABLE: "supervisor", STATE: "supervisor",
-    POSES: "tracker", NEWS: "tracker", REQUEST: "operator",
-}  # fmt: skip
-_STAMPS = {  # bytes before the stamp by which a simulated world and its camera are timed
-    TRUTH: _offset(TRUTH_LAYOUT.dtype, "stamp_ns"),
-    TICK: _offset(TICK_RECORD.head_dtype, "stamp_ns"),
-}
-_DETAIL = _offset(RUN_STATE.head_dtype, "detail")  # the only double of a run's state stands in its head
+_OF_ONE_UNIT = (COMMAND, ENABLE, STATUS)
+_STAMPED: dict[Topic, ListLayout[Any]] = {TRUTH: UNIT_TRUTH, TICK: TICK_RECORD}  # by these stamps a simulated world and its camera are timed
 _HELD = 1024  # messages of one subscription
 _APART_NS = 30_000  # between messages that were held back: what a router needs for each
 _AGAIN_NS = MS  # after a message its copy comes
@@ -52,13 +39,14 @@ class FaultyBus:
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
         """Return the function that publishes on a topic."""
-        publish, at = self._bus.publisher(topic, name), _STAMPS.get(topic)
-        if at is None or not self._clock_steps:
+        publish, layout = self._bus.publisher(topic, name), _STAMPED.get(topic)
+        if layout is None or not self._clock_steps:
             return publish
 
         def restamped(payload: bytes) -> None:
-            (stamp_ns,) = unpack_from("<q", payload, at)
-            publish(payload[:at] + pack("<q", stamp_ns - self._ahead_ns()) + payload[at + 8 :])
+            changed = bytearray(payload)
+            np.ndarray((1,), layout.head_dtype, changed)["stamp_ns"] -= self._ahead_ns()
+            publish(bytes(changed))
 
         return restamped
 
@@ -121,7 +109,7 @@ class FaultyBus:
 
     def _cuts(self, topic: Topic, name: str) -> tuple[Injection, ...]:
         """Return the cuts that lie between this process and the sender of a topic."""
-        sender = self._schedule.driver_of(name) if topic is STATUS else _SENDERS.get(topic, self._process)
+        sender = driver_role(name) if topic.sender == "unit" else topic.sender
         cuts = tuple(
             cut
             for cut in self._schedule.of("network_cut")
@@ -202,15 +190,15 @@ class _Fate:
 
     def __init__(self, schedule: Schedule, process: str, topic: Topic, name: str, cuts: tuple[Injection, ...]) -> None:
         self._rng = schedule.rng(process, topic.key, name)
-        self._at_nan = _DETAIL if topic is STATE else -8
+        self._layout = topic.layout
         self._cuts = cuts
         self._behind: bytes | None = None
         self._held_until_ns = 0
-        robot = name if topic in _OF_ONE_ROBOT else None
+        unit = name if topic in _OF_ONE_UNIT else None
         mine = [i for i in schedule.of(*_ACTS) if topic in map(_TOPICS.__getitem__, i.fault.topics)]
-        self._faults = [i for i in mine if i.fault.robot in (None, robot)]
+        self._faults = [i for i in mine if i.fault.robot in (None, *schedule.units.get(unit or "", ()))]
         self._bursts = {
-            i.number: _Bursts(schedule.rng("bursts", str(i.number), robot or ""), i.fault.share, i.fault.burst_s)
+            i.number: _Bursts(schedule.rng("bursts", str(i.number), unit or ""), i.fault.share, i.fault.burst_s)
             for i in self._faults
             if i.fault.kind == "lost" and i.fault.burst_s
         }
@@ -270,8 +258,7 @@ class _Fate:
 
     def _not_a_number(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
         if self._rng.random() < injection.fault.share:
-            at = self._at_nan % len(payload)
-            payload = payload[:at] + pack("<d", math.nan) + payload[at + 8 :]
+            payload = _with_nan(self._layout, payload)
         return [(arrival_ns, payload)]
 
     def _malformed(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
@@ -279,6 +266,24 @@ class _Fate:
             cut_short, too_long, other_version = payload[: len(payload) // 2], payload + b"\0", b"\xff" + payload[1:]
             payload = (cut_short, too_long, other_version)[self._rng.integers(3)]
         return [(arrival_ns, payload)]
+
+
+def _with_nan(layout: AnyLayout | None, payload: bytes) -> bytes:
+    """Return a message with NaN in place of a float: the first one of its head, else the last one of its last item."""
+    changed = bytearray(payload)
+    if isinstance(layout, ListLayout) and (said := layout.arrays(payload)) is not None:
+        head, items = (np.ndarray(part.shape, part.dtype, changed, at) for part, at in _placed(said))
+        if floats := [name for name in layout.head_dtype.names or () if layout.head_dtype[name].kind == "f"]:
+            head[floats[0]] = math.nan
+        elif len(items) and layout.item_floats:
+            layout.floats(items)[-1, -1] = math.nan
+    return bytes(changed)
+
+
+def _placed(said: tuple[NDArray[Any], NDArray[Any]]) -> list[tuple[NDArray[Any], int]]:
+    """Return head and items, each with the byte at which it begins."""
+    head, items = said
+    return [(head, 0), (items, head.dtype.itemsize)]
 
 
 _ACTS = {

@@ -1,8 +1,11 @@
 """Drivers whose robots have faults: of their bodies, if they are simulated, and of what they report."""
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from robofleet.simulation.bodies import Bodies, Sensors
 from robofleet.simulation.faults import Schedule, struck
 from robofleet.vehicles.interface import (
     WIRED_STOP,
@@ -19,7 +22,9 @@ _LOW_CHARGE = 0.05
 class _Drivers(Protocol):
     def context(self, robot: str) -> DriverContext: ...
 
-    def open(self, context: DriverContext) -> Driver: ...
+    def driver(self, context: DriverContext) -> Driver: ...
+
+    def bodies(self, contexts: Sequence[DriverContext]) -> Bodies | None: ...
 
 
 class FaultyDrivers:
@@ -36,13 +41,36 @@ class FaultyDrivers:
             simulation = replace(simulation, trouble=self._schedule.body_trouble(robot))
         return replace(context, simulation=simulation, now_ns=self._schedule.now_ns)
 
-    def open(self, context: DriverContext) -> Driver:
+    def driver(self, context: DriverContext) -> Driver:
         """Return the driver; raises what making it raises."""
-        bodies, robot = self._schedule.bodies, context.robot
-        if robot not in bodies:
-            bodies[robot] = self._drivers.open(context)
-        faulty = FaultySimulatedDriver if isinstance(bodies[robot], SimulatedDriver) else FaultyDriver
-        return faulty(bodies[robot], self._schedule, robot)
+        drivers, robot = self._schedule.drivers, context.robot
+        if robot not in drivers:
+            drivers[robot] = self._drivers.driver(context)
+        faulty = FaultySimulatedDriver if isinstance(drivers[robot], SimulatedDriver) else FaultyDriver
+        return faulty(drivers[robot], self._schedule, robot)
+
+    def bodies(self, contexts: Sequence[DriverContext]) -> Bodies | None:
+        """Return the bodies of a unit; those that were made before, if there are some."""
+        bodies, robots = self._schedule.bodies, tuple(context.robot for context in contexts)
+        if robots not in bodies:
+            made = self._drivers.bodies(contexts)
+            if made is None:
+                return None
+            made.sensors = [(row, told) for row, robot in enumerate(robots) if (told := self._sensors(robot))]
+            bodies[robots] = made
+        return bodies[robots]
+
+    def _sensors(self, robot: str) -> Callable[[], Sensors] | None:
+        """Return what tells what a robot's sensors say wrongly; None if they never do."""
+        schedule = self._schedule
+        low, pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
+
+        def sensors() -> Sensors:
+            now_ns = schedule.now_ns()
+            charge = _LOW_CHARGE if struck(low, now_ns) else math.nan
+            return Sensors(int(WIRED_STOP) if struck(pressed, now_ns) else 0, charge)
+
+        return sensors if low or pressed else None
 
 
 class FaultyDriver:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Stream
 from robofleet.comms.keys import TRUTH, key
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.comms.messages import TagPose
+from robofleet.comms.messages import UNIT_TRUTH, TagPose
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.simulation.arena import TruthHistory
@@ -30,21 +29,25 @@ _BEYOND = 1e9  # any arena [m], any heading [rad]: a pose that is not a number i
 class World:
     """The true poses that the simulated drivers publish: all that a simulated source knows."""
 
-    def __init__(self, arena: str, robots: Sequence[Robot], bus: Bus) -> None:
+    def __init__(self, config: Config, robots: Sequence[Robot], bus: Bus) -> None:
         self.tags = [robot.tag for robot in robots]
-        self._streams: list[Stream] = [bus.stream(key(arena, TRUTH, robot.id), capacity=_HISTORY) for robot in robots]
-        self._histories = [TruthHistory(_HISTORY) for _ in self._streams]
+        rows = {robot.id: row for row, robot in enumerate(robots)}
+        self._streams: list[tuple[Stream, list[int | None]]] = [
+            (bus.stream(key(config.arena.name, TRUTH, unit), capacity=_HISTORY), [rows.get(robot) for robot in members])
+            for unit, members in config.units.items()
+            if not rows.keys().isdisjoint(members)
+        ]
+        self._histories = [TruthHistory(_HISTORY) for _ in robots]
 
     def update(self) -> None:
         """Take what the drivers said since the last call."""
-        for stream, history in zip(self._streams, self._histories, strict=True):
+        for stream, rows in self._streams:
             for _, _, payload in stream.drain():
-                truth = TRUTH_LAYOUT.decode(payload)
-                if truth is None:
-                    continue
-                _, _, stamp_ns, x, y, psi, v, omega = truth
-                if abs(x) < _BEYOND and abs(y) < _BEYOND and abs(psi) < _BEYOND:
-                    history.add(stamp_ns, x, y, psi, v, omega)
+                said = UNIT_TRUTH.decode(payload)
+                for place, x, y, psi, v, omega in () if said is None else said.robots:
+                    row = rows[place] if place < len(rows) else None
+                    if said and row is not None and abs(x) < _BEYOND and abs(y) < _BEYOND and abs(psi) < _BEYOND:
+                        self._histories[row].add(said.stamp_ns, x, y, psi, v, omega)
 
     def poses_at(self, instants_ns: Sequence[int]) -> list[tuple[float, float, float] | None]:
         """Return x, y [m], psi [rad] of each robot at its own instant; None for one that has not spoken yet."""
@@ -65,7 +68,7 @@ class SimulatedCamera:
         config, camera = context.config, context.config.camera
         self.identity = camera.model.camera or "simulated"  # it is the camera that is configured
         self._clock, self._ticks = context.clock, context.ticks
-        self._world = World(config.arena.name, config.seen, context.bus)
+        self._world = World(config, config.seen, context.bus)
         self._trigger = Trigger(config, context.ticks, context.clock)
         self._line_ns, self._middle = camera.model.line_time_s * S, (camera.height - 1) / 2
         half_ns = self._line_ns * self._middle  # from the first row to the middle one, and on to the last
@@ -144,7 +147,7 @@ class VirtualPoses:
     """Poses of robots that no image shows: the truth with noise and dropout, as ``tracker.truth`` has them."""
 
     def __init__(self, config: Config, robots: Sequence[Robot], bus: Bus, rng: np.random.Generator) -> None:
-        self._world, self._rng = World(config.arena.name, robots, bus), rng
+        self._world, self._rng = World(config, robots, bus), rng
         p = config.tracker.truth
         self._sigma, self._dropout = np.array([p.position_noise_m, p.position_noise_m, p.heading_noise_rad]), p.dropout
 

@@ -13,7 +13,6 @@ import numpy as np
 from robofleet.clock import S
 from robofleet.comms.bus import Answer
 from robofleet.comms.keys import REQUEST, STATE, TRUTH, key
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
@@ -81,7 +80,7 @@ class _Player:
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
         tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.members}
-        self._forger = Forger(config.arena.name, self._lockstep.bus, self._lockstep.recording, tops)
+        self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
         self._stops_ns: list[int] = []
@@ -156,9 +155,15 @@ class _Player:
     def _no_room(self) -> bool:
         """Whether robots stand where none may start: their bodies nearly touch, or they are nearly in the wall."""
         robots, arena = self._config.bodies, self._config.arena
-        keys = [key(arena.name, TRUTH, robot.id) for robot in robots]
-        poses = [TRUTH_LAYOUT.decode(self._lockstep.recording.messages[full][-1]) for full in keys]
-        bodies = [(p.x_m, p.y_m, r.vehicle.body_radius_m) for p, r in zip(poses, robots, strict=True) if p is not None]
+        recording = self._lockstep.recording
+        said = {
+            name: truth
+            for unit, names in self._config.units.items()
+            if (truths := recording.newest(TRUTH, unit)) is not None
+            for name, truth in zip(names, truths.robots, strict=True)
+        }
+        known = ((said[robot.id], robot.vehicle.body_radius_m) for robot in robots if robot.id in said)
+        bodies = [(truth.x_m, truth.y_m, radius) for truth, radius in known]
         half_x, half_y = (side / 2 - _ROOM_M for side in arena.size_m)
         return any(abs(x) + r > half_x or abs(y) + r > half_y for x, y, r in bodies) or any(
             math.hypot(x - x2, y - y2) < r + r2 + _ROOM_M for (x, y, r), (x2, y2, r2) in combinations(bodies, 2)
@@ -181,7 +186,7 @@ class _Player:
         """Stop them all, as whoever stops a run does."""
         clock = self._lockstep.clock
         self._stops_ns.append(clock.now_ns())
-        stop = EmergencyStop(self._lockstep.bus, self._config.ids, clock.now_ns())
+        stop = EmergencyStop(self._lockstep.bus, self._config.units, clock.now_ns())
         while stop.step(clock.now_ns()) is None:
             self._lockstep.advance(_POLL_S)
 
@@ -203,9 +208,9 @@ class _Player:
         asked = stops(self._stops_ns, resets)
         unheard: list[Outage] = []
         for row, robot in enumerate(config.bodies):
-            full = key(arena, TRUTH, robot.id)
-            truths.append(recording.rows(full, TRUTH_LAYOUT))
-            said_ns.append(np.array(ledger.said_ns[full], dtype=np.float64))
+            truths.append(recording.of_robot(TRUTH, robot.id))
+            unit_said_ns = np.array(ledger.said_ns[key(arena, TRUTH, config.unit_of[robot.id])], dtype=np.float64)
+            said_ns.append(unit_said_ns[truths[-1]["message"]])
             outages = self._outages(config.driver_of(robot.id))
             audit = GateAudit(robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), outages)
             self._found += audit.violations(ledger.decisions[robot.id])

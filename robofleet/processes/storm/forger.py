@@ -1,14 +1,14 @@
 """Messages that nobody may obey, made from those that are on the bus: the newest nonce, and one thing wrong."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from robofleet.clock import MS
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import COMMAND, ENABLE, key
-from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import WHEEL_COMMAND, Enable, WheelCommand
+from robofleet.comms.keys import COMMAND, ENABLE
+from robofleet.comms.messages import UNIT_COMMAND, UNIT_ENABLE, UnitCommand, UnitEnable
 from robofleet.recording.run import Recording
 
 _OLD_NS = 130 * MS
@@ -20,37 +20,45 @@ def _after(seq: int) -> int:
     return (seq + 1) % (1 << 64)
 
 
-_COMMANDS: tuple[Callable[[WheelCommand, float], WheelCommand], ...] = (
-    lambda c, _: c._replace(seq=c.seq + 1, epoch=max(0, c.epoch - 1)),
+def _all(said: Any, **changes: Any) -> Any:
+    """Return a message in which something is changed for every robot."""
+    return said._replace(robots=tuple(robot._replace(**changes) for robot in said.robots))
+
+
+_COMMANDS: tuple[Callable[[UnitCommand, float], UnitCommand], ...] = (
+    lambda c, _: c._replace(seq=c.seq + 1, robots=tuple(r._replace(epoch=max(0, r.epoch - 1)) for r in c.robots)),
     lambda c, _: c._replace(seq=c.seq + 1, session=c.session + 1),
     lambda c, _: c._replace(seq=c.seq + 1, boot_id=c.boot_id ^ 1),
     lambda c, _: c._replace(seq=c.seq + 1, nonce=c.nonce - _OLD_NS),
-    lambda c, top: c._replace(seq=c.seq + 1, left_rad_s=_FAST * top, right_rad_s=-_FAST * top),
-    lambda c, _: c._replace(left_rad_s=1.0, right_rad_s=1.0),  # a sequence number once more
+    lambda c, top: _all(c._replace(seq=c.seq + 1), left_rad_s=_FAST * top, right_rad_s=-_FAST * top),
+    lambda c, _: _all(c, left_rad_s=1.0, right_rad_s=1.0),  # a sequence number once more
+    lambda c, _: c._replace(seq=c.seq + 1, robots=(*c.robots, *c.robots[:1])),  # of another unit
 )
-_ENABLES: tuple[Callable[[Enable], Enable], ...] = (
-    lambda e: e._replace(seq=_after(e.seq), epoch=e.epoch + 1, limit_rad_s=5.0),
-    lambda e: e._replace(seq=_after(e.seq), boot_id=e.boot_id ^ 1, limit_rad_s=5.0),
-    lambda e: e._replace(seq=_after(e.seq), nonce=e.nonce - _OLD_NS, limit_rad_s=5.0),
-    lambda e: e._replace(limit_rad_s=5.0),
+_ENABLES: tuple[Callable[[UnitEnable], UnitEnable], ...] = (
+    lambda e: e._replace(
+        seq=_after(e.seq), robots=tuple(r._replace(epoch=r.epoch + 1, limit_rad_s=5.0) for r in e.robots)
+    ),
+    lambda e: _all(e._replace(seq=_after(e.seq), boot_id=e.boot_id ^ 1), limit_rad_s=5.0),
+    lambda e: _all(e._replace(seq=_after(e.seq), nonce=e.nonce - _OLD_NS), limit_rad_s=5.0),
+    lambda e: _all(e, limit_rad_s=5.0),
 )
 
 
 class Forger:
     """Somebody on the network who means no good, or a program that is broken."""
 
-    def __init__(self, arena: str, bus: MemoryBus, recording: Recording, tops: dict[str, float]) -> None:
-        self._arena, self._bus, self._recording, self._tops = arena, bus, recording, tops
-        self._robots = tuple(tops)
+    def __init__(self, bus: MemoryBus, recording: Recording, tops: dict[str, float]) -> None:
+        self._bus, self._recording, self._tops = bus, recording, tops
 
     def forge(self, rng: np.random.Generator) -> None:
         """Say one wrong command and one wrong enable."""
-        robot = self._robots[int(rng.integers(len(self._robots)))]
-        said = self._recording.messages
-        commands, enables = (said.get(key(self._arena, topic, robot), ()) for topic in (COMMAND, ENABLE))
-        if commands and (command := WHEEL_COMMAND.decode(commands[-1])) is not None:
-            wrong = _COMMANDS[int(rng.integers(len(_COMMANDS)))](command, self._tops[robot])
-            self._bus.publisher(COMMAND, robot)(WHEEL_COMMAND.encode(wrong))
-        if enables and (enable := ENABLE_LAYOUT.decode(enables[-1])) is not None:
+        units = self._recording.config.units
+        unit = tuple(units)[int(rng.integers(len(units)))]
+        command, enable = (self._recording.newest(topic, unit) for topic in (COMMAND, ENABLE))
+        if command is not None:
+            top = max(self._tops[robot] for robot in units[unit])
+            wrong = _COMMANDS[int(rng.integers(len(_COMMANDS)))](command, top)
+            self._bus.publisher(COMMAND, unit)(UNIT_COMMAND.encode(wrong))
+        if enable is not None:
             broken = _ENABLES[int(rng.integers(len(_ENABLES)))](enable)
-            self._bus.publisher(ENABLE, robot)(ENABLE_LAYOUT.encode(broken))
+            self._bus.publisher(ENABLE, unit)(UNIT_ENABLE.encode(broken))

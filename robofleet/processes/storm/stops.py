@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robofleet.clock import MS, S
+from robofleet.patterns import driver_role
 from robofleet.processes.storm.fleet import States
 from robofleet.processes.storm.ledger import GateDecision, Outage
 from robofleet.processes.storm.verdict import Violation
@@ -39,7 +40,8 @@ def stops(asked_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Stop]:
 
 def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
     """Return when a robot's gate may not hear, or not be heard of."""
-    driver = faults.driver_of(robot)
+    unit = next(unit for unit, robots in faults.units.items() if robot in robots)
+    driver = driver_role(unit)
     found = []
     for injection in faults.injections:
         fault = injection.fault

@@ -1,7 +1,7 @@
 """What the page asks of the run. The emergency stop waits for nobody else's request: it has threads of its own."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from robofleet.clock import Clock
@@ -18,8 +18,8 @@ _MOST_ASKED = 8  # requests under way: more are refused
 class Controls:
     """Asks the supervisor, and says what it answered."""
 
-    def __init__(self, bus: Bus, clock: Clock, robots: tuple[str, ...]) -> None:
-        self._bus, self._clock, self._robots = bus, clock, robots
+    def __init__(self, bus: Bus, clock: Clock, units: Mapping[str, Sequence[str]]) -> None:
+        self._bus, self._clock, self._units = bus, clock, units
         self._stopping = ThreadPoolExecutor(4, "estop")
         self._asking = ThreadPoolExecutor(2, "ask")
         self._under_way = 0
@@ -49,7 +49,7 @@ class Controls:
             self._under_way -= 1
 
     def _stop(self) -> Frame:
-        stopped = emergency_stop(self._bus, self._clock, self._robots)
+        stopped = emergency_stop(self._bus, self._clock, self._units)
         return answer(ESTOP, not stopped.silent, stopped.describe())
 
     def _ask(self, what: str) -> Frame:

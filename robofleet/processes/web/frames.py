@@ -106,7 +106,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "phase": phase_name(state),
         "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
         "stage": stage(state, robots) if state is not None else launcher or None,
-        "what_next": what_next(state, hearing.busy, hearing.statuses.newest, config, way.phase, way.words(to_go_m)),
+        "what_next": what_next(state, hearing.busy, hearing.statuses, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else phase_word(way.phase),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),
@@ -184,7 +184,7 @@ def _latency_ms(hearing: Hearing) -> float | None:
     """Return the longest time from an image to the wheels that it moves, of the robots' newest commands."""
     applied = [
         (status.applied_ns - status.applied_exposure_ns) / MS
-        for status in hearing.statuses.newest
+        for status in hearing.statuses
         if status is not None and status.applied_exposure_ns and status.gate == GateStatus.OPEN
     ]
     return _rounded(max(applied), 1) if applied and 0.0 <= max(applied) <= _LONGEST_MS else None
@@ -207,7 +207,7 @@ def _rows(
     told = live_figures.told(groups, ticks)
     unknown = [None] * told.figures.shape[1]
     rows: list[list[Any]] = []
-    for row, status in enumerate(hearing.statuses.newest):
+    for row, status in enumerate(hearing.statuses):
         its = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
         driven, placed = row < len(told.references), its is not None and hearing.placed[row]
         rows.append([

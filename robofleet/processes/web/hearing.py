@@ -15,6 +15,7 @@ from robofleet.comms.messages import (
     BusyMachine,
     FleetPoses,
     Picture,
+    RobotStatus,
     RunState,
     TagPose,
     TickRecord,
@@ -47,11 +48,12 @@ class Hearing:
         self._clock, self._tick_s = clock, config.controller.tick_s
         self.tags = {robot.tag: robot.id for robot in robots}
         self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
-        self.statuses = Statuses(bus, [robot.id for robot in robots])
+        self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
+        self.statuses: list[RobotStatus | None] = [None] * len(robots)  # the newest ones
         self._frames = bus.stream(key(arena, POSES, CAMERA), capacity=_IMAGES)
         self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_NEWS)
         self._pictures = bus.newest(PICTURE, CAMERA)
-        self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE)
+        self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE.decode)
         self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
         self._pending: tuple[int, Picture] | None = None  # and when it came
         self.record: TickRecord | None = None
@@ -88,8 +90,10 @@ class Hearing:
     def hear_the_rest(self) -> list[TrackerNews]:
         """Take what else came: the robots' words, the images', a picture; returns the tracker's news."""
         now_ns = self._clock.now_ns()
-        for row, _ in self.statuses.take():
-            self.heard_ns[row] = now_ns
+        for unit in self._statuses.take():
+            for row in self._statuses.units[unit].rows.tolist():
+                self.heard_ns[row] = now_ns
+                self.statuses[row] = RobotStatus._make(self._statuses.robots[row].item())
         for *_, payload in self._frames.drain():
             if (image := FLEET_POSES.decode(payload)) is not None:
                 self.images.append(image)

@@ -75,7 +75,7 @@ async def serve(
     names = {served.name, address} | ({"localhost"} if address == LOOPBACK else set())
     token, ticket = new_token(), Ticket()
     feed = Feed(config, folder, bus, clock, served.said)
-    controls = Controls(bus, clock, config.ids)
+    controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls), authorities(names, port), port, token, ticket, complaints)
     server = uvicorn.Server(_settings(guard, Places(complaints)))
