@@ -183,7 +183,7 @@ def _news(config: Config) -> dict[str, Callable[[bytes], object]]:
 
     def latches(payload: bytes) -> object:
         said = UNIT_STATUS.arrays(payload)
-        return None if said is None else said[1][["latch", "latch_id"]].tobytes()
+        return None if said is None else said[1]["latch"].tobytes() + said[1]["latch_id"].tobytes()
 
     phase = RUN_STATE.span("phase", "cause")
     return {
