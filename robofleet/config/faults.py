@@ -282,7 +282,10 @@ def _units(config: Config) -> Iterator[Complaint]:
     taken = {robots[0]: unit for unit, robots in config.units.items() if unit == robots[0]}
     for i, robot in enumerate(config.robots):
         if robot.unit in taken and config.robot(robot.unit).unit is None:
-            yield f"robots.{i}.unit", f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name"
+            yield (
+                f"robots.{i}.unit",
+                f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name",
+            )
         if robot.tag > LAST_TAG and config.tracker.source == "camera" and robot.reality == "real":
             yield f"robots.{i}.tag", f"{robot.tag}: the family 36h11 has the ids 0 to {LAST_TAG}: give it one of these"
 

@@ -234,9 +234,7 @@ class Controller:
         items["epoch"][part.places] = np.where(mine, self._statuses.robots["epoch"][part.rows], 0)
         items["left_rad_s"][part.places] = self._wheels[part.rows, 0]
         items["right_rad_s"][part.places] = self._wheels[part.rows, 1]
-        head = UnitCommand(
-            self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ()
-        )
+        head = UnitCommand(self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ())
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
     def _publish_record(self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, seq: int) -> None:

@@ -24,4 +24,3 @@ def missing(recording: Recording) -> str:
         return f"no status of {', '.join(silent)}"
     lost = [f"{robot.id} (tag {robot.tag})" for robot, item in zip(robots, tick.robots, strict=True) if item.lost]
     return f"the tracker does not see {', '.join(lost)}" if lost else "the supervisor did not start the run"
-

@@ -66,7 +66,9 @@ class SimulatedRobots:
     ) -> None:  # fmt: skip
         n = len(contexts)
         self._robots, self._bodies, self._witness = [context.robot for context in contexts], bodies, witness
-        self._memories = [Memory(context.robot, keeping, partial(self._complain, context.robot)) for context in contexts]
+        self._memories = [
+            Memory(context.robot, keeping, partial(self._complain, context.robot)) for context in contexts
+        ]
         self._gates, self._inputs, self._links = np.zeros(n, GATE), np.zeros(n, INPUT), np.zeros(n, LINK)
         self._limits = gates.limits([context.drive for context in contexts])
         self._statuses, self._truths = np.zeros(n, UNIT_STATUS.item_dtype), np.zeros(n, UNIT_TRUTH.item_dtype)
@@ -141,9 +143,7 @@ class SimulatedRobots:
         if gate["epoch"] != before["epoch"] and not self._save(row):
             self._gates[row], granted = before, 0
         else:
-            _adopt_row(
-                self._gates, self._links, b.bodies, b.plants, b.coming, b.noise, row, now_ns, b.prepare()
-            )
+            _adopt_row(self._gates, self._links, b.bodies, b.plants, b.coming, b.noise, row, now_ns, b.prepare())
             if self._witness is not None:
                 self._tell_witness(row, now_ns, granted)
         self.deadline_ns = min(self.deadline_ns, int(gate["deadline_ns"]))
@@ -220,7 +220,21 @@ class SimulatedRobots:
 
 @kernel
 def _pass_on(  # type: ignore[no-untyped-def]
-    gate, inputs, links, limits, bodies, plants, coming, noise, command, commands, enable, enables, now_ns, world_ns, due
+    gate,
+    inputs,
+    links,
+    limits,
+    bodies,
+    plants,
+    coming,
+    noise,
+    command,
+    commands,
+    enable,
+    enables,
+    now_ns,
+    world_ns,
+    due,
 ):
     found, deadline_ns, c, e = 0, NEVER_NS, command[0], enable[0]
     for k in range(len(gate)):
@@ -387,7 +401,12 @@ def compile_kernels(say: Say) -> None:
     arena = (*bodies, np.zeros((0, 1), simulated.COMING), np.zeros((0, 1)))
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
     one = tuple(np.zeros(1, kind) for kind in (GATE, INPUT, LINK, gates.LIMITS))
-    place = np.zeros(1, simulated.BODY), np.ones(1, simulated.PLANT), np.zeros((1, 1), simulated.COMING), np.zeros((1, 1))
+    place = (
+        np.zeros(1, simulated.BODY),
+        np.ones(1, simulated.PLANT),
+        np.zeros((1, 1), simulated.COMING),
+        np.zeros((1, 1)),
+    )
     with told("robots", KERNELS, say):
         _pass_on(gate, inputs, links, limits, *arena, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
         _look_all(gate, links, *arena, 0, 0)

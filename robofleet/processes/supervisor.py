@@ -338,7 +338,9 @@ class Supervisor:
             items["latch"][places] = Latch.EMERGENCY_STOP
         else:
             items["latch"][places] = self._driven[unit] * int(Latch.NONE if checks is None else checks.latch)
-        drill = (seen["latch"] == Latch.DRILL) & (checks is None or checks.clear)  # it was no incident: it needs no reset
+        drill = (seen["latch"] == Latch.DRILL) & (
+            checks is None or checks.clear
+        )  # it was no incident: it needs no reset
         items["clear"][places] = np.where(drill, seen["latch_id"], self._clear[part.rows])
         items["limit_rad_s"][places] = self._permitted[part.rows]
         head = UnitEnable(self._enable_seq, status.boot_id, status.nonce, phase, ())

@@ -233,9 +233,7 @@ def _driver(edges: Edges) -> Node:
         from robofleet.simulation.faulty_driver import FaultyDrivers  # noqa: PLC0415
 
         drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyKeeping(keeping, edges.faults)
-    return DriverProcess(
-        config, unit, edges.bus, edges.clock, edges.wake, edges.rng, keeping, drivers, edges.witness
-    )
+    return DriverProcess(config, unit, edges.bus, edges.clock, edges.wake, edges.rng, keeping, drivers, edges.witness)
 
 
 ROUTER = Row("router", "The router of a run's bus.", None, 0, first=True)

@@ -68,7 +68,9 @@ class Bodies:
 
     def __init__(self, contexts: Sequence[DriverContext]) -> None:
         n = len(contexts)
-        self.sensors: list[tuple[int, Callable[[], Sensors]]] = []  # rows, and what tells what their sensors say wrongly
+        self.sensors: list[
+            tuple[int, Callable[[], Sensors]]
+        ] = []  # rows, and what tells what their sensors say wrongly
         self._now_ns = contexts[0].now_ns
         simulations = [context.simulation for context in contexts]
         assert all(simulations), "a robot that does not exist is refused without one"

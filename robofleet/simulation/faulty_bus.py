@@ -20,7 +20,10 @@ from robofleet.simulation.faults import Injection, Schedule, struck
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
 _OF_ONE_UNIT = (COMMAND, ENABLE, STATUS)
-_STAMPED: dict[Topic, ListLayout[Any]] = {TRUTH: UNIT_TRUTH, TICK: TICK_RECORD}  # by these stamps a simulated world and its camera are timed
+_STAMPED: dict[Topic, ListLayout[Any]] = {
+    TRUTH: UNIT_TRUTH,
+    TICK: TICK_RECORD,
+}  # by these stamps a simulated world and its camera are timed
 _HELD = 1024  # messages of one subscription
 _APART_NS = 30_000  # between messages that were held back: what a router needs for each
 _AGAIN_NS = MS  # after a message its copy comes
