@@ -16,6 +16,7 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -241,9 +242,8 @@ def _checked(text: bytes, arena: str, uid: int) -> ArenaFile | None:
         return None
     if there.endpoint == PRIVATE or not re.match(ENDPOINT_PATTERN, there.endpoint):
         return None
-    if not all(type(name) is str and re.match(NAME_PATTERN, name) for name in (*there.robots, *there.units)):
-        return None
-    if sorted(robot for robots in there.units.values() for robot in robots) != sorted(there.robots):
+    named = all(type(name) is str and re.match(NAME_PATTERN, name) for name in (*there.robots, *there.units))
+    if not named or sorted(chain(*there.units.values())) != sorted(there.robots):
         return None
     return there
 

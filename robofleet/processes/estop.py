@@ -42,7 +42,7 @@ class EmergencyStop:
 
     def __init__(self, bus: Bus, units: Mapping[str, Sequence[str]], now_ns: int) -> None:
         """Ask the supervisor; the gates follow with the units' next words."""
-        robots = self._robots = tuple(robot for members in units.values() for robot in members)
+        self._robots = tuple(robot for members in units.values() for robot in members)
         self._bus, self._started_ns = bus, now_ns
         self._answer: Answer | None = bus.ask(REQUEST, "supervisor", b"estop")
         self._again_ns = now_ns + _AGAIN_NS

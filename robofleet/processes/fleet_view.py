@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from robofleet.comms.bus import Bus, Inbox
 from robofleet.comms.keys import CAMERA, NEWS, POSES, RECORDER, TICK, key
 from robofleet.comms.messages import (
@@ -10,16 +13,15 @@ from robofleet.comms.messages import (
     RECORDER_STATUS,
     TICK_RECORD,
     TRACKER_NEWS,
-    FleetPoses,
+    UNIT_STATUS,
     RecorderStatus,
-    RobotStatus,
-    TickRecord,
-    UnitStatus,
 )
 from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
+from robofleet.kernels import kernel
+from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening
-from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
+from robofleet.safety.view import NEVER, FleetView, Machine
 from robofleet.tracking.events import TrackerEvent
 
 _STREAM = 64  # news between two looks
@@ -39,7 +41,9 @@ _TAG_NEWS = {
     TrackerEvent.TAG_JUMPED: Event.POSE_JUMPED,
     TrackerEvent.TAG_CARRIED: Event.POSE_JUMPED,
 }
-_FAILURES = frozenset(event for event in Event if event.name.startswith("BEHAVIOUR_"))
+_FAILURES = np.array([event for event in Event if event.name.startswith("BEHAVIOUR_")])
+_TAGS = 1 << 16  # so many numbers can a message name
+_UNKNOWN = -1  # as a row: nobody's tag
 
 
 class FleetListener:
@@ -51,28 +55,30 @@ class FleetListener:
         robots, arena, driven = config.bodies, config.arena.name, len(config.members)
         self._free_bytes, self._machine = free_bytes, machine
         self.statuses = Statuses(bus, config.units, [robot.id for robot in robots])
-        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.decode)
-        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.decode)
+        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.arrays)
+        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.arrays)
         self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS.decode)
         self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
         self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_STREAM)
-        self._rows = {robot.tag: row for row, robot in enumerate(robots)}
-        self._robots = [RobotView(driven=row < driven) for row in range(len(robots))]
-        self._measured_ns = [0] * len(robots)  # newest image in which each tag was measured, by the images' own stamps
-        self._missed = [0] * len(robots)  # images since then that came
+        self._tags = np.full(_TAGS, _UNKNOWN)  # the row of each tag
+        self._tags[[robot.tag for robot in robots]] = range(len(robots))
+        self._robots = np.zeros(len(robots), ROBOT)
+        self._robots["battery"], self._robots["driven"] = -1.0, np.arange(len(robots)) < driven
+        self._measured_ns = np.zeros(len(robots), np.int64)  # newest image of each tag, by the images' own stamps
+        self._missed = np.zeros(len(robots), np.int64)  # images since then that came
         self._exposure_ns = 0  # of the newest image
         self._fleet = FleetView(0, ())
 
     def look(self, now_ns: int, operator_ns: int) -> FleetView:
         """Return everything that is known now; ``operator_ns`` is the operator's newest sign of life."""
         self.hear_robots(now_ns)
-        if (record := self._ticks.take()) is not None:
-            self._take_tick(record, now_ns)
+        if (tick := self._ticks.take()) is not None:
+            self._take_tick(*tick, now_ns)
         if (image := self._poses.take()) is not None:
-            self._take_image(image, now_ns)
+            self._take_image(*image, now_ns)
         self._fleet = self._fleet._replace(
             now_ns=now_ns,
-            robots=tuple(self._robots),
+            robots=Rows(self._robots.copy()),
             news=self._heard_news(),
             free_bytes=self._room(),
             operator_ns=operator_ns,
@@ -87,78 +93,42 @@ class FleetListener:
 
     def hear_robots(self, now_ns: int) -> None:
         """Take the statuses that came."""
-        for unit in self.statuses.take():
-            said = self.statuses.newest[unit]
+        statuses = self.statuses
+        for unit in statuses.take():
+            said, part = statuses.newest[unit], statuses.units[unit]
             assert said is not None
-            for row in self.statuses.units[unit].rows.tolist():
-                self._take_status(row, said, RobotStatus._make(self.statuses.robots[row].item()), now_ns)
+            _take_statuses(self._robots, statuses.robots, part.rows, now_ns, said.build, np.uint64(said.boot_id))
 
-    def _take_status(self, row: int, unit: UnitStatus, status: RobotStatus, now_ns: int) -> None:
-        self._robots[row] = self._robots[row]._replace(
-            heard_ns=now_ns,
-            build=unit.build,
-            session=status.session,
-            boot_id=unit.boot_id,
-            latch=status.latch,
-            latch_id=status.latch_id,
-            faults=status.faults,
-            battery=status.battery,
-            left_angle=status.left_angle_rad,
-            right_angle=status.right_angle_rad,
-            left_speed=status.left_rad_s,
-            right_speed=status.right_rad_s,
-            left_output=status.left_output_rad_s,
-            right_output=status.right_output_rad_s,
-            left_told=status.left_told_rad,
-            right_told=status.right_told_rad,
-        )
-
-    def _take_tick(self, record: TickRecord, now_ns: int) -> None:
-        if record.epoch == self._fleet.controller_epoch and record.tick <= self._fleet.tick:
+    def _take_tick(self, head: NDArray[Any], robots: NDArray[Any], now_ns: int) -> None:
+        record = dict(zip(TICK_RECORD.head_dtype.names or (), head[0].item(), strict=True))
+        if record["epoch"] == self._fleet.controller_epoch and record["tick"] <= self._fleet.tick:
             return
         self._fleet = self._fleet._replace(
             controller_ns=now_ns,
-            controller_epoch=record.epoch,
-            controller_build=record.build,
-            tick=record.tick,
-            overruns=record.overruns,
-            arrived=record.phase * record.arrived,
+            controller_epoch=record["epoch"],
+            controller_build=record["build"],
+            tick=record["tick"],
+            overruns=record["overruns"],
+            arrived=record["phase"] * record["arrived"],
         )
-        for row, robot in enumerate(record.robots[: len(self._robots)]):
-            self._robots[row] = self._robots[row]._replace(
-                estimate=(robot.x_m, robot.y_m, robot.psi_rad),
-                lost=robot.lost > 0.0,
-                filtered=int(robot.filtered),
-                failed=int(robot.failed) if record.phase in MOVING and robot.failed in _FAILURES else 0,
-                blocked=robot.blocked > 0.0,
-            )
+        _take_tick(self._robots, robots, _FAILURES, record["phase"] in MOVING)
 
-    def _take_image(self, image: FleetPoses, now_ns: int) -> None:
-        if image.epoch != self._fleet.tracker_epoch:  # its clock may be another one: what was unseen stays unseen
-            since_ns = image.exposure_ns - self._exposure_ns
-            self._measured_ns = [measured_ns + since_ns for measured_ns in self._measured_ns]
-        elif image.seq <= self._fleet.image:
+    def _take_image(self, head: NDArray[Any], poses: NDArray[Any], now_ns: int) -> None:
+        image = dict(zip(FLEET_POSES.head_dtype.names or (), head[0].item(), strict=True))
+        exposure_ns = image["exposure_ns"]
+        if image["epoch"] != self._fleet.tracker_epoch:  # its clock may be another one: what was unseen stays unseen
+            self._measured_ns += exposure_ns - self._exposure_ns
+        elif image["seq"] <= self._fleet.image:
             return
-        self._exposure_ns = image.exposure_ns
+        self._exposure_ns = exposure_ns
         self._fleet = self._fleet._replace(
             tracker_ns=now_ns,
-            tracker_epoch=image.epoch,
-            tracker_build=image.build,
-            image=image.seq,
-            image_tick=image.echo_tick,
+            tracker_epoch=image["epoch"],
+            tracker_build=image["build"],
+            image=image["seq"],
+            image_tick=image["echo_tick"],
         )
-        self._missed = [missed + 1 for missed in self._missed]
-        seen: dict[int, Any] = {}
-        for tag, _, coasted_ns, *pose in image.poses:
-            if (row := self._rows.get(tag)) is not None:
-                self._measured_ns[row] = image.exposure_ns - coasted_ns
-                self._missed[row] = _MISSED if coasted_ns else 0  # a tracker that predicts knows how long
-                if coasted_ns == 0:
-                    seen[row] = {"seen_ns": now_ns, "image": image.seq, "pose": tuple(pose)}
-        for row, robot in enumerate(self._robots):
-            if row in seen or robot.seen_ns != NEVER:
-                unseen_ns = image.exposure_ns - self._measured_ns[row] if self._missed[row] >= _MISSED else 0
-                self._robots[row] = robot._replace(**seen.get(row, {}), unseen_ns=unseen_ns)
+        _take_image(self._robots, poses, self._tags, self._measured_ns, self._missed, exposure_ns, image["seq"], now_ns)
 
     def _heard_news(self) -> tuple[Happening, ...]:
         """Return what the tracker told, of the camera and of our tags, in the run's own words."""
@@ -167,9 +137,62 @@ class FleetListener:
             news = TRACKER_NEWS.decode(payload)
             if news is None:
                 continue
-            row = self._rows.get(news.tag)
+            row = int(self._tags[news.tag])
             if news.event in _NEWS:
                 heard.append(Happening(_NEWS[TrackerEvent(news.event)], NOBODY, news.value))
-            elif news.event in _TAG_NEWS and row is not None:
+            elif news.event in _TAG_NEWS and row != _UNKNOWN:
                 heard.append(Happening(_TAG_NEWS[TrackerEvent(news.event)], row, news.value))
         return tuple(heard)
+
+
+@kernel
+def _take_statuses(robots, statuses, rows, now_ns, build, boot_id):  # type: ignore[no-untyped-def]
+    for k in rows:
+        r, s = robots[k], statuses[k]
+        r.heard_ns, r.build, r.boot_id = now_ns, build, boot_id
+        r.session, r.latch, r.latch_id, r.faults, r.battery = s.session, s.latch, s.latch_id, s.faults, s.battery
+        r.left_angle, r.right_angle, r.left_speed, r.right_speed = (
+            s.left_angle_rad, s.right_angle_rad, s.left_rad_s, s.right_rad_s,
+        )  # fmt: skip
+        r.left_output, r.right_output = s.left_output_rad_s, s.right_output_rad_s
+        r.left_told, r.right_told = s.left_told_rad, s.right_told_rad
+
+
+@kernel
+def _take_tick(robots, ticks, failures, moving):  # type: ignore[no-untyped-def]
+    for k in range(min(len(robots), len(ticks))):
+        r, t = robots[k], ticks[k]
+        r.estimate_x, r.estimate_y, r.estimate_psi = t.x_m, t.y_m, t.psi_rad
+        r.lost, r.filtered, r.blocked = t.lost > 0.0, int(t.filtered), t.blocked > 0.0
+        r.failed = 0
+        for event in failures:
+            if moving and t.failed == event:
+                r.failed = event
+
+
+@kernel
+def _take_image(robots, poses, tags, measured_ns, missed, exposure_ns, image, now_ns):  # type: ignore[no-untyped-def]
+    missed += 1
+    for pose in poses:
+        k = tags[pose.tag]
+        if k != _UNKNOWN:
+            measured_ns[k] = exposure_ns - pose.coasted_ns
+            missed[k] = _MISSED if pose.coasted_ns else 0  # a tracker that predicts knows how long
+            if pose.coasted_ns == 0:
+                r = robots[k]
+                r.seen_ns, r.image, r.x, r.y, r.psi = now_ns, image, pose.x_m, pose.y_m, pose.psi_rad
+    for k in range(len(robots)):
+        if robots[k].seen_ns != NEVER:
+            robots[k].unseen_ns = exposure_ns - measured_ns[k] if missed[k] >= _MISSED else 0
+
+
+KERNELS = (_take_statuses, _take_tick, _take_image)
+
+
+def compile_kernels() -> None:
+    """Compile, or load from the cache, by messages about one robot."""
+    robots, none = np.zeros(1, ROBOT), np.zeros(0, np.int64)
+    _take_statuses(robots, np.zeros(1, UNIT_STATUS.item_dtype), np.zeros(0, np.intp), 0, 0, np.uint64(0))
+    ticks, poses = (np.ndarray((0,), layout.item_dtype, b"0") for layout in (TICK_RECORD, FLEET_POSES))
+    _take_tick(robots, ticks, _FAILURES, True)
+    _take_image(robots, poses, np.full(1, _UNKNOWN), none, none, 0, 0, 0)

@@ -41,7 +41,7 @@ Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, in
 
 
 class GatedRobots:
-    """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each, since the one before may block."""
+    """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each: the one before may block."""
 
     def __init__(
         self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, keeping: Keeping,

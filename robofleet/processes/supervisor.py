@@ -18,6 +18,7 @@ from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
+from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
@@ -71,6 +72,7 @@ class Supervisor:
         # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
         self._limits = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
         self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
+        self._scan = Scan(self._monitoring)
         self._arming = ArmingSettings(
             build,
             tuple(d.wheel_radius for d in drives),
@@ -125,8 +127,9 @@ class Supervisor:
             return self._wakes_ns(now_ns)
         before = (self._status, self._checks, self._robots, self._clear.tobytes())
         self._view = self._listener.look(now_ns, self._operator_ns)
+        suspects = self._scan.suspects(self._memory, self._status.phase, self._view)
         self._memory, self._standing = monitor.watch(
-            self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved
+            self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved, suspects=suspects
         )
         self._busy = busy.watch(self._busy, self._status.phase, self._view)
         for happening in self._standing:

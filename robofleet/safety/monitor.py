@@ -4,7 +4,7 @@ An event is told again as long as what it tells of lasts, so a run cannot be res
 once: a restart, ticks that were overrun, the tracker's news.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 from math import hypot
 from typing import NamedTuple
@@ -72,24 +72,38 @@ class Memory(NamedTuple):
     rolling: tuple[Rolling, ...] = ()  # of robots that are told to stand
 
 
+class Suspects(NamedTuple):
+    """Where something may be wrong in a view. Who is not named here is well."""
+
+    robots: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]  # that may be too close, in the order of their rows
+    infeasible: bool  # the filter finds no answer for some robot, or found none before
+    rolling: bool  # some robot without encoders is told to stand
+
+
 def watch(
-    memory: Memory, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False
-) -> tuple[Memory, tuple[Happening, ...]]:
+    memory: Memory, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False,
+    suspects: Suspects | None = None,
+) -> tuple[Memory, tuple[Happening, ...]]:  # fmt: skip
     """Return what happened since the last view and what still stands; processes first, then robot by robot.
 
-    ``proved``: the checks of a fleet that is armed are passed, and it waits for its start.
+    ``proved``: the checks of a fleet that is armed are passed, and it waits for its start. ``suspects``: where to look;
+    None: everywhere.
     """
-    now_ns, before = view.now_ns, memory.view or view
-    radii = settings.body_radius
+    now_ns, before, count = view.now_ns, memory.view or view, len(view.robots)
     running, checking = phase in MOVING, phase is Phase.ARMED and not proved
-    since = memory.infeasible_ns or (NEVER,) * len(view.robots)
-    infeasible_ns = tuple(
-        (at_ns or now_ns) if running and robot.filtered == 2 else NEVER
-        for at_ns, robot in zip(since, view.robots, strict=True)
-    )
+    infeasible_ns: tuple[int, ...] = ()
+    if running and (suspects is None or suspects.infeasible):
+        infeasible_ns = tuple(
+            (at_ns or now_ns) if robot.filtered == 2 else NEVER
+            for at_ns, robot in zip(memory.infeasible_ns or (NEVER,) * count, view.robots, strict=True)
+        )
     started = phase in (Phase.HOLD, *MOVING)
     sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
-    rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * len(view.robots), view.robots, radii))
+    rolling: tuple[Rolling, ...] = ()
+    if suspects is None or suspects.rolling:
+        radii = settings.body_radius
+        rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * count, view.robots, radii))
     since_ns = memory.since_ns if phase is memory.phase else now_ns
     memory = Memory(view, phase, since_ns, sessions, infeasible_ns, rolling)
     happenings = [
@@ -98,21 +112,22 @@ def watch(
         *_tracker(before, settings, view, checking=checking),
         *(_told(happening, view) for happening in view.news),
     ]
-    for row, robot in enumerate(view.robots):
+    for row in range(count) if suspects is None else suspects.robots:
+        robot = view.robots[row]
         if not robot.driven:
             happenings += _bystander(row, before.robots[row], robot, settings, phase)
             continue
         happenings += _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
-        happenings += _body(row, robot, phase, runs=rolling[row].runs)
+        happenings += _body(row, robot, phase, runs=bool(rolling) and rolling[row].runs)
         happenings += _jump(row, before.robots[row], robot, settings)
         happenings += _place(row, robot, settings)
-        if infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
+        if infeasible_ns and infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
             happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
         if running and robot.blocked:
             happenings.append(Happening(Event.DEADLOCKED, row))
         if running and robot.failed:
             happenings.append(Happening(Event(robot.failed), row))
-    return memory, (*happenings, *_neighbours(settings, view))
+    return memory, (*happenings, *_neighbours(settings, view, None if suspects is None else suspects.pairs))
 
 
 def _host(
@@ -263,10 +278,13 @@ def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Ha
             yield Happening(Event.OUTSIDE_ARENA, row)
 
 
-def _neighbours(settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+def _neighbours(
+    settings: MonitorSettings, view: FleetView, pairs: Iterable[tuple[int, int]] | None
+) -> Iterator[Happening]:
     """Look at every two robots but two bystanders; one that is not seen now may still stand where it was last."""
-    seen = [row for row, robot in enumerate(view.robots) if robot.seen_ns != NEVER]
-    for one, other in combinations(seen, 2):
+    if pairs is None:
+        pairs = combinations((row for row, robot in enumerate(view.robots) if robot.seen_ns != NEVER), 2)
+    for one, other in pairs:
         if not view.robots[one].driven:
             break  # it and all who follow are bystanders
         (x, y, _), (other_x, other_y, _) = view.robots[one].pose, view.robots[other].pose

@@ -1,5 +1,6 @@
 """What the supervisor sees of the fleet: the newest of every message, in the words of the pure rooms."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from robofleet.safety.supervisor import Happening
@@ -56,7 +57,7 @@ class FleetView(NamedTuple):
     """Everything that is known now."""
 
     now_ns: int
-    robots: tuple[RobotView, ...]  # the group's, in its order; then the bystanders
+    robots: Sequence[RobotView]  # the group's, in its order; then the bystanders
     controller_ns: int = NEVER  # newest tick's arrival
     controller_epoch: int = 0
     controller_build: int = 0

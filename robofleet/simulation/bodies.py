@@ -1,7 +1,7 @@
 """Many simulated robots' bodies at once: wheels, encoders and floor in arrays, compiled.
 
-``drivers/simulated.py`` has the same robot one by one, for whoever reads or has no numba: ``vehicles/plant.py`` explains
-the model. Both do the same to the last bit: ``tests/simulation/test_bodies.py`` compares them.
+``drivers/simulated.py`` has the same robot one by one, for whoever reads or has no numba: ``vehicles/plant.py``
+explains the model. Both do the same to the last bit: ``tests/simulation/test_bodies.py`` compares them.
 """
 
 import math
