@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
 VERSION = 6
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
@@ -121,6 +122,8 @@ class ListLayout(Generic[M]):
         plain = item.rstrip("d")
         assert "d" not in plain, "an item's floats are its last fields"
         self.item_floats, self._floats_at = len(item) - len(plain), self._item.size - 8 * (len(item) - len(plain))
+        self._strides = self._item.size, 8
+        self._none: tuple[tuple[()], ...] = ((),) * (1 + numbers)  # the lists of a message that is only a head
         self._head_floats = [name for name, kind in self._columns if kind == "<f8"]
 
     @cached_property
@@ -158,58 +161,73 @@ class ListLayout(Generic[M]):
         rest = length - self._head.size - count * self._item.size
         return rest == 0 or (self._numbers and rest > 0 and rest % 8 == 0)
 
-    def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
-        """Return the head's fields alone, or None where length or version is wrong."""
+    def decode_head(self, payload: bytes) -> M | None:
+        """Return the message without its items, or None where length or version is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
-        return tuple(head) if self._fits(len(payload), count) else None
+        return self._make._make((*head, *self._none)) if self._fits(len(payload), count) else None
 
-    def arrays(self, payload: bytes) -> "tuple[np.ndarray, np.ndarray] | None":
+    def arrays(self, payload: bytes) -> "tuple[NDArray[Any], NDArray[Any]] | None":
         """Return the head (1,) and the items (N,) as structured arrays that share the payload's memory.
 
         None where length, version or finiteness is wrong. The numbers of a message with ``numbers`` are left out.
         """
-        import numpy as np  # noqa: PLC0415
-
-        if len(payload) < self._head.size or payload[0] != VERSION:
+        read, size = self._reader, self._head.size
+        if len(payload) < size or payload[0] != VERSION:
             return None
-        head: np.ndarray = np.ndarray((1,), self.head_dtype, payload)
-        count = int(self._count.unpack_from(payload, self._head.size - self._count.size)[0])
+        (count,) = self._count.unpack_from(payload, size - 2)
         if not self._fits(len(payload), count):
             return None
-        items: np.ndarray = np.ndarray((count,), self.item_dtype, payload, self._head.size)
-        if self.item_floats and not math.isfinite(self.floats(items).sum()):
+        head: NDArray[Any] = read.array(1, self.head_dtype, payload)
+        items: NDArray[Any] = read.array(count, self.item_dtype, payload, size)
+        if self.item_floats and not read.finite(self._tail(count, payload, size + self._floats_at)):
             return None
         if self._head_floats and not math.isfinite(sum(head[name][0] for name in self._head_floats)):
             return None
         return head, items
 
-    def view(self, payload: bytes) -> "tuple[M, np.ndarray] | None":
+    def head_of(self, payload: bytes, field: str) -> Any:
+        """Return one field of a message's head; None where length or version is wrong."""
+        if len(payload) < self._head.size or payload[0] != VERSION:
+            return None
+        return self._fields[field].unpack_from(payload)[0]
+
+    @cached_property
+    def _fields(self) -> dict[str, Struct]:
+        spans = {name: _span(self._columns, name, name) for name, _ in self._columns[1:]}
+        letters = dict(zip(spans, f"{self._head_letters}H", strict=True))
+        return {name: Struct(f"<{span.start}x{letters[name]}") for name, span in spans.items()}
+
+    @cached_property
+    def _reader(self) -> "_Reader":
+        return _Reader()
+
+    def _tail(self, count: int, memory: Any, at: int) -> "NDArray[Any]":
+        """Return the floats of items (count, floats) that begin in some memory."""
+        return self._reader.array((count, self.item_floats), self._reader.double, memory, at, self._strides)
+
+    def view(self, payload: bytes) -> "tuple[M, NDArray[Any]] | None":
         """Return the message without its items, and these as a structured array (N,); None as of ``arrays``."""
         arrays = self.arrays(payload)
         if arrays is None:
             return None
         head, items = arrays
-        rest = [()] * (1 + self._numbers)
-        return self._make._make([*head[0].item()[1:-1], *rest]), items
+        return self._make._make((*head[0].item()[1:-1], *self._none)), items
 
-    def floats(self, items: "np.ndarray") -> "np.ndarray":
+    def floats(self, items: "NDArray[Any]") -> "NDArray[Any]":
         """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
-        import numpy as np  # noqa: PLC0415
+        return self._tail(len(items), items.data, self._floats_at)
 
-        strides = self._item.size, 8
-        return np.ndarray((len(items), self.item_floats), "<f8", items.data, self._floats_at, strides)
-
-    def encode_view(self, message: M, items: "np.ndarray") -> bytes:
+    def encode_view(self, message: M, items: "NDArray[Any]") -> bytes:
         """Return the payload of a message whose items are an array (N,) of ``item_dtype``; its own are passed over."""
-        head = message[: len(self._head_letters)]
-        if len(items) <= _MOST_ITEMS and (not self.item_floats or math.isfinite(self.floats(items).sum())):
+        head, count = message[: len(self._head_letters)], len(items)
+        if count <= _MOST_ITEMS and (not self.item_floats or self._reader.finite(self.floats(items))):
             try:
-                return self._head.pack(VERSION, *head, len(items)) + items.tobytes()
+                return self._head.pack(VERSION, *head, count) + items.tobytes()
             except _TOO_LARGE:
                 pass
-        return self.encode_parts(head, len(items), items.tobytes())
+        return self.encode_parts(head, count, items.tobytes())
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -251,6 +269,19 @@ class ListLayout(Generic[M]):
             return None
         numbers = (Struct(f"<{(len(payload) - end) // 8}d").unpack(payload[end:]),) if self._numbers else ()
         return self._make._make([*head, tuple(map(self._make_item._make, rows)), *numbers])
+
+
+class _Reader:
+    """What reads arrays out of payloads, made when the first one is read: numpy is loaded then."""
+
+    def __init__(self) -> None:
+        import numpy as np  # noqa: PLC0415
+
+        self.array, self._sum, self.double = np.ndarray, np.add.reduce, np.dtype("<f8")
+
+    def finite(self, floats: "NDArray[Any]") -> bool:
+        """Return whether all are numbers, and not too large by far."""
+        return math.isfinite(self._sum(floats, None))
 
 
 class BlobLayout(Generic[M]):

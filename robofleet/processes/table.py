@@ -149,8 +149,9 @@ def _twins(edges: Edges) -> Node:
 def _supervisor(edges: Edges) -> Node:
     """RefusedError where the folder in which the run is recorded cannot be opened."""
     from robofleet.processes.machine import MachineProbe  # noqa: PLC0415
-    from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
+    from robofleet.processes.supervisor import Supervisor, compile_kernels  # noqa: PLC0415
 
+    compile_kernels(edges.progress)
     free = _room(edges.folder)
     if edges.faults is not None:
         from robofleet.simulation import faulty_disk  # noqa: PLC0415
