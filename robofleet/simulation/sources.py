@@ -122,6 +122,8 @@ class SimulatedCamera:
             after_ns = np.rint((rows - self._middle) * self._line_ns).astype(np.int64)
         poses, velocities = self._moving(exposure_ns, after_ns)
         image = self._renderer.render(poses, velocities)
+        if self._effects:
+            image = image.copy()
         for effect in self._effects:
             effect(image, t)
         return image
