@@ -175,15 +175,22 @@ def _blend(  # type: ignore[no-untyped-def]
                     elif beside < outside:
                         tag = _step((edge - abs(a)) * per_ramp) * _step((edge - abs(b)) * per_ramp)
                     if tag > zero:
-                        column, row = min(max(middle + a * per_cell, one), most), min(max(middle - b * per_cell, one), most)
+                        column, row = (
+                            min(max(middle + a * per_cell, one), most),
+                            min(max(middle - b * per_cell, one), most),
+                        )
                         m, n = int(row), int(column)
                         # What lies beyond the next cell is taken for that one's.
                         left, right = _beyond(column - np.float32(n), per_blur)
                         above, below = _beyond(row - np.float32(m), per_blur)
                         here, level = one - left - right, one - above - below
-                        dark = above * (left * black[m - 1, n - 1] + here * black[m - 1, n] + right * black[m - 1, n + 1])
+                        dark = above * (
+                            left * black[m - 1, n - 1] + here * black[m - 1, n] + right * black[m - 1, n + 1]
+                        )
                         dark += level * (left * black[m, n - 1] + here * black[m, n] + right * black[m, n + 1])
-                        dark += below * (left * black[m + 1, n - 1] + here * black[m + 1, n] + right * black[m + 1, n + 1])
+                        dark += below * (
+                            left * black[m + 1, n - 1] + here * black[m + 1, n] + right * black[m + 1, n + 1]
+                        )
                         light += tag * (white - contrast * dark)
                     if tag < one:
                         d_x, d_y = body_x - instants[k, 4], body_y - instants[k, 5]
