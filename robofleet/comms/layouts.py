@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
 VERSION = 5
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
@@ -118,6 +119,9 @@ class ListLayout(Generic[M]):
         self._head_letters, self._item_letters = head, item
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
         self._item_columns = _columns(make_item, item)
+        assert "d" not in item.rstrip("d"), "an item's floats are its last fields"
+        self._doubles = len(item) - len(item.rstrip("d"))
+        self._empty = ((), ()) if numbers else ((),)  # the lists of a message that is only a head
 
     @cached_property
     def head_dtype(self) -> "np.dtype[Any]":
@@ -160,6 +164,35 @@ class ListLayout(Generic[M]):
             return None
         _, *head, count = self._head.unpack_from(payload)
         return tuple(head) if self._fits(len(payload), count) else None
+
+    def view(self, payload: bytes) -> "tuple[M, NDArray[Any]] | None":
+        """Return the message without its lists, and its items as a structured array that lies in the payload.
+
+        None where ``decode`` returns None. Nothing is copied, and nothing can be written there.
+        """
+        import numpy as np  # noqa: PLC0415
+
+        head_size, item_size = self._head.size, self._item.size
+        if len(payload) < head_size or payload[0] != VERSION:
+            return None
+        _, *head, count = self._head.unpack_from(payload)
+        if not (self._fits(len(payload), count) and math.isfinite(sum(head))):
+            return None
+        items = np.frombuffer(payload, self.item_dtype, count, head_size) if count else self._no_items
+        if self._doubles and count:
+            first = head_size + item_size - 8 * self._doubles
+            doubles = np.ndarray((count, self._doubles), "<f8", payload, first, (item_size, 8))
+            if not np.isfinite(doubles).all():
+                return None
+        return self._make._make([*head, *self._empty]), items
+
+    @cached_property
+    def _no_items(self) -> "NDArray[Any]":
+        import numpy as np  # noqa: PLC0415
+
+        none = np.empty(0, self.item_dtype)
+        none.flags.writeable = False
+        return none
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
