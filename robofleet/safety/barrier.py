@@ -263,9 +263,8 @@ def _reach(
         counts = bodies[i, _TOP] * bodies[i, _BELIEVED]  # so far from what is kept a robot has its top speed
         if counts > 0.0:
             slowing = max(slowing, counts / (1.0 - share) if share < 1.0 else np.inf)
-    return (
-        2.0 * (disc + margin) + between[0] + between[1] + max(believed.max() + 2.0 * (fastest + hurry) / rate, slowing)
-    )
+    pressed = believed.max() + 2.0 * (fastest + hurry) / rate
+    return float(2.0 * (disc + margin) + between[0] + between[1] + max(pressed, slowing))
 
 
 @kernel
