@@ -27,6 +27,7 @@ _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
 _MOST = 1e300  # so many of them have a finite sum, by which decoding judges
+_FEW = 16  # items
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
@@ -172,18 +173,15 @@ class ListLayout(Generic[M]):
         """
         import numpy as np  # noqa: PLC0415
 
-        head_size, item_size = self._head.size, self._item.size
+        head_size = self._head.size
         if len(payload) < head_size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
         if not (self._fits(len(payload), count) and math.isfinite(sum(head))):
             return None
         items = np.frombuffer(payload, self.item_dtype, count, head_size) if count else self._no_items
-        if self._doubles and count:
-            first = head_size + item_size - 8 * self._doubles
-            doubles = np.ndarray((count, self._doubles), "<f8", payload, first, (item_size, 8))
-            if not np.isfinite(doubles).all():
-                return None
+        if self._doubles and not self._finite(payload, count, head_size):
+            return None
         return self._make._make([*head, *self._empty]), items
 
     @cached_property
@@ -217,6 +215,29 @@ class ListLayout(Generic[M]):
             items = self._packed(self._item.iter_unpack(items))
             packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
         return packed + items + numbers
+
+    def encode_array(self, head: tuple[Any, ...], items: "NDArray[Any]", numbers: bytes = b"") -> bytes:
+        """As ``encode_parts``; items: contiguous, structured or not, with the bytes that the layout has."""
+        count = len(items)
+        try:
+            packed = self._head.pack(VERSION, *head, count)
+        except _TOO_LARGE:
+            return self.encode_parts(head, count, items.tobytes(), numbers)
+        body = items.tobytes()
+        if not (math.isfinite(sum(head)) and self._finite(body, count, 0)):
+            return self.encode_parts(head, count, body, numbers)
+        return b"".join((packed, body, numbers))
+
+    def _finite(self, payload: bytes, count: int, start: int) -> bool:
+        """Return whether all floats of the items that begin at a place in a payload are finite."""
+        if count < _FEW:  # then Python is faster
+            items = payload[start : start + count * self._item.size]
+            return math.isfinite(sum(map(sum, self._item.iter_unpack(items))))
+        import numpy as np  # noqa: PLC0415
+
+        first, strides = start + self._item.size - 8 * self._doubles, (self._item.size, 8)
+        floats = np.ndarray((count, self._doubles), "<f8", payload, first, strides)
+        return bool(np.isfinite(floats).all())
 
     def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)

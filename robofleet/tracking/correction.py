@@ -72,7 +72,8 @@ def predict_covariance(
 
 @kernel
 def held_up(p: Array, moved: Array, wide: Array) -> Array:
-    """Return ``wide`` (5, 5), the covariance of a robot that may have done all, none or twice of the motion since it was seen last.
+    """Return ``wide`` (5, 5): the covariance of a robot that may have done all, none or twice of the motion since it
+    was seen last.
 
     Blocked motors and spinning wheels are no outliers: without this a robot that is held up would be refused for
     several images, and believed to drive on.

@@ -163,4 +163,13 @@ def _observe(
             moved[i, k] = 0.0
 
 
-KERNELS = (_observe, reckoning.predict, reckoning.disturbance)  # that are called from Python
+@kernel
+def ages(measured_ns: Instants, now_ns: int) -> Array:
+    """Return how old each newest measurement is [s]; infinite for one that never was."""
+    found = np.empty(len(measured_ns))
+    for i in range(len(found)):
+        found[i] = (now_ns - measured_ns[i]) / 1e9 if measured_ns[i] > 0 else np.inf
+    return found
+
+
+KERNELS = (ages, _observe, reckoning.predict, reckoning.disturbance)  # that are called from Python
