@@ -133,7 +133,10 @@ def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
     best, best_value = low, np.inf
     arrays = np.empty((10, 8))  # one: to allocate costs more than to find a root
     squared, slope, roots, room = arrays[0, :7], arrays[1, :6], arrays[2], arrays[3:, :7]
-    for side in range(int(np.floor(low)), int(np.ceil(high))):
+    first, searched = int(np.floor(low)), int(np.ceil(high)) - int(np.floor(low))
+    own = 0 if np.isnan(near) else int(np.floor(near)) - first  # looked at first: then others may be too far away
+    for turn in range(own, own + searched):
+        side = first + turn % searched
         if _CLEARLY * _box_distance(coefficients[side % sides], x, y) > best_value:
             continue
         start, end = max(low - side, 0.0), min(high - side, 1.0)
