@@ -27,6 +27,7 @@ _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
 _MOST = 1e300  # so many of them have a finite sum, by which decoding judges
+_FEW = 16  # items
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
@@ -181,7 +182,7 @@ class ListLayout(Generic[M]):
             return None
         head: NDArray[Any] = read.array(1, self.head_dtype, payload)
         items: NDArray[Any] = read.array(count, self.item_dtype, payload, size)
-        if self.item_floats and not read.finite(self._tail(count, payload, size + self._floats_at)):
+        if not self._finite(payload, count, size):
             return None
         if self._head_floats and not math.isfinite(sum(head[name][0] for name in self._head_floats)):
             return None
@@ -207,27 +208,26 @@ class ListLayout(Generic[M]):
         """Return the floats of items (count, floats) that begin in some memory."""
         return self._reader.array((count, self.item_floats), self._reader.double, memory, at, self._strides)
 
-    def view(self, payload: bytes) -> "tuple[M, NDArray[Any]] | None":
-        """Return the message without its items, and these as a structured array (N,); None as of ``arrays``."""
-        arrays = self.arrays(payload)
-        if arrays is None:
-            return None
-        head, items = arrays
-        return self._make._make((*head[0].item()[1:-1], *self._none)), items
-
     def floats(self, items: "NDArray[Any]") -> "NDArray[Any]":
         """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
         return self._tail(len(items), items.data, self._floats_at)
 
     def encode_view(self, message: M, items: "NDArray[Any]") -> bytes:
         """Return the payload of a message whose items are an array (N,) of ``item_dtype``; its own are passed over."""
-        head, count = message[: len(self._head_letters)], len(items)
-        if count <= _MOST_ITEMS and (not self.item_floats or self._reader.finite(self.floats(items))):
-            try:
-                return self._head.pack(VERSION, *head, count) + items.tobytes()
-            except _TOO_LARGE:
-                pass
-        return self.encode_parts(head, count, items.tobytes())
+        return self.encode_array(message[: len(self._head_letters)], items)
+
+    def view(self, payload: bytes) -> "tuple[M, NDArray[Any]] | None":
+        """Return the message without its lists, and its items as a structured array that lies in the payload.
+
+        None where ``decode`` returns None. Nothing is copied, and nothing can be written there.
+        """
+        size = self._head.size
+        if len(payload) < size or payload[0] != VERSION:
+            return None
+        _, *head, count = self._head.unpack_from(payload)
+        if not (self._fits(len(payload), count) and math.isfinite(sum(head)) and self._finite(payload, count, size)):
+            return None
+        return self._make._make((*head, *self._none)), self._reader.array(count, self.item_dtype, payload, size)
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -252,6 +252,27 @@ class ListLayout(Generic[M]):
             items = self._packed(self._item.iter_unpack(items))
             packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
         return packed + items + numbers
+
+    def encode_array(self, head: tuple[Any, ...], items: "NDArray[Any]", numbers: bytes = b"") -> bytes:
+        """As ``encode_parts``; items: contiguous, structured or not, with the bytes that the layout has."""
+        count = len(items)
+        try:
+            packed = self._head.pack(VERSION, *head, count)
+        except _TOO_LARGE:
+            return self.encode_parts(head, count, items.tobytes(), numbers)
+        body = items.tobytes()
+        if not (math.isfinite(sum(head)) and self._finite(body, count, 0)):
+            return self.encode_parts(head, count, body, numbers)
+        return b"".join((packed, body, numbers))
+
+    def _finite(self, payload: bytes, count: int, start: int) -> bool:
+        """Return whether all floats of the items that begin at a place in a payload are finite."""
+        if not self.item_floats:
+            return True
+        if count < _FEW:  # then Python is faster
+            items = payload[start : start + count * self._item.size]
+            return math.isfinite(sum(map(sum, self._item.iter_unpack(items))))
+        return self._reader.finite(self._tail(count, payload, start + self._floats_at))
 
     def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)
