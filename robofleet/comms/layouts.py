@@ -120,7 +120,7 @@ class ListLayout(Generic[M]):
         self._item_columns = _columns(make_item, item)
         plain = item.rstrip("d")
         assert "d" not in plain, "an item's floats are its last fields"
-        self.item_floats, self._floats_at = len(item) - len(plain), self._item.size - 8 * (len(item) - len(plain))
+        self.item_floats = len(item) - len(plain)
         self._head_floats = [name for name, kind in self._columns if kind == "<f8"]
 
     @cached_property
@@ -179,7 +179,7 @@ class ListLayout(Generic[M]):
         if not self._fits(len(payload), count):
             return None
         items: np.ndarray = np.ndarray((count,), self.item_dtype, payload, self._head.size)
-        if self.item_floats and not math.isfinite(self.floats(items).sum()):
+        if not math.isfinite(self._largest(items)):
             return None
         if self._head_floats and not math.isfinite(sum(head[name][0] for name in self._head_floats)):
             return None
@@ -194,17 +194,29 @@ class ListLayout(Generic[M]):
         rest = [()] * (1 + self._numbers)
         return self._make._make([*head[0].item()[1:-1], *rest]), items
 
-    def floats(self, items: "np.ndarray") -> "np.ndarray":
-        """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
+    @cached_property
+    def _split_dtype(self) -> "np.dtype[Any]":
+        """The layout of an item, its floats as one array."""
         import numpy as np  # noqa: PLC0415
 
-        strides = self._item.size, 8
-        return np.ndarray((len(items), self.item_floats), "<f8", items.data, self._floats_at, strides)
+        count = self.item_floats
+        return np.dtype([("plain", f"V{self._item.size - 8 * count}"), ("floats", "<f8", (count,))])
+
+    def floats(self, items: "np.ndarray") -> "np.ndarray":
+        """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
+        floats: np.ndarray = items.view(self._split_dtype)["floats"]
+        return floats
+
+    def _largest(self, items: "np.ndarray") -> float:
+        """Return the greatest magnitude among the floats of items; NaN where one is."""
+        import numpy as np  # noqa: PLC0415
+
+        return float(np.abs(self.floats(items)).max(initial=0.0))
 
     def encode_view(self, message: M, items: "np.ndarray") -> bytes:
         """Return the payload of a message whose items are an array (N,) of ``item_dtype``; its own are passed over."""
         head = message[: len(self._head_letters)]
-        if len(items) <= _MOST_ITEMS and (not self.item_floats or math.isfinite(self.floats(items).sum())):
+        if len(items) <= _MOST_ITEMS and self._largest(items) <= _MOST:
             try:
                 return self._head.pack(VERSION, *head, len(items)) + items.tobytes()
             except _TOO_LARGE:

@@ -8,12 +8,13 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms import keys
 from robofleet.comms.keys import key
-from robofleet.comms.messages import ENABLE, FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, WHEEL_COMMAND
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.processes.keeping import Kept, MemoryKeeping
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import STOP
+from tests.comms.alone import ENABLE, ROBOT_STATUS, WHEEL_COMMAND
 
 Make = Callable[..., Any]
 LIMITS = [(1 << 31) - 3, (1 << 32) - 3, (1 << 63) - 1000]

@@ -8,9 +8,9 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
-from robofleet.comms.messages import Enable, WheelCommand
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WIRED_STOP, WheelSpeeds
+from tests.comms.alone import Enable, WheelCommand
 
 Make = Callable[..., Any]
 FORWARD = WheelSpeeds(3.0, 4.0)

@@ -5,9 +5,10 @@ from typing import Any
 from robofleet.clock import SimulatedClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import LEASE
-from robofleet.comms.messages import LEASE_REQUEST, RobotStatus
+from robofleet.comms.messages import LEASE_REQUEST
 from robofleet.processes.leases import Leases
 from robofleet.safety.gate import LeaseAction
+from tests.comms.alone import RobotStatus
 
 OURS, THEIRS = 5, 9
 
