@@ -3,6 +3,7 @@
 They go through the layouts of the units: what is encoded here, a unit of one robot reads, and what it says is decoded.
 """
 
+from collections.abc import Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from robofleet.comms import messages
@@ -87,31 +88,31 @@ class Alone(Generic[M]):
         self._make, self.layout, self._unit, self._item = make, layout, unit, item
         self._heads = unit._fields[:-1]
 
-    def part(self, message: M) -> Any:
-        """Return the robot's part of the unit's message; a truth is that of the unit's first robot."""
-        return self._item(*(getattr(message, name, 0) for name in self._item._fields))
+    def part(self, message: M, place: int = 0) -> Any:
+        """Return the robot's part of the unit's message; ``place``: in its unit."""
+        own = {**dict.fromkeys(self._item._fields, place), **message._asdict()}
+        return self._item(*(own[name] for name in self._item._fields))
 
-    def whole(self, message: M, parts: tuple[Any, ...]) -> bytes:
+    def whole(self, message: M, parts: Sequence[Any]) -> bytes:
         """Return the payload of a message of a unit of several robots, by the head of one robot's."""
-        return self.layout.encode(self._unit(*(getattr(message, name) for name in self._heads), parts))
+        return self.layout.encode(self._unit(*(getattr(message, name) for name in self._heads), tuple(parts)))
 
     def encode(self, message: M) -> bytes:
         """Return the payload of the unit's message."""
         return self.whole(message, (self.part(message),))
 
-    def decode_all(self, payload: bytes) -> tuple[M, ...] | None:
-        """Return a unit's message for each robot in it; None where nobody can read it."""
+    def of(self, payload: bytes, place: int) -> M | None:
+        """Return what a unit's message says of one of its robots; None where it says nothing, or nobody can read it."""
         said: Any = self.layout.decode(payload)
-        if said is None:
-            return None
-        head = {name: value for name, value in said._asdict().items() if name in self._heads}
-        flat = ({**head, **part._asdict()} for part in said.robots)
-        return tuple(self._make(**{name: of[name] for name in self._make._fields}) for of in flat)
+        for k, part in enumerate(said.robots if said is not None else ()):
+            if getattr(part, "place", k) == place:
+                values = {**said._asdict(), **part._asdict()}
+                return self._make(*(values[name] for name in self._make._fields))
+        return None
 
     def decode(self, payload: bytes) -> M | None:
-        """Return the message of a unit of one robot; None where nobody can read it."""
-        said = self.decode_all(payload)
-        return said[0] if said is not None and len(said) == 1 else None
+        """Return the message of a unit of one robot; None where there are more, or nobody can read it."""
+        return self.of(payload, 0) if self.of(payload, 1) is None else None
 
 
 WHEEL_COMMAND = Alone(WheelCommand, messages.UNIT_COMMAND, messages.UnitCommand, messages.WheelCommand)

@@ -18,8 +18,6 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import DriverContext, DriverReading, WheelSpeeds
-from tests.comms.alone import ROBOT_STATUS
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 from tests.processes.conftest import PLATOON
 
 Make = Callable[..., Any]

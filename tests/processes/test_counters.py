@@ -28,9 +28,9 @@ def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) ->
     supervisor._seq = supervisor._enable_seq = tracker._seq = tracker._news_seq = controller._seq = near  # type: ignore[attr-defined]
     for name, node in run.nodes.items():
         if name.startswith("driver"):
-            for robot in node._robots:  # type: ignore[attr-defined]
-                robot._seq = near
-                robot._gate = robot._gate._replace(epoch=near, latch_id=near, refused=near)
+            node._seq = near  # type: ignore[attr-defined]
+            for count in ("epoch", "latch_id", "refused"):
+                node._robots._gates[count] = near  # type: ignore[attr-defined]
     run.request(b"start")
     assert run.advance(60.0, lambda: run.status.phase is Phase.RUNNING)
     run.advance(1.0)
@@ -56,7 +56,7 @@ def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) ->
 def test_a_driver_goes_on_and_latches_near_the_end_of_its_numbers(stand: Any, driver_of: Make, near: int) -> None:
     keeping = MemoryKeeping()
     keeping.save("r1", Kept(near, Latch.NONE, near))
-    stand.node = driver_of(stand.bench, "r1", keeping=keeping, seed=5)
+    stand.node = driver_of(stand.bench, "r1", "r2", keeping=keeping, seed=5)
     stand._seq = near
     stand.node._robots[0]._seq = near
     stand.run(S // 5)

@@ -6,11 +6,10 @@ from collections.abc import Callable
 import psutil
 import pytest
 
-from robofleet.comms.keys import STATUS, key
+from robofleet.comms.keys import STATUS
 from robofleet.config.load import load_config
 from robofleet.recording.reading import read
 from robofleet.safety.gate import GateStatus
-from tests.comms.alone import ROBOT_STATUS
 from tests.processes.realrun import ALONE, PLATOON, RealRun
 
 ROBOTS = ["r1", "r2", "r3", "r4"]

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATE, TRUTH, key
+from robofleet.comms.keys import STATE, TRUTH
 from robofleet.comms.messages import RUN_STATE, RunState
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config

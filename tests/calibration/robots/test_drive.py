@@ -19,7 +19,6 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording, Run
 from robofleet.tracking.offset import tag_from_centre
-from tests.comms.alone import ROBOT_STATUS
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 LATE_S, LAG_S = 0.031, 0.06

@@ -16,7 +16,6 @@ from robofleet.recording.reading import read
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.supervisor import Event, Happening, Phase
-from tests.comms.alone import ROBOT_STATUS
 from tests.processes.realrun import ALONE, RealRun
 from tests.processes.stand import Stand, proved
 
