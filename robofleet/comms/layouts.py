@@ -210,7 +210,16 @@ class ListLayout(Generic[M]):
 
     def floats(self, items: "NDArray[Any]") -> "NDArray[Any]":
         """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
-        return self._tail(len(items), items.data, self._floats_at)
+        floats: NDArray[Any] = items.view(self._split_dtype)["floats"]
+        return floats
+
+    @cached_property
+    def _split_dtype(self) -> "np.dtype[Any]":
+        """The layout of an item, its floats as one array."""
+        import numpy as np  # noqa: PLC0415
+
+        count = self.item_floats
+        return np.dtype([("plain", f"V{self._item.size - 8 * count}"), ("floats", "<f8", (count,))])
 
     def encode_view(self, message: M, items: "NDArray[Any]") -> bytes:
         """Return the payload of a message whose items are an array (N,) of ``item_dtype``; its own are passed over."""

@@ -293,7 +293,7 @@ def inputs_of(i: Any) -> Inputs:
 
 def set_inputs(i: Any, inputs: Inputs) -> None:
     """Write what a gate is given into its row of INPUT."""
-    i[...] = np.zeros((), INPUT)
+    i["command"] = i["permission"] = i["lease"] = 0
     if (command := inputs.command) is not None:
         i["command"] = 1
         for name in ("epoch", "session", "seq", "boot_id", "nonce"):

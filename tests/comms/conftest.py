@@ -13,20 +13,25 @@ from robofleet.comms.bus import MemoryBus
 from robofleet.comms.layouts import Layout, ListLayout
 
 LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
-    "WheelCommand": (messages.WHEEL_COMMAND, messages.WheelCommand),
-    "RobotStatus": (messages.ROBOT_STATUS, messages.RobotStatus),
-    "Enable": (messages.ENABLE, messages.Enable),
+    "UnitCommand": (messages.UNIT_COMMAND, messages.UnitCommand),
+    "UnitStatus": (messages.UNIT_STATUS, messages.UnitStatus),
+    "UnitEnable": (messages.UNIT_ENABLE, messages.UnitEnable),
     "RunState": (messages.RUN_STATE, messages.RunState),
     "BusyMachine": (messages.BUSY_MACHINE, messages.BusyMachine),
-    "Truth": (messages.TRUTH, messages.Truth),
+    "UnitTruth": (messages.UNIT_TRUTH, messages.UnitTruth),
     "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
     "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
     "TrackerNews": (messages.TRACKER_NEWS, messages.TrackerNews),
     "RecorderStatus": (messages.RECORDER_STATUS, messages.RecorderStatus),
     "LeaseRequest": (messages.LEASE_REQUEST, messages.LeaseRequest),
-    "LeaseAnswer": (messages.LEASE_ANSWER, messages.LeaseAnswer),
+    "UnitLeases": (messages.UNIT_LEASES, messages.UnitLeases),
 }
 ITEMS: dict[str, type[Any]] = {
+    "UnitCommand": messages.WheelCommand,
+    "UnitStatus": messages.RobotStatus,
+    "UnitEnable": messages.Enable,
+    "UnitTruth": messages.Truth,
+    "UnitLeases": messages.LeaseAnswer,
     "FleetPoses": messages.TagPose,
     "TickRecord": messages.RobotTick,
     "RunState": messages.RobotState,

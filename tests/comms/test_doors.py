@@ -226,7 +226,7 @@ def test_keys_that_nobody_knows_come_to_nobody(bus: Bus) -> None:
     marks = bus.operator.newest(STATE)
     until(marks.take, lambda: bus.stranger.put(known[0], b"x"))
     for k in range(2000):
-        bus.stranger.put(f"rf/lab/robot/x{k}/status", b"x", congestion_control=zenoh.CongestionControl.BLOCK)
+        bus.stranger.put(f"rf/lab/unit/x{k}/status", b"x", congestion_control=zenoh.CongestionControl.BLOCK)
     until(lambda: marks.take() == b"end" or None, lambda: bus.stranger.put(known[0], b"end"))
     assert {full for _, full, _ in stream.drain()} == {known[0]}
 

@@ -57,9 +57,7 @@ def test_a_stream_gives_everything_in_order_and_drops_the_oldest(memory_bus: Mak
     assert stream.drain() == []
     clock.advance_to(5)
     heard = stream.drain()
-    assert [(full, payload) for _, full, payload in heard] == [
-        ("rf/lab/robot/r1/status", bytes([k])) for k in (2, 3, 4)
-    ]
+    assert [(full, payload) for _, full, payload in heard] == [("rf/lab/unit/r1/status", bytes([k])) for k in (2, 3, 4)]
     assert stream.dropped == 2
     assert stream.drain() == []
 
@@ -93,7 +91,7 @@ def test_a_tap_hears_all_at_the_moment_of_saying(memory_bus: MakeBus) -> None:
     bus.tap(heard.append)
     bus.publisher(COMMAND, "r1")(b"a")
     bus.publisher(TICK)(b"b")
-    assert heard == [("rf/lab/robot/r1/cmd", b"a"), ("rf/lab/tick", b"b")]
+    assert heard == [("rf/lab/unit/r1/cmd", b"a"), ("rf/lab/tick", b"b")]
 
 
 def test_requests_reach_the_process_that_serves_them(memory_bus: MakeBus, clock: SimulatedClock) -> None:
@@ -156,7 +154,7 @@ def test_requests_that_nobody_takes_do_not_pile_up(memory_bus: MakeBus) -> None:
 @pytest.mark.parametrize("damaged", [b"", b"\0" * 14, b"\1too short"])
 def test_an_inbox_counts_and_drops_what_cannot_be_read(memory_bus: MakeBus, damaged: bytes) -> None:
     bus = memory_bus(0)
-    inbox, publish = Inbox(bus.newest(TICK), RUN_STATE), bus.publisher(TICK)
+    inbox, publish = Inbox(bus.newest(TICK), RUN_STATE.decode), bus.publisher(TICK)
     assert inbox.take() is None
     assert inbox.rejected == 0
     publish(damaged)

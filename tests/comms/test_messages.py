@@ -16,11 +16,14 @@ from robofleet.comms.messages import (
     FLEET_POSES,
     PICTURE,
     TICK_RECORD,
+    UNIT_COMMAND,
     FleetPoses,
     Picture,
     RobotTick,
     TagPose,
     TickRecord,
+    UnitCommand,
+    WheelCommand,
 )
 from tests.comms.conftest import LAYOUTS, any_message
 
@@ -153,12 +156,12 @@ def test_a_picture_is_encoded_too(number: int, jpeg: bytes) -> None:
 def test_what_counts_has_64_bits_and_goes_on_where_32_end() -> None:
     counting = {"seq", "tick", "poses_seq", "state_seq", "command_seq", "latch_id", "clear", "rejected", "refused",
                 "overruns", "messages", "dropped", "echo_tick", "nonce"}  # fmt: skip
-    leases = {"RobotStatus", "WheelCommand", "Enable", "LeaseAnswer", "Truth"}
+    leases = {"UnitStatus", "UnitCommand", "UnitEnable", "UnitLeases"}
     for name, (layout, _) in LAYOUTS.items():
         _, described = layout.describe()
-        for field, kind in described["fields"]:
+        for field, kind in [*described["fields"], *described.get("items", ())]:
             if field in counting or (field == "epoch" and name in leases):
-                assert kind == "<u8", f"{name}.{field}"
+                assert kind in ("<u8", "<i8"), f"{name}.{field}"
 
 
 @EXACT
@@ -182,6 +185,7 @@ def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bo
     assert message is None or layout.encode(message) == payload
     if isinstance(layout, ListLayout):
         layout.decode_head(payload)
+        layout.arrays(payload)
 
 
 @settings(EXACT, max_examples=100)
@@ -256,3 +260,43 @@ def test_a_heads_fields_alone(listed: tuple[ListLayout[Any], Messages], data: st
     assert layout.decode_head(b"\0" + payload[1:]) is None
     packed = np.array([tuple(item) for item in items], dtype=layout.item_dtype).tobytes()
     assert layout.encode_parts(tuple(head), len(items), packed) == payload
+
+
+@EXACT
+@given(st.data())
+def test_items_as_arrays_say_what_the_message_says(
+    listed: tuple[ListLayout[Any], Messages], data: st.DataObject
+) -> None:
+    """Also of an empty list, and of a message that is damaged."""
+    layout, any_of = listed
+    message = data.draw(any_of)
+    payload = layout.encode(message)
+    count = len(layout.head_dtype.names or ()) - 2  # without version and count
+    arrays, viewed = layout.arrays(payload), layout.view(payload)
+    assert arrays is not None
+    assert viewed is not None
+    (head, items), (without, same) = arrays, viewed
+    assert head[0].item()[1:-1] == tuple(message[:count]) == without[:count]
+    assert items.tolist() == same.tolist() == [tuple(item) for item in message[count]]
+    floats = [[value for value in item if isinstance(value, float)] for item in message[count]]
+    assert layout.floats(items).tolist() == floats
+    if not message[count + 1 :]:
+        assert layout.encode_view(message, items) == payload
+    assert layout.arrays(payload[:-1]) is None
+    assert layout.arrays(b"\0" + payload[1:]) is None
+    for bad in ((math.nan, 1.0), (math.inf, -math.inf)):
+        for at in zip(places(layout, message), places(layout, message)[1:], strict=False):
+            damaged = bytearray(payload)
+            for value, place in zip(bad, at, strict=True):
+                struct.pack_into("<d", damaged, place, value)
+            assert layout.arrays(bytes(damaged)) is None
+
+
+@EXACT
+@given(st.lists(st.tuples(st.integers(0, 2**64 - 1), WILD, WILD), max_size=4), HUGE)
+def test_whatever_is_encoded_from_an_array_is_decoded(rows: list[tuple[int, float, float]], number: int) -> None:
+    items = np.array(rows, UNIT_COMMAND.item_dtype)
+    message = UnitCommand(number, number, number, number, number, ())
+    whole = message._replace(robots=tuple(WheelCommand(*row) for row in rows))
+    assert UNIT_COMMAND.encode_view(message, items) == UNIT_COMMAND.encode(whole)
+    assert UNIT_COMMAND.decode(UNIT_COMMAND.encode_view(message, items)) is not None

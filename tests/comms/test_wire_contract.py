@@ -18,11 +18,13 @@ from robofleet.comms.keys import (
 )
 from robofleet.comms.messages import (
     BUSY_MACHINE,
-    LEASE_ANSWER,
     LEASE_REQUEST,
-    ROBOT_STATUS,
     RUN_STATE,
-    WHEEL_COMMAND,
+    UNIT_COMMAND,
+    UNIT_ENABLE,
+    UNIT_LEASES,
+    UNIT_STATUS,
+    UNIT_TRUTH,
     BusyMachine,
     Enable,
     Late,
@@ -31,43 +33,58 @@ from robofleet.comms.messages import (
     RobotState,
     RobotStatus,
     RunState,
+    Truth,
+    UnitCommand,
+    UnitEnable,
+    UnitLeases,
+    UnitStatus,
+    UnitTruth,
     WheelCommand,
-)
-from robofleet.comms.messages import (
-    ENABLE as ENABLE_LAYOUT,
 )
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 
 
-def test_a_wheel_command() -> None:
-    message = WheelCommand(2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
-    assert WHEEL_COMMAND.encode(message) == struct.pack("<BQQQQQqdd", 5, 2, 3, 4, 2**64 - 1, 5, -6, 1.5, -2.5)
+def test_a_command() -> None:
+    message = UnitCommand(2, 3, 2**64 - 1, 4, -5, (WheelCommand(6, 1.5, -2.5), WheelCommand(2**64 - 1, 0.0, 3.5)))
+    head = struct.pack("<BQQQqqH", 6, 2, 3, 2**64 - 1, 4, -5, 2)
+    assert UNIT_COMMAND.encode(message) == head + struct.pack("<QddQdd", 6, 1.5, -2.5, 2**64 - 1, 0.0, 3.5)
 
 
 def test_an_enable() -> None:
-    values = (2, 3, 4, 5, 6, 7, 8, 9.5)
-    assert ENABLE_LAYOUT.encode(Enable(*values)) == struct.pack("<BQQQQBBQd", 5, *values)
+    message = UnitEnable(2, 3, -4, 5, (Enable(6, 7, 8, 9.5), Enable(10, 11, 12, 13.5)))
+    head = struct.pack("<BQQqBH", 6, 2, 3, -4, 5, 2)
+    assert UNIT_ENABLE.encode(message) == head + struct.pack("<QBQdQBQd", 6, 7, 8, 9.5, 10, 11, 12, 13.5)
 
 
 def test_a_status() -> None:
-    values = (*range(2, 17), -17, -18, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, -1.0)
-    assert ROBOT_STATUS.encode(RobotStatus(*values)) == struct.pack("<BQQIQQQqqqQBBQBIqqddddddddd", 5, *values)
+    values = (*range(7, 16), -17, -18, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, -1.0)
+    others = (*range(27, 36), -37, -38, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9)
+    message = UnitStatus(2, 3, 4, -5, -6, 1, (RobotStatus(*values), RobotStatus(*others)))
+    head, item = struct.pack("<BQIQqqBH", 6, 2, 3, 4, -5, -6, 1, 2), "<QQqqQBBQIqqddddddddd"
+    assert UNIT_STATUS.encode(message) == head + struct.pack(item, *values) + struct.pack(item, *others)
+
+
+def test_a_truth() -> None:
+    message = UnitTruth(2, -3, (Truth(4, 0.1, 0.2, 0.3, 0.4, 0.5), Truth(6, 1.1, 1.2, 1.3, 1.4, 1.5)))
+    items = struct.pack("<HdddddHddddd", 4, 0.1, 0.2, 0.3, 0.4, 0.5, 6, 1.1, 1.2, 1.3, 1.4, 1.5)
+    assert UNIT_TRUTH.encode(message) == struct.pack("<BQqH", 6, 2, -3, 2) + items
 
 
 def test_a_lease() -> None:
-    assert LEASE_REQUEST.encode(LeaseRequest(2**64 - 1, 1)) == struct.pack("<BQB", 5, 2**64 - 1, 1)
-    assert LEASE_ANSWER.encode(LeaseAnswer(1, 3, 2**64 - 1)) == struct.pack("<BBQQ", 5, 1, 3, 2**64 - 1)
+    assert LEASE_REQUEST.encode(LeaseRequest(2**64 - 1, 1)) == struct.pack("<BQB", 6, 2**64 - 1, 1)
+    answer = UnitLeases((LeaseAnswer(1, 3, 2**64 - 1), LeaseAnswer(0, 4, 5)))
+    assert UNIT_LEASES.encode(answer) == struct.pack("<BHBQQBQQ", 6, 2, 1, 3, 2**64 - 1, 0, 4, 5)
 
 
 def test_a_run_state() -> None:
     message = RunState(2, 3, 4, 5, 6, 7.5, 8, 9, 10, (RobotState(1, 0, 11), RobotState(0, 1, 12)))
-    head = struct.pack("<BIQBHHdBHBH", 5, 2, 3, 4, 5, 6, 7.5, 8, 9, 10, 2)
+    head = struct.pack("<BIQBHHdBHBH", 6, 2, 3, 4, 5, 6, 7.5, 8, 9, 10, 2)
     assert RUN_STATE.encode(message) == head + struct.pack("<BBHBBH", 1, 0, 11, 0, 1, 12)
 
 
 def test_a_busy_machine() -> None:
     message = BusyMachine(2, 3, 4, 1, 5, 6, 7, 8.5, (Late(9, 10, -1),))
-    assert BUSY_MACHINE.encode(message) == struct.pack("<BIQHBIIHdHHqq", 5, 2, 3, 4, 1, 5, 6, 7, 8.5, 1, 9, 10, -1)
+    assert BUSY_MACHINE.encode(message) == struct.pack("<BIQHBIIHdHHqq", 6, 2, 3, 4, 1, 5, 6, 7, 8.5, 1, 9, 10, -1)
 
 
 def test_what_a_gate_says_in_numbers() -> None:
@@ -83,10 +100,10 @@ def test_what_a_gate_says_in_numbers() -> None:
 
 
 def test_keys() -> None:
-    assert key("lab", COMMAND, "r1") == "rf/lab/robot/r1/cmd"
-    assert key("lab", STATUS, "r1") == "rf/lab/robot/r1/status"
-    assert key("lab", ENABLE, "r1") == "rf/lab/robot/r1/enable"
-    assert key("lab", LEASE, "r1") == "rf/lab/robot/r1/lease"
+    assert key("lab", COMMAND, "r1") == "rf/lab/unit/r1/cmd"
+    assert key("lab", STATUS, "r1") == "rf/lab/unit/r1/status"
+    assert key("lab", ENABLE, "r1") == "rf/lab/unit/r1/enable"
+    assert key("lab", LEASE, "r1") == "rf/lab/unit/r1/lease"
     assert key("lab", POSES, "overhead") == "rf/lab/poses/overhead"
     assert key("lab", TICK) == "rf/lab/tick"
     assert key("lab", STATE) == "rf/lab/state"

@@ -106,7 +106,7 @@ def test_a_stream_hears_the_keys_that_were_named_and_no_other(net: Net) -> None:
 
 
 def test_a_full_stream_drops_the_oldest_and_counts_them(net: Net) -> None:
-    stream, publish = net.b.stream("rf/lab/robot/r9/cmd", capacity=4), net.a.publisher(COMMAND, "r9")
+    stream, publish = net.b.stream("rf/lab/unit/r9/cmd", capacity=4), net.a.publisher(COMMAND, "r9")
     heard: list[bytes] = []
     net.b.listen(COMMAND, "r9", lambda _, payload: heard.append(payload))
     witness = net.b.newest(COMMAND, "r9")

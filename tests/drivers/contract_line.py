@@ -14,13 +14,13 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import STATUS
-from robofleet.comms.messages import ROBOT_STATUS
 from robofleet.config.troubles import LineFault, LinkFault
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch
 from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
+from tests.comms.alone import ROBOT_STATUS
 from tests.drivers.contract_bench import LOOP_NS, Bench, Moment, Subject
 from tests.drivers.contract_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
 

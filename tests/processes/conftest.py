@@ -27,16 +27,18 @@ from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from tests.comms import alone as of_one
 from tests.processes.realrun import RealRun
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+ONE_BY_ONE = "drivers.robots_per_process=1"
 LAYOUTS: dict[Topic, Any] = {
-    keys.COMMAND: messages.WHEEL_COMMAND,
-    keys.STATUS: messages.ROBOT_STATUS,
-    keys.ENABLE: messages.ENABLE,
+    keys.COMMAND: of_one.WHEEL_COMMAND,
+    keys.STATUS: of_one.ROBOT_STATUS,
+    keys.ENABLE: of_one.ENABLE,
     keys.STATE: messages.RUN_STATE,
     keys.BUSY: messages.BUSY_MACHINE,
-    keys.TRUTH: messages.TRUTH,
+    keys.TRUTH: of_one.TRUTH,
     keys.POSES: messages.FLEET_POSES,
     keys.TICK: messages.TICK_RECORD,
     keys.NEWS: messages.TRACKER_NEWS,
@@ -47,8 +49,8 @@ LAYOUTS: dict[Topic, Any] = {
 
 @pytest.fixture(scope="session")
 def platoon_of() -> Callable[..., Config]:
-    """Return the shipped platoon with keys changed."""
-    return lambda *overrides: load_config(PLATOON, overrides)
+    """Return the shipped platoon with keys changed; each robot has a driver process, as robots that exist have."""
+    return lambda *overrides: load_config(PLATOON, [ONE_BY_ONE, *overrides])
 
 
 @pytest.fixture(scope="session")
@@ -99,12 +101,18 @@ class Bench:
         self.clock.advance_to(self.now_ns + ns)
 
     def say(self, topic: Topic, message: Any, name: str = "") -> None:
+        """Say it on a topic; ``name``: of a robot, which is alone in its unit, where units speak or listen."""
         self.bus.publisher(topic, name)(LAYOUTS[topic].encode(message))
 
     def heard(self, topic: Topic, name: str = "") -> list[Any]:
-        """Return every message of a topic so far."""
-        full = key(self.config.arena.name, topic, name)
-        return [LAYOUTS[topic].decode(payload) for said, payload in self._said if said == full]
+        """Return every message of a topic so far; ``name``: of a robot, where units speak or listen."""
+        layout, unit = LAYOUTS[topic], self.config.unit_of.get(name, name)
+        full = key(self.config.arena.name, topic, unit)
+        payloads = [payload for said, payload in self._said if said == full]
+        if not isinstance(layout, of_one.Alone):
+            return [layout.decode(payload) for payload in payloads]
+        place = self.config.units[unit].index(name)
+        return [layout.of(payload, place) for payload in payloads]
 
     def run(self, node: Node, ns: int, *others: tuple[int, Callable[[], None]]) -> None:
         """Step a process whenever it asks to be, and after every act of ``others``: (period [ns], act)."""
@@ -176,19 +184,23 @@ def recording_driver() -> Iterator[type[RecordingDriver]]:
 
 @pytest.fixture(scope="session")
 def recorded() -> Callable[..., list[str]]:
-    """Return what makes robots of the platoon RecordingDrivers: config changes."""
+    """Return what makes robots of the platoon RecordingDrivers, in one unit: config changes."""
     name = f"{RecordingDriver.__module__}:{RecordingDriver.__qualname__}"
-    return lambda *rows: [f"robots.{row}.driver='{name}'" for row in rows]
+    return lambda *rows: [
+        change for row in rows for change in (f"robots.{row}.driver='{name}'", f"robots.{row}.unit=r{rows[0] + 1}")
+    ]
 
 
 @pytest.fixture(scope="session")
 def driver_of() -> Callable[..., DriverProcess]:
-    """Return what starts a driver process on a bench, for robots by their ids."""
+    """Return what starts a driver process on a bench, for the robots of a unit."""
 
     def start(bench: Bench, *robots: str, seed: int = 1, **keys: Any) -> DriverProcess:
         drivers = ConfiguredDrivers(bench.config, bench.clock.now_ns)
         keys = {"wake": lambda _: None, "keeping": MemoryKeeping(), "drivers": drivers, **keys}
-        return DriverProcess(bench.config, robots, bench.bus, bench.clock, rng=np.random.default_rng(seed), **keys)
+        unit = bench.config.unit_of[robots[0]]
+        assert bench.config.units[unit] == robots
+        return DriverProcess(bench.config, unit, bench.bus, bench.clock, rng=np.random.default_rng(seed), **keys)
 
     return start
 
@@ -205,39 +217,63 @@ class Stand:
         self.bench, self.node, self.made = bench, node, made
         self.seen: dict[str, int] = {}  # nonce that the newest command echoed
         self._seq = 0
+        self._limits: dict[str, float] = {}  # that robots are permitted
 
     def newest(self, robot: str) -> Any:
         statuses = self.bench.heard(keys.STATUS, robot)
         return statuses[-1] if statuses else None
 
     def ask(self, robot: str, action: LeaseAction = LeaseAction.ACQUIRE, session: int = SESSION) -> Any:
-        """Ask for a robot; returns the answer, or None if there was none."""
+        """Ask for a robot's unit; returns the answer for the robot, or None if there was none."""
+        unit, place = self._place(robot)
         answer = self.bench.bus.ask(
-            keys.LEASE, robot, messages.LEASE_REQUEST.encode(messages.LeaseRequest(session, action))
+            keys.LEASE, unit, messages.LEASE_REQUEST.encode(messages.LeaseRequest(session, action))
         )
         self.node.step(self.bench.now_ns)
         payload = answer.take()
-        return None if payload is None else messages.LEASE_ANSWER.decode(payload)
+        return None if payload is None else of_one.LEASE_ANSWER.of(payload, place)
 
     def acquire(self, robot: str) -> None:
         assert self.ask(robot).granted == 1
         self.bench.run(self.node, 25 * MS)  # a status tells the epoch
 
-    def command(self, robot: str, wheels: WheelSpeeds = FORWARD, exposure_ns: int = 77, age: int = 1) -> None:
-        """Command as the controller does; ``age`` 2 echoes the status before the newest."""
-        statuses = self.bench.heard(keys.STATUS, robot)[-age:]
-        if statuses:
+    def command(self, *robots: str, wheels: WheelSpeeds = FORWARD, exposure_ns: int = 77, age: int = 1) -> None:
+        """Command robots of a unit as the controller does, and say nothing to its others; ``age`` 2 echoes the status
+        before the newest."""
+        unit, _ = self._place(robots[0])
+        of = {robot: self.bench.heard(keys.STATUS, robot)[-age:] for robot in self.bench.config.units[unit]}
+        if statuses := of[robots[0]]:
             self._seq += 1
-            status, self.seen[robot] = statuses[0], statuses[0].nonce
-            echo = status.epoch, self._seq, self.SESSION, status.boot_id, status.nonce
-            self.bench.say(keys.COMMAND, messages.WheelCommand(*echo, exposure_ns, *wheels), robot)
+            status = statuses[0]
+            self.seen.update(dict.fromkeys(robots, status.nonce))
+            head = messages.UnitCommand(self._seq, self.SESSION, status.boot_id, status.nonce, exposure_ns, ())
+            nothing = messages.WheelCommand(0, 0.0, 0.0)
+            told = [messages.WheelCommand(of[r][0].epoch, *wheels) if r in robots else nothing for r in of]
+            self.bench.bus.publisher(keys.COMMAND, unit)(
+                messages.UNIT_COMMAND.encode(head._replace(robots=tuple(told)))
+            )
 
-    def enable(self, robot: str, *, limit: float = 12.5, latch: int = 0, clear: int = 0) -> None:
-        """Say what the supervisor says."""
-        if (status := self.newest(robot)) is not None:
+    def enable(self, *robots: str, limit: float = 12.5, latch: int = 0, clear: int = 0) -> None:
+        """Say what the supervisor says of robots of a unit; of its others it says what it said before."""
+        unit, _ = self._place(robots[0])
+        if (status := self.newest(robots[0])) is not None:
             self._seq += 1
-            echo = status.epoch, self._seq, status.boot_id, status.nonce
-            self.bench.say(keys.ENABLE, messages.Enable(*echo, Phase.RUNNING, latch, clear, limit), robot)
+            epochs = {robot: self.newest(robot).epoch for robot in self.bench.config.units[unit]}
+            for robot in robots:
+                self._limits[robot] = 0.0 if latch else limit
+            permissions = tuple(
+                messages.Enable(epoch, latch, clear, limit)
+                if robot in robots
+                else messages.Enable(epoch, 0, 0, self._limits.get(robot, 0.0))
+                for robot, epoch in epochs.items()
+            )
+            said = messages.UnitEnable(self._seq, status.boot_id, status.nonce, Phase.RUNNING, permissions)
+            self.bench.bus.publisher(keys.ENABLE, unit)(messages.UNIT_ENABLE.encode(said))
+
+    def _place(self, robot: str) -> tuple[str, int]:
+        """Return the robot's unit, and its place there."""
+        unit = self.bench.config.unit_of[robot]
+        return unit, self.bench.config.units[unit].index(robot)
 
     def run(self, ns: int, *, commands: bool = True, enables: bool = True, robot: str = "r1") -> None:
         """Let a robot drive."""

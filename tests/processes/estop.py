@@ -22,7 +22,7 @@ import numpy as np
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.keys import REQUEST, STATE, STATUS, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
+from robofleet.comms.messages import RUN_STATE
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
@@ -30,6 +30,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.children import Children
 from robofleet.processes.estop import emergency_stop, urgent
 from robofleet.safety.supervisor import Phase
+from tests.comms.alone import ROBOT_STATUS
 from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON
 from tests.processes.unlaunched import started

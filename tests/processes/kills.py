@@ -21,11 +21,12 @@ import numpy as np
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Inbox
 from robofleet.comms.keys import STATE, STATUS
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RobotStatus, RunState
+from robofleet.comms.messages import RUN_STATE, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.safety.supervisor import Phase
+from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
 from tests.processes.unlaunched import started, wait_ready
 
@@ -57,8 +58,8 @@ class Fleet:
         self.config = config.model_copy(update={"robots": tuple(config.robot(robot) for robot in ROBOTS)})
         self._children = started(self.config, folder, CLOCK)
         self.bus = ZenohBus(config.arena.name, endpoint, "kills", CLOCK)
-        self._state = Inbox(self.bus.newest(STATE), RUN_STATE)
-        self._inboxes = {robot: Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS) for robot in ROBOTS}
+        self._state = Inbox(self.bus.newest(STATE), RUN_STATE.decode)
+        self._inboxes = {robot: Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS.decode) for robot in ROBOTS}
         self.state: RunState | None = None
         self.statuses: dict[str, RobotStatus] = {}
 

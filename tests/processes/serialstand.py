@@ -17,17 +17,7 @@ import yaml
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
-from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import (
-    LEASE_ANSWER,
-    LEASE_REQUEST,
-    ROBOT_STATUS,
-    WHEEL_COMMAND,
-    Enable,
-    LeaseRequest,
-    RobotStatus,
-    WheelCommand,
-)
+from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config import slices
 from robofleet.config.load import load_config, resolved_yaml
@@ -41,6 +31,8 @@ from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import WheelSpeeds
+from tests.comms.alone import ENABLE as ENABLE_LAYOUT
+from tests.comms.alone import LEASE_ANSWER, ROBOT_STATUS, WHEEL_COMMAND, Enable, RobotStatus, WheelCommand
 from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON, own_folders
 

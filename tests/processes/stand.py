@@ -8,17 +8,7 @@ import numpy as np
 from robofleet.clock import MS, S
 from robofleet.comms.bus import Answer, Inbox
 from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
-from robofleet.comms.messages import ENABLE as ENABLE_LAYOUT
-from robofleet.comms.messages import (
-    Enable,
-    FleetPoses,
-    RobotStatus,
-    RobotTick,
-    RunState,
-    TagPose,
-    TickRecord,
-    TrackerNews,
-)
+from robofleet.comms.messages import FleetPoses, RobotTick, RunState, TagPose, TickRecord, TrackerNews
 from robofleet.config import slices
 from robofleet.processes.supervisor import Supervisor
 from robofleet.safety import arming
@@ -27,6 +17,8 @@ from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase
 from robofleet.safety.view import FleetView, Machine
 from robofleet.tracking.events import NO_TAG, TrackerEvent
+from tests.comms.alone import ENABLE as ENABLE_LAYOUT
+from tests.comms.alone import Enable, RobotStatus
 
 ROBOTS = ("r1", "r2", "r3", "r4")
 PLACES = ((-1.0, 0.0, 0.0), (-0.5, 0.0, 0.0), (0.0, 0.0, 0.0), (0.5, 0.0, 0.0))
@@ -91,7 +83,7 @@ class Stand:
         self.tick = self._image = self._news = 0
         self.epoch = 3  # of the controller
         arming.step = prove
-        self._heard = {robot: Inbox(bench.bus.newest(ENABLE, robot), ENABLE_LAYOUT) for robot in ROBOTS}
+        self._heard = {robot: Inbox(bench.bus.newest(ENABLE, robot), ENABLE_LAYOUT.decode) for robot in ROBOTS}
         self.node = Supervisor(
             bench.config, bench.bus, bench.clock, self.woken.append, np.random.default_rng(1),
             free_bytes=lambda: self.free_bytes, attended=attended, say=self.said.append,

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.comms.keys import STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.load import load_config
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.processes.lockstep import Lockstep
@@ -55,7 +54,7 @@ def test_a_faulty_robot_is_named_and_nobody_runs(truth: Make, fault: str) -> Non
 def test_only_the_robots_up_to_the_faulty_one_ever_turned_a_wheel() -> None:
     run = armed("robots.1.vehicle.simulated.wiring=swapped")
     turned = {
-        robot: bool(np.any(run.recording.rows(key("platoon", STATUS, robot), ROBOT_STATUS)["left_angle_rad"]))
+        robot: bool(np.any(run.recording.of_robot(STATUS, robot)["left_angle_rad"]))
         for robot in ("r1", "r2", "r3", "r4")
     }
     assert turned == {"r1": True, "r2": True, "r3": False, "r4": False}
@@ -79,7 +78,7 @@ def test_a_healthy_fleet_is_armed_in_time_robot_by_robot(change: str, within_s: 
 def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
     run = armed(f"robots.0.vehicle.{change}")
     assert states(run)[-1].cause == Event.STOP_REQUESTED
-    statuses, others = (run.recording.rows(key("platoon", STATUS, robot), ROBOT_STATUS) for robot in ("r1", "r2"))
+    statuses, others = (run.recording.of_robot(STATUS, robot) for robot in ("r1", "r2"))
     assert statuses["rejected"][-1] == others["rejected"][-1]  # no command for the speed that it asks for
     armed_only = statuses["left_output_rad_s"][:-60]  # then it runs for a tick and rests for a second
     assert 3.5 < armed_only.max() <= 4.7
@@ -88,7 +87,7 @@ def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
 def test_a_fleet_that_was_armed_stands_about_where_it_stood() -> None:
     run = armed()
     for robot in ("r1", "r2", "r3", "r4"):
-        truth = run.recording.rows(key("platoon", TRUTH, robot), TRUTH_LAYOUT)
+        truth = run.recording.of_robot(TRUTH, robot)
         x, y, psi = (truth[name] - truth[name][0] for name in ("x_m", "y_m", "psi_rad"))
         assert np.hypot(x, y).max() > 0.015  # it was tried
         assert np.hypot(x, y)[-1] < 0.008

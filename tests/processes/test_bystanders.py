@@ -11,7 +11,7 @@ import yaml
 
 from robofleet.behaviours.platoon import Platoon
 from robofleet.comms.keys import STATUS, key
-from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD
+from robofleet.comms.messages import TICK_RECORD
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked, refusals
@@ -20,6 +20,7 @@ from robofleet.recording.metrics import summary
 from robofleet.recording.run import Run
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
+from tests.comms.alone import ROBOT_STATUS
 
 Make = Callable[..., Config]
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
@@ -148,13 +149,13 @@ def test_the_emergency_stop_latches_it_too_and_a_reset_clears_it(platoon_of: Mak
         return status.latch
 
     assert latch() == Latch.NONE
-    assert Latch.DRILL not in run.recording.rows(key("platoon", STATUS, "p1"), ROBOT_STATUS)["latch"]
+    assert Latch.DRILL not in run.recording.of_robot(STATUS, "p1")["latch"]
     run.request(b"estop")
     assert run.advance(0.2, lambda: latch() == Latch.EMERGENCY_STOP)
     run.advance(2)
     run.request(b"reset")
     assert run.advance(1, lambda: run.status.phase is Phase.IDLE and latch() == Latch.NONE)
-    rows = run.recording.rows(key("platoon", STATUS, "p1"), ROBOT_STATUS)
+    rows = run.recording.of_robot(STATUS, "p1")
     assert not rows["left_output_rad_s"].any()
     run.close()
 

@@ -8,10 +8,11 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
-from robofleet.comms.messages import FleetPoses, RobotState, RobotStatus, RunState, TagPose
+from robofleet.comms.messages import FleetPoses, RobotState, RunState, TagPose
 from robofleet.config import slices
 from robofleet.processes.controller import Controller
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.comms.alone import RobotStatus
 
 Make = Callable[..., Any]
 TICK_NS = 33 * MS

@@ -8,12 +8,13 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms import keys
 from robofleet.comms.keys import key
-from robofleet.comms.messages import ENABLE, FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, WHEEL_COMMAND
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.processes.keeping import Kept, MemoryKeeping
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import STOP
+from tests.comms.alone import ENABLE, ROBOT_STATUS, WHEEL_COMMAND
 
 Make = Callable[..., Any]
 LIMITS = [(1 << 31) - 3, (1 << 32) - 3, (1 << 63) - 1000]
@@ -27,9 +28,9 @@ def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) ->
     supervisor._seq = supervisor._enable_seq = tracker._seq = tracker._news_seq = controller._seq = near  # type: ignore[attr-defined]
     for name, node in run.nodes.items():
         if name.startswith("driver"):
-            for robot in node._robots:  # type: ignore[attr-defined]
-                robot._seq = near
-                robot._gate = robot._gate._replace(epoch=near, latch_id=near, refused=near)
+            node._seq = near  # type: ignore[attr-defined]
+            for count in ("epoch", "latch_id", "refused"):
+                node._robots._gates[count] = near  # type: ignore[attr-defined]
     run.request(b"start")
     assert run.advance(60.0, lambda: run.status.phase is Phase.RUNNING)
     run.advance(1.0)
@@ -55,7 +56,7 @@ def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) ->
 def test_a_driver_goes_on_and_latches_near_the_end_of_its_numbers(stand: Any, driver_of: Make, near: int) -> None:
     keeping = MemoryKeeping()
     keeping.save("r1", Kept(near, Latch.NONE, near))
-    stand.node = driver_of(stand.bench, "r1", keeping=keeping, seed=5)
+    stand.node = driver_of(stand.bench, "r1", "r2", keeping=keeping, seed=5)
     stand._seq = near
     stand.node._robots[0]._seq = near
     stand.run(S // 5)

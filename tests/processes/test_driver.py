@@ -8,9 +8,9 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
-from robofleet.comms.messages import Enable, WheelCommand
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WIRED_STOP, WheelSpeeds
+from tests.comms.alone import Enable, WheelCommand
 
 Make = Callable[..., Any]
 FORWARD = WheelSpeeds(3.0, 4.0)
@@ -101,7 +101,7 @@ def test_what_comes_late_moves_nothing_however_much_comes(stand: Any) -> None:
 def test_a_refused_command_is_not_the_one_that_reached_the_wheels(stand: Any) -> None:
     stand.run(S // 2)
     applied = stand.newest("r1").applied_exposure_ns
-    stand.command("r1", WheelSpeeds(99.0, 99.0), exposure_ns=EXPOSURE_NS + 1)
+    stand.command("r1", wheels=WheelSpeeds(99.0, 99.0), exposure_ns=EXPOSURE_NS + 1)
     stand.bench.run(stand.node, 30 * MS)
     status = stand.newest("r1")
     assert (status.applied_exposure_ns, status.rejected, status.gate) == (applied, 1, GateStatus.OPEN)
@@ -121,12 +121,12 @@ def test_one_process_keeps_its_robots_apart(stand: Any) -> None:
     assert moves(stand, "r1") == []
     assert stand.made["r2"].target == FORWARD
     one, other = stand.newest("r1"), stand.newest("r2")
-    assert one.boot_id != other.boot_id
-    assert (one.gate, other.gate) == (GateStatus.NO_LEASE, GateStatus.OPEN)
+    assert (one.gate, other.gate) == (GateStatus.NO_ENABLE, GateStatus.OPEN)
+    assert one.rejected == other.rejected == 0
 
 
 def test_a_status_every_20_ms_and_the_truth_every_10(bench_of: Make, platoon_of: Make, driver_of: Make) -> None:
-    bench = bench_of(platoon_of())
+    bench = bench_of(platoon_of("drivers.robots_per_process=2"))
     node = driver_of(bench, "r1", "r2")
     bench.run(node, S)
     for robot in ("r1", "r2"):

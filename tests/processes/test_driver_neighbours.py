@@ -18,12 +18,10 @@ FORWARD = WheelSpeeds(3.0, 4.0)
 
 
 def test_a_slow_robot_gives_its_neighbour_no_time(stand: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("r1", "r2"):
-        stand.acquire(name)
+    stand.acquire("r1")
     issued_ns = stand.newest("r2").nonce
-    for name in ("r1", "r2"):
-        stand.command(name)
-        stand.enable(name)
+    stand.command("r1", "r2")
+    stand.enable("r1", "r2")
     with monkeypatch.context() as context:
         context.setattr(stand.made["r1"], "write", lambda _: stand.bench.wait(130 * MS))
         stand.node.step(stand.bench.now_ns)
@@ -36,7 +34,7 @@ def test_a_slow_robot_gives_its_neighbour_no_time(stand: Any, monkeypatch: pytes
 def test_a_robot_that_cannot_be_opened_leaves_none_open(
     bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
 ) -> None:
-    bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:int'"))
+    bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:int'", "robots.1.unit=r1"))
     with pytest.raises(TypeError):
         driver_of(bench, "r1", "r2")
     assert recording_driver.made["r1"].closed == 1

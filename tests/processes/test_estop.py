@@ -22,7 +22,7 @@ _AT_S = 0.5  # since the fleet ran, trouble; the stop comes 0.1 s later
 
 def stop(lockstep: Lockstep) -> Stopped:
     """Do what whoever stops does, in simulated time."""
-    stopping = EmergencyStop(lockstep.bus, ROBOTS, lockstep.clock.now_ns())
+    stopping = EmergencyStop(lockstep.bus, lockstep.recording.config.units, lockstep.clock.now_ns())
     while (stopped := stopping.step(lockstep.clock.now_ns())) is None:
         lockstep.advance(0.001)
     return stopped
@@ -47,7 +47,7 @@ def driving() -> Iterator[Callable[..., Lockstep]]:
     def make(kind: str | None, duration_s: float = 0.0) -> Lockstep:
         fault = {"kind": kind, "process": "supervisor", "at_s": _AT_S, "duration_s": duration_s}
         faults = [] if kind is None else [f"faults=[{fault}]".replace("'", "")]
-        lockstep = Lockstep(load_config(PLATOON, ["tracker.source=truth", *faults]))
+        lockstep = Lockstep(load_config(PLATOON, ["tracker.source=truth", "robots.2.unit=third", *faults]))
         made.append(lockstep)
         lockstep.request(b"start")
         assert lockstep.advance(60.0, lambda: lockstep.status.phase is Phase.RUNNING)
@@ -95,7 +95,7 @@ def test_every_gate_latches_and_nothing_goes_on_until_a_reset(
 
 def test_a_flood_of_requests_that_swallows_the_stop_keeps_no_gate_open(driving: Callable[..., Lockstep]) -> None:
     lockstep = driving(None)
-    stopping = EmergencyStop(lockstep.bus, ROBOTS, lockstep.clock.now_ns())
+    stopping = EmergencyStop(lockstep.bus, lockstep.recording.config.units, lockstep.clock.now_ns())
     while (stopped := stopping.step(lockstep.clock.now_ns())) is None:
         flood(lockstep)
         lockstep.advance(0.001)
@@ -110,7 +110,7 @@ def test_a_supervisor_that_only_sees_latched_gates_stops_the_others_and_says_why
     driving: Callable[..., Lockstep],
 ) -> None:
     lockstep = driving(None)
-    only = EmergencyStop(lockstep.bus, ("r3",), lockstep.clock.now_ns())
+    only = EmergencyStop(lockstep.bus, {"third": ("r3",)}, lockstep.clock.now_ns())
     only._answer = None
     flood(lockstep)  # the request is lost
     while only.step(lockstep.clock.now_ns()) is None:
@@ -135,7 +135,7 @@ def poll(stopping: EmergencyStop, stand: Stand, within_ns: int) -> Stopped | Non
 def test_a_permission_with_the_same_nonce_neither_forestalls_nor_undoes_it(stand: Stand, when: str) -> None:
     """Of a supervisor that is alive and has not heard, or that wakes: its words and the stop's meet at the gate."""
     stand.run(S)
-    stopping = EmergencyStop(stand.bench.bus, ("r1", "r2"), stand.bench.now_ns)
+    stopping = EmergencyStop(stand.bench.bus, {"r1": ("r1", "r2")}, stand.bench.now_ns)
 
     def word() -> None:
         stand.command("r1")
@@ -162,7 +162,7 @@ def test_what_is_lost_on_its_way_is_said_again_and_who_stays_silent_is_named(sta
         publish = publisher(topic, name)
 
         def loses(payload: bytes) -> None:
-            if topic is ENABLE and (name == "r2" or len(lost) < 4):
+            if topic is ENABLE and len(lost) < 4:
                 lost.append(name)
             else:
                 publish(payload)
@@ -170,26 +170,27 @@ def test_what_is_lost_on_its_way_is_said_again_and_who_stays_silent_is_named(sta
         return loses
 
     monkeypatch.setattr(stand.bench.bus, "publisher", lossy)
-    stopping = EmergencyStop(stand.bench.bus, ("r1", "r2"), stand.bench.now_ns)
+    stopping = EmergencyStop(stand.bench.bus, {"r1": ("r1", "r2"), "r3": ("r3",)}, stand.bench.now_ns)
     stopped = poll(stopping, stand, S)
     assert stopped is not None
-    assert stopped.silent == ("r2",)
-    assert stopped.after_ms["r1"] > 40.0
-    assert stopped.describe() == "NOT acknowledged within 200 ms by r2: stop them by hand"
+    assert stopped.silent == ("r3",)
+    assert min(stopped.after_ms["r1"], stopped.after_ms["r2"]) > 40.0
+    assert stopped.describe() == "NOT acknowledged within 200 ms by r3: stop them by hand"
 
 
 def test_it_echoes_the_newest_word_of_each_robot_and_nothing_older(stand: Stand) -> None:
     """So what was recorded on the bus stops nobody later, and a robot that was started again is stopped too."""
     stand.run(S)
-    stopping = EmergencyStop(stand.bench.bus, ("r1",), stand.bench.now_ns)
+    said: list[tuple[str, bytes]] = []
+    stand.bench.bus.tap(said.append)
+    stopping = EmergencyStop(stand.bench.bus, {"r1": ("r1", "r2")}, stand.bench.now_ns)
     assert poll(stopping, stand, S) is not None
-    said = stand.bench.heard(ENABLE, "r1")
-    (latching, *_) = [enable for enable in said if enable.latch == Latch.EMERGENCY_STOP]
+    latching = next(payload for full, payload in said if full.endswith("/enable"))
     stand.bench.run(stand.node, 200 * MS)
     stand.enable("r1", clear=stand.newest("r1").latch_id)
     stand.bench.run(stand.node, 50 * MS)
     assert stand.newest("r1").latch == Latch.NONE
     rejected = stand.newest("r1").rejected
-    stand.bench.say(ENABLE, latching, "r1")
+    stand.bench.bus.publisher(ENABLE, "r1")(latching)
     stand.bench.run(stand.node, 50 * MS)
     assert (stand.newest("r1").latch, stand.newest("r1").rejected) == (Latch.NONE, rejected + 1)

@@ -6,8 +6,7 @@ from collections.abc import Callable
 import psutil
 import pytest
 
-from robofleet.comms.keys import STATUS, key
-from robofleet.comms.messages import ROBOT_STATUS
+from robofleet.comms.keys import STATUS
 from robofleet.config.load import load_config
 from robofleet.recording.reading import read
 from robofleet.safety.gate import GateStatus
@@ -51,7 +50,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     assert (recording.outcome, recording.cause, recording.dropped) == ("completed", None, 0)
     assert s["recording"] == {"messages": recording.count, "dropped": 0}
     for robot in ROBOTS:
-        statuses = recording.rows(key("platoon", STATUS, robot), ROBOT_STATUS)
+        statuses = recording.of_robot(STATUS, robot)
         assert statuses["gate"].max() == GateStatus.NO_LEASE, "before the controller came"
         assert statuses["left_output_rad_s"].any()
         assert (statuses["gate"][-1] != GateStatus.OPEN) and not statuses["left_rad_s"][-1], "the stop is in the file"

@@ -14,13 +14,11 @@ from robofleet.clock import MS, SimulatedClock
 from robofleet.comms.keys import BUSY, STATE, STATUS, TICK, key
 from robofleet.comms.messages import (
     BUSY_MACHINE,
-    ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     BusyMachine,
     Late,
     RobotState,
-    RobotStatus,
     RobotTick,
     RunState,
     TickRecord,
@@ -35,6 +33,7 @@ from robofleet.safety.arming import Stage
 from robofleet.safety.busy import TRACKER
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.comms.alone import ROBOT_STATUS, RobotStatus
 
 STANDING = RobotTick(*(0.0,) * len(RobotTick._fields))
 TWO = Path(__file__).with_name("two_groups.yaml")

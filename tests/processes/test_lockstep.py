@@ -136,15 +136,14 @@ def test_robots_that_are_never_seen_never_move(truth: RunOf) -> None:
 def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
     platoon_of: Callable[..., Any], bench_of: Callable[..., Any]
 ) -> None:
-    from robofleet.comms.keys import COMMAND, STATUS, key
-    from robofleet.comms.messages import ROBOT_STATUS, WHEEL_COMMAND
+    from robofleet.comms.keys import COMMAND, STATUS
     from robofleet.processes.lockstep import Lockstep
 
     run = Lockstep(platoon_of("tracker.source=truth", "tracker.truth.dropout=1.0"))
     run.run()
     for robot in ROBOTS:
-        statuses = run.recording.rows(key("platoon", STATUS, robot), ROBOT_STATUS)
-        commands = run.recording.rows(key("platoon", COMMAND, robot), WHEEL_COMMAND)
+        statuses = run.recording.of_robot(STATUS, robot)
+        commands = run.recording.of_robot(COMMAND, robot)
         assert len(statuses) > 100
         assert not statuses["left_angle_rad"].any()
         assert not statuses["right_angle_rad"].any()

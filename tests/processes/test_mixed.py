@@ -12,12 +12,13 @@ import yaml
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
-from robofleet.comms.messages import TickRecord, Truth
+from robofleet.comms.messages import TickRecord
 from robofleet.config.load import ConfigError
 from robofleet.processes import table
 from robofleet.processes.check import refusals
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
+from tests.comms.alone import Truth
 
 pytestmark = pytest.mark.slow
 
@@ -73,7 +74,7 @@ class Floor:
     def _truths(self) -> None:
         now_ns = self.bench.now_ns
         for robot in self.bench.config.robots:
-            self.bench.say(TRUTH, Truth(1, 1, now_ns, *self.where(robot, now_ns), SPEED, 0.0), robot.id)
+            self.bench.say(TRUTH, Truth(1, now_ns, *self.where(robot, now_ns), SPEED, 0.0), robot.id)
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS

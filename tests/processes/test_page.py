@@ -15,11 +15,12 @@ from selenium.webdriver.common.by import By
 from robofleet.clock import MS, S
 from robofleet.comms import keys
 from robofleet.comms.keys import key
-from robofleet.comms.messages import ROBOT_STATUS, RobotStatus, TagPose
+from robofleet.comms.messages import TagPose
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
+from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.processes.browser import DESKTOP, LYING, PHONE, chromium, show_as
 from tests.processes.openpage import SOON_S, Seen, opened
 from tests.processes.realrun import RealRun, wait

@@ -11,11 +11,12 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, PICTURE, POSES, REQUEST, TICK, TRUTH, key
-from robofleet.comms.messages import TickRecord, Truth
+from robofleet.comms.messages import TickRecord
 from robofleet.processes import table
 from robofleet.simulation.faults import Schedule
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, Frame
+from tests.comms.alone import Truth
 
 Make = Callable[..., Any]
 TICK_NS = 33 * MS
@@ -54,7 +55,7 @@ class Stand:
         for robot in self.bench.config.robots:
             psi = robot.start.psi
             x, y = robot.start.x_m + driven * math.cos(psi), robot.start.y_m + driven * math.sin(psi)
-            self.bench.say(TRUTH, Truth(1, 1, now_ns, x, y, psi, SPEED, 0.0), robot.id)
+            self.bench.say(TRUTH, Truth(1, now_ns, x, y, psi, SPEED, 0.0), robot.id)
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
-from robofleet.comms.messages import TICK_RECORD, WHEEL_COMMAND, TickRecord, WheelCommand
+from robofleet.comms.messages import TICK_RECORD, TickRecord
 from robofleet.config.tree import Config, ControllerSettings
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.replay import replay
@@ -18,6 +18,7 @@ from robofleet.recording.log import RunLog
 from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import Phase
+from tests.comms.alone import WHEEL_COMMAND, WheelCommand
 from tests.processes.conftest import LAYOUTS
 
 FAULTS = """[

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.comms.messages import TRUTH
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.check import refusals
@@ -17,6 +16,7 @@ from robofleet.processes.storm.bodies import apart
 from robofleet.processes.storm.episode import play
 from robofleet.processes.storm.schedule import KINDS, WINDOW_S, plan
 from robofleet.processes.storm.tally import Tally
+from tests.comms.alone import TRUTH
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,11 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
-from robofleet.comms.messages import TickRecord, Truth
+from robofleet.comms.messages import TickRecord
 from robofleet.processes import table
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.sources import CameraContext, Frame
+from tests.comms.alone import Truth
 
 Make = Callable[..., Any]
 TICK_NS = 33 * MS
@@ -48,7 +49,7 @@ class Stand:
     def _truths(self) -> None:
         now_ns = self.bench.now_ns
         for robot in self.bench.config.robots:
-            self.bench.say(TRUTH, Truth(1, 1, now_ns, *self.where(robot, now_ns), SPEED, 0.0), robot.id)
+            self.bench.say(TRUTH, Truth(1, now_ns, *self.where(robot, now_ns), SPEED, 0.0), robot.id)
 
     def _tick(self) -> None:
         tick = (self.bench.now_ns - self.origin_ns) // TICK_NS

@@ -9,9 +9,8 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATE, TRUTH, key
-from robofleet.comms.messages import RUN_STATE, RunState, Truth
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.keys import STATE, TRUTH
+from robofleet.comms.messages import RUN_STATE, RunState
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import twin_port
@@ -22,6 +21,8 @@ from robofleet.recording.reading import read
 from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
+from tests.comms.alone import Truth
 from tests.processes.realrun import PLATOON, RealRun, of_robots
 
 FAKE = "tests.simulation.fake_firmware:FakeFirmware"
@@ -153,7 +154,7 @@ def test_a_driver_that_is_killed_leaves_its_twin_to_its_firmware(real_run: Calla
     assert run.ended() == 1
     assert run.nothing_is_left()
     assert "r1: the driver went silent" in run.summary["cause"]
-    truths = read(run.folder).rows(key("platoon", TRUTH, "r1"), TRUTH_LAYOUT)
+    truths = read(run.folder).of_robot(TRUTH, "r1")
     fastest = truths["v_m_s"].max()
     assert fastest > 0.05
     assert truths["v_m_s"][-1] < 0.5 * fastest  # its watchdog, half a second after the last word

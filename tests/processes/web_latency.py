@@ -83,7 +83,10 @@ def real_fleet(config: Config, file: Path, log: Path) -> Iterator[ZenohBus]:
 def start(bus: ZenohBus, robots: int) -> str:
     """Start the run and wait until it drives; returns the phase that it came to."""
     print(asked(bus, CLOCK, "supervisor", b"start").decode(), file=sys.stderr)
-    state, deadline_ns = Inbox(bus.newest(STATE), RUN_STATE), CLOCK.now_ns() + round(_ARMED_WITHIN_S * (1 + robots) * S)
+    state, deadline_ns = (
+        Inbox(bus.newest(STATE), RUN_STATE.decode),
+        CLOCK.now_ns() + round(_ARMED_WITHIN_S * (1 + robots) * S),
+    )
     phase, newest = Phase.ARMED, None
     while phase is Phase.ARMED and CLOCK.now_ns() < deadline_ns:
         CLOCK.sleep_until(CLOCK.now_ns() + 20 * MS)

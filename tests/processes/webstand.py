@@ -17,16 +17,7 @@ from robofleet.behaviours import described
 from robofleet.clock import S, WallClock
 from robofleet.comms import keys, messages
 from robofleet.comms.bus import Request
-from robofleet.comms.messages import (
-    FleetPoses,
-    Picture,
-    RobotState,
-    RobotStatus,
-    RobotTick,
-    RunState,
-    TagPose,
-    TickRecord,
-)
+from robofleet.comms.messages import FleetPoses, Picture, RobotState, RobotTick, RunState, TagPose, TickRecord
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config import groups
 from robofleet.config.load import load_config
@@ -34,6 +25,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.web.server import Addresses, Served, serve
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.comms.alone import RobotStatus
 from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON, wait
 

@@ -15,19 +15,15 @@ from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import (
     FLEET_POSES,
-    ROBOT_STATUS,
     RUN_STATE,
     TICK_RECORD,
     FleetPoses,
     RobotState,
-    RobotStatus,
     RobotTick,
     RunState,
     TagPose,
     TickRecord,
-    Truth,
 )
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -37,6 +33,8 @@ from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.comms.alone import ROBOT_STATUS, RobotStatus, Truth
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording import recorded
 
 PLATOON = File(__file__).parent.parent.parent / "configs" / "platoon.yaml"
@@ -103,7 +101,7 @@ class Story:
             for row, robot in enumerate(self.config.members) if truth else ():
                 at = max(k, 0)
                 pose = *self.centres[at, row], math.remainder(self.psi[at, row], math.tau)
-                message = Truth(1, 1, self.stamp(k), *pose, 0.0, 0.0)
+                message = Truth(1, self.stamp(k), *pose, 0.0, 0.0)
                 recording.add(key(arena, TRUTH, robot.id), TRUTH_LAYOUT.encode(message))
         return recording
 

@@ -16,15 +16,7 @@ from mcap.reader import make_reader
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import (
-    ROBOT_STATUS,
-    RUN_STATE,
-    TICK_RECORD,
-    TRACKER_NEWS,
-    RobotStatus,
-    RunState,
-    TrackerNews,
-)
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RunState, TrackerNews
 from robofleet.config.load import resolved_yaml
 from robofleet.recording.channels import ENCODING, keys
 from robofleet.recording.log import FILE, RunLog
@@ -32,6 +24,7 @@ from robofleet.recording.provenance import Provenance
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import NOBODY, Phase
+from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.recording import recorded
 from tests.recording.recorded import in_order, room_for
 

@@ -13,11 +13,12 @@ import pytest
 
 from robofleet.behaviours import described
 from robofleet.comms.keys import CAMERA, NEWS, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import ROBOT_STATUS, TICK_RECORD, TRACKER_NEWS, RobotTick
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import TICK_RECORD, TRACKER_NEWS, RobotTick
 from robofleet.recording import comparison, report
 from robofleet.recording.run import Recording
 from robofleet.valid_json import dumps, finite
+from tests.comms.alone import ROBOT_STATUS
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording.conftest import Story
 
 pytestmark = pytest.mark.slow

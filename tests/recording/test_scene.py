@@ -10,13 +10,14 @@ import pytest
 from robofleet.behaviours import described
 from robofleet.clock import S
 from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotTick, TrackerNews
+from robofleet.comms.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotTick, TrackerNews
 from robofleet.config.barrier import body, keepout
 from robofleet.recording.run import Recording
 from robofleet.safety.barrier import apart
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent
+from tests.comms.alone import ROBOT_STATUS
 from tests.recording.viewer import START_NS, TICK_NS, Viewer, heading, in_order, instant_ns
 
 Make = Callable[..., Any]

@@ -12,8 +12,6 @@ import pytest
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import TRUTH
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.comms.messages import Truth
 from robofleet.config.load import load_config
 from robofleet.simulation.sources import SimulatedCamera
 from robofleet.tracking.camera import CameraGeometry
@@ -21,6 +19,8 @@ from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.sources import CameraContext, Frame
 from robofleet.tracking.tags import TagDetector
 from robofleet.tracking.targets import Target
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
+from tests.comms.alone import Truth
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PERIOD_NS = 50 * MS  # of the camera
@@ -56,7 +56,7 @@ class Stage:
             now_ns = min(self.clock.now_ns() + 10 * MS, ready_ns)
             self.clock.advance_to(now_ns)
             for row, publish in enumerate(self._publish):
-                publish(TRUTH_LAYOUT.encode(Truth(1, 1, now_ns, *self.where(row, now_ns), V, OMEGA)))
+                publish(TRUTH_LAYOUT.encode(Truth(1, now_ns, *self.where(row, now_ns), V, OMEGA)))
         frame = self.camera.read()
         return Frame(frame.image.copy(), frame.exposure_ns), self.clock.now_ns()
 

@@ -11,14 +11,15 @@ import pytest
 from robofleet.clock import S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import COMMAND, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS, RUN_STATE, TICK_RECORD, TRACKER_NEWS
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS
 from robofleet.config.load import load_config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
+from tests.comms.alone import ROBOT_STATUS
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WHEN = "at_s: 0.5, duration_s: 1.0"

@@ -11,12 +11,12 @@ import pytest
 from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import TRUTH
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
-from robofleet.comms.messages import Truth
 from robofleet.config.load import load_config
 from robofleet.simulation.sources import SimulatedCamera, TruthSource, World
 from robofleet.simulation.trigger import Trigger
 from robofleet.tracking.sources import CameraContext, ScheduledCamera
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
+from tests.comms.alone import Truth
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
@@ -68,7 +68,7 @@ class Floor:
             for row, robot in enumerate(self.config.robots):
                 if robot.id not in self.silent:
                     at = (math.nan,) * 3 if robot.id in self.nowhere else self.where(row, now_ns)
-                    message = Truth(1, 1, now_ns, *at, SPEED * row, 0.0)
+                    message = Truth(1, now_ns, *at, SPEED * row, 0.0)
                     self.bus.publisher(TRUTH, robot.id)(TRUTH_LAYOUT.encode(message))
 
     def tick(self) -> None:

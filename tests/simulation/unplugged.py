@@ -15,8 +15,7 @@ from pathlib import Path
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Inbox
 from robofleet.comms.keys import STATE, STATUS, TRUTH
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE, RunState
-from robofleet.comms.messages import TRUTH as TRUTH_LAYOUT
+from robofleet.comms.messages import RUN_STATE, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
@@ -24,6 +23,8 @@ from robofleet.processes.arena_file import twin_port
 from robofleet.recording.causes import run_cause
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import RobotFault
+from tests.comms.alone import ROBOT_STATUS
+from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 from tests.endpoints import own_endpoint
 from tests.processes.kills import wait
 from tests.processes.realrun import own_folders
@@ -46,9 +47,9 @@ class Pulled:
         self.port = twin_port(self.config.arena.name, robot)
         self._children = started(self.config, folder, CLOCK)
         self.bus = ZenohBus(self.config.arena.name, endpoint, "unplugged", CLOCK)
-        self._states = Inbox(self.bus.newest(STATE), RUN_STATE)
-        self._statuses = Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS)
-        self._truths = Inbox(self.bus.newest(TRUTH, robot), TRUTH_LAYOUT)
+        self._states = Inbox(self.bus.newest(STATE), RUN_STATE.decode)
+        self._statuses = Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS.decode)
+        self._truths = Inbox(self.bus.newest(TRUTH, robot), TRUTH_LAYOUT.decode)
         self.state: RunState | None = None
         self.pulled_ns = self.stood_ns = self.told_ns = math.inf
         self.cause = ""

@@ -10,7 +10,7 @@ import pytest
 from robofleet.calibration import drive, drive_file, latency, offsets
 from robofleet.calibration.store import CalibrationError
 from robofleet.comms.keys import CAMERA, POSES, STATUS, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, ROBOT_STATUS
+from robofleet.comms.messages import FLEET_POSES
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.load import load_config
@@ -58,7 +58,7 @@ def test_only_those_that_were_asked_drive_and_nobody_is_touched(recording: Recor
     assert config.groups[0].robots == ("r3", "r1", "r2", "r4")
     began_ns = int(Run(recording).ticks["stamp_ns"][0])  # the checks before move every robot
     for robot in config.robots:
-        statuses = recording.rows(key(config.arena.name, STATUS, robot.id), ROBOT_STATUS)
+        statuses = recording.of_robot(STATUS, robot.id)
         speeds = statuses["left_rad_s"][statuses["stamp_ns"] > began_ns]
         assert (np.abs(speeds).max() > 4.0) == (robot.id == "r3")
     figures = summary(recording, name="drive", mode="lockstep", outcome="completed", cause=None)

@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.keys import REQUEST, STATE, STATUS, TICK, key
-from robofleet.comms.messages import ROBOT_STATUS, RUN_STATE
+from robofleet.comms.messages import RUN_STATE
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.replay import replay
@@ -138,12 +138,12 @@ def test_a_whole_fleet_is_armed_waits_at_rest_and_is_started(platoon_of: Callabl
     before = len(run.recording.messages[key("platoon", STATUS, "r1")])
     run.advance(1.0)
     assert (run.status.phase, state().stage) == (Phase.ARMED, Stage.DONE)
-    statuses = run.recording.rows(key("platoon", STATUS, "r1"), ROBOT_STATUS)
+    statuses = run.recording.of_robot(STATUS, "r1")
     assert not np.any(statuses["left_output_rad_s"][before:])
     run.request(b"start")
     assert run.advance(0.1, lambda: run.status.phase is Phase.RUNNING)
     run.advance(1.0)
-    statuses = run.recording.rows(key("platoon", STATUS, "r1"), ROBOT_STATUS)
+    statuses = run.recording.of_robot(STATUS, "r1")
     assert statuses["left_output_rad_s"][-1] > 0.0
     run.close()
 

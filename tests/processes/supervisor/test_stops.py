@@ -9,10 +9,11 @@ import pytest
 from robofleet.clock import MS, S
 from robofleet.comms import bus
 from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
-from robofleet.comms.messages import LEASE_REQUEST, Enable, LeaseRequest, WheelCommand
+from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.safety.gate import Latch, LeaseAction
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.vehicles.interface import STOP, WIRED_STOP, RobotFault
+from tests.comms.alone import Enable, WheelCommand
 from tests.processes.stand import ROBOTS, Stand
 
 Make = Callable[..., Any]
