@@ -43,7 +43,8 @@ def renew(image, floor, noise, offset, boxes):  # type: ignore[no-untyped-def]
         for i in range(top, bottom):
             shown, lit, grain = image[i, left:right], floor[i, left:right], noise[i, left:right]
             for j in range(len(shown)):
-                shown[j] = np.uint8(min(max(np.int16(lit[j]) + np.int16(grain[j]) - shift, 0), 255))
+                gray = np.int16(lit[j]) + np.int16(grain[j]) - shift
+                shown[j] = min(max(gray, 0), 255)
 
 
 @image_kernel
