@@ -141,7 +141,7 @@ def _pose_at(stamps: Instants, samples: Array, count: int, stamp_ns: int) -> tup
 
 @kernel
 def _remainder(angle: float) -> float:
-    return angle - 2.0 * math.pi * np.rint(angle / (2.0 * math.pi))
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 KERNELS = (poses_at, moving, take)  # that are called from Python

@@ -123,7 +123,8 @@ class SceneRenderer:
         """
         turns, which = divmod(self._rendered, _IMAGES)
         self._rendered += 1
-        image, boxes, n = self._images[which], self._boxes[which], len(self._robots)
+        image: Image = self._images[which]
+        boxes, n = self._boxes[which], len(self._robots)
         height, width = image.shape
         if self._unseen:
             self._unseen -= 1
@@ -143,7 +144,7 @@ class SceneRenderer:
 
     def rows(self, poses: Array) -> Array:
         """Return the rows (N,) of the image in which the tags of robots at poses (N, 3) have their centres [px]."""
-        return centres(self._geometry.flat, poses, self._offsets, self._heights)[:, 1]
+        return np.asarray(centres(self._geometry.flat, poses, self._offsets, self._heights)[:, 1], np.float64)
 
     def _draw(
         self, image: Image, noise: Image, looks: Array32, side: float, heights: Array, further: Array,
@@ -158,7 +159,7 @@ class SceneRenderer:
     def _further_by(self, heights: Array) -> Array:
         """Return how far, of its way along the ground, a ray goes on from the map's height to tags' and bodies'."""
         below = np.stack([heights, heights - _BODY_DROP_M], axis=1)
-        return (self._height - below) / (self._geometry.position[2] - self._height)
+        return np.asarray((self._height - below) / (self._geometry.position[2] - self._height), np.float64)
 
     def _plane_at(self, geometry: CameraGeometry, height: float) -> Array:
         """Return where the pixels' rays meet z = height, (H, W, 2) [m; world]; rays near the horizon: far away."""

@@ -24,7 +24,8 @@ _MARGIN = 1.1  # around a robot: the scale at its edge is not that of its middle
 _RAMP = math.sqrt(20.0)  # width of a smooth step [standard deviations of its blur]
 _MOTION_PX = 0.7  # what moves further during an exposure is drawn at several instants
 _MOST_INSTANTS = 64
-_NODE = 8  # pixels between two that are looked up in the map
+_CHUNK = 128  # pixels of a row that are drawn at once: how much of each is tag, where that is on its print,
+_COLUMN, _ROW, _COVER, _LIGHT = _CHUNK, 2 * _CHUNK, 3 * _CHUNK, 4 * _CHUNK  # how much is robot, and its grey times that
 _RIM = 2  # white cells around a print
 _FINE = 64  # steps of a normal distribution's tail, a standard deviation; after five nothing is left
 _NORMAL = np.array([0.5 - 0.5 * math.erf(k / _FINE / math.sqrt(2.0)) for k in range(5 * _FINE)], np.float32)
@@ -42,7 +43,8 @@ def renew(image, floor, noise, offset, boxes):  # type: ignore[no-untyped-def]
         for i in range(top, bottom):
             shown, lit, grain = image[i, left:right], floor[i, left:right], noise[i, left:right]
             for j in range(len(shown)):
-                shown[j] = np.uint8(min(max(np.int16(lit[j]) + np.int16(grain[j]) - shift, 0), 255))
+                gray = np.int16(lit[j]) + np.int16(grain[j]) - shift
+                shown[j] = min(max(gray, 0), 255)
 
 
 @image_kernel
@@ -66,14 +68,13 @@ def draw(  # type: ignore[no-untyped-def]
             foot = math.hypot(poses[n, 0] - eye[0], poses[n, 1] - eye[1])
             off = math.hypot(offsets[n, 0], offsets[n, 1])
             aside = max(aside, body_radius + off + foot * (further[n, 1] - further[n, 0]))
-        span = _MARGIN * (aside + 0.5 * _RAMP * sigma + moved * exposure)
-        reach = span / finest + 1.0
+        reach = _MARGIN * (aside + 0.5 * _RAMP * sigma + moved * exposure) / finest + 1.0
         _place(poses[n], velocities[n], offsets[n], 0.0, exposure, instants[:count])
         box = boxes[n]
         box[0], box[1] = max(0, int(u - reach)), max(0, int(v - reach))
         box[2], box[3] = min(image.shape[1], int(u + reach) + 2), min(image.shape[0], int(v + reach) + 2)
-        _blend(
-            image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, span, eye, further[n], instants[:count],
+        _robot(
+            image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, eye, further[n], instants[:count],
             poses[n], velocities[n], offsets[n], exposure, line_time, black[n], side, sigma, paper, body_radius,
         )  # fmt: skip
 
@@ -123,89 +124,85 @@ def _scale(plane_x, plane_y, u, v, further):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _blend(  # type: ignore[no-untyped-def]
-    image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, span, eye, further, instants, pose, velocity,
-    tag_offset, exposure, line_time, black, side, sigma, paper, body_radius,
+def _robot(  # type: ignore[no-untyped-def]
+    image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, eye, further, instants, pose, velocity, tag_offset,
+    exposure, line_time, black, side, sigma, paper, body_radius,
 ):  # fmt: skip
-    """Blend a robot, the mean of its ``instants``, into the disc in ``box`` that it can reach.
-
-    What is inside or outside of all ramps by far, and that is most, needs no step. Functions that are called for a
-    pixel take no arrays: counting references would cost more than they do.
-    """
-    one, zero, middle = np.float32(1.0), np.float32(0.0), np.float32(0.5 * len(black))
-    white, contrast = np.float32(WHITE), np.float32(WHITE - BLACK)
-    to_tag, to_body = np.float32(further[0]), np.float32(further[1])
-    eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
-    ramp = _RAMP * sigma
-    per_ramp, share = np.float32(1.0 / ramp), np.float32(1.0 / len(instants))
-    per_cell, per_blur = np.float32(CELLS / side), np.float32(side / (CELLS * sigma))
-    edge, radius = np.float32(paper), np.float32(body_radius)
-    inside, outside = np.float32(paper - 0.51 * ramp), np.float32(paper + 0.51 * ramp)
-    near = np.float32(max(body_radius - 0.51 * ramp, 0.0) ** 2)
-    far = np.float32((body_radius + 0.51 * ramp) ** 2 if body_radius > 0.0 else 0.0)
-    low, high, shift, rounding = np.float32(0.0), np.float32(255.0), np.float32(offset), np.float32(0.5)
-    most, bent, per_node = np.float32(len(black) - 1.001), np.float32(0.5), np.float32(1.0 / _NODE)
+    """Blend a robot, the mean of its ``instants``, into the disc in ``box`` that it can reach."""
+    room = np.empty(5 * _CHUNK, np.float32)
     for i in range(box[1], box[3]):
         if line_time > 0.0:
             _place(pose, velocity, tag_offset, (i - v) * line_time, exposure, instants)
         width = math.sqrt(max(reach * reach - (i - v) ** 2, 0.0))
         first, end = max(0, int(u - width)), min(image.shape[1], int(u + width) + 2)
-        for start in range(first, end, 2 * _NODE):
-            # Where the rays meet the map: a parabola through three of its points, good to a micrometre.
-            node = min(start, image.shape[1] - 2 * _NODE - 1)
-            x_0, x_1, x_2 = plane_x[i, node], plane_x[i, node + _NODE], plane_x[i, node + 2 * _NODE]
-            y_0, y_1, y_2 = plane_y[i, node], plane_y[i, node + _NODE], plane_y[i, node + 2 * _NODE]
-            d_x, d_y = x_1 + (x_1 - eye_x) * to_tag - instants[0, 0], y_1 + (y_1 - eye_y) * to_tag - instants[0, 1]
-            if math.hypot(d_x, d_y) > span + math.hypot(x_2 - x_0, y_2 - y_0):
-                continue
-            slope_x, bend_x = x_1 - x_0, bent * (x_2 - x_1 - x_1 + x_0)
-            slope_y, bend_y = y_1 - y_0, bent * (y_2 - y_1 - y_1 + y_0)
-            for j in range(start, min(start + 2 * _NODE, end)):
-                t = np.float32(j - node) * per_node
-                x, y = x_0 + t * (slope_x + (t - one) * bend_x), y_0 + t * (slope_y + (t - one) * bend_y)
-                tag_x, tag_y = x + (x - eye_x) * to_tag, y + (y - eye_y) * to_tag
-                body_x, body_y = x + (x - eye_x) * to_body, y + (y - eye_y) * to_body
-                cover, light = zero, zero
-                for k in range(len(instants)):
-                    d_x, d_y = tag_x - instants[k, 0], tag_y - instants[k, 1]
-                    a, b = instants[k, 2] * d_x + instants[k, 3] * d_y, instants[k, 2] * d_y - instants[k, 3] * d_x
-                    beside, tag, body = max(abs(a), abs(b)), zero, zero
-                    if beside < inside:
-                        tag = one
-                    elif beside < outside:
-                        tag = _step((edge - abs(a)) * per_ramp) * _step((edge - abs(b)) * per_ramp)
-                    if tag > zero:
-                        column, row = (
-                            min(max(middle + a * per_cell, one), most),
-                            min(max(middle - b * per_cell, one), most),
-                        )
-                        m, n = int(row), int(column)
-                        # What lies beyond the next cell is taken for that one's.
-                        left, right = _beyond(column - np.float32(n), per_blur)
-                        above, below = _beyond(row - np.float32(m), per_blur)
-                        here, level = one - left - right, one - above - below
-                        dark = above * (
-                            left * black[m - 1, n - 1] + here * black[m - 1, n] + right * black[m - 1, n + 1]
-                        )
-                        dark += level * (left * black[m, n - 1] + here * black[m, n] + right * black[m, n + 1])
-                        dark += below * (
-                            left * black[m + 1, n - 1] + here * black[m + 1, n] + right * black[m + 1, n + 1]
-                        )
-                        light += tag * (white - contrast * dark)
-                    if tag < one:
-                        d_x, d_y = body_x - instants[k, 4], body_y - instants[k, 5]
-                        square = d_x * d_x + d_y * d_y
-                        if square < near:
-                            body = one - tag
-                        elif square < far:
-                            body = (one - tag) * _step((radius - np.sqrt(square)) * per_ramp)
-                        light += body * np.float32(_BODY)
-                    cover += tag + body
-                if cover > zero:
-                    hidden = cover * share
-                    gray = np.float32(image[i, j]) * (one - hidden) + light * share * gain[i, j]
-                    gray += (np.float32(noise[i, j]) - shift) * hidden
-                    image[i, j] = np.uint8(min(max(gray, low), high) + rounding)
+        for left in range(first, end, _CHUNK):
+            right = min(left + _CHUNK, end)
+            room[_COVER:] = 0.0
+            for k in range(len(instants)):
+                _shape(
+                    plane_x[i, left:right], plane_y[i, left:right], eye, further, instants[k], paper, body_radius,
+                    _RAMP * sigma, CELLS / side, room,
+                )  # fmt: skip
+                _print(black, side / (CELLS * sigma), right - left, room)
+            _blend(
+                image[i, left:right], noise[i, left:right], offset, gain[i, left:right], 1.0 / len(instants), room
+            )  # fmt: skip
+
+
+@image_kernel
+def _shape(  # type: ignore[no-untyped-def]
+    plane_x, plane_y, eye, further, instant, paper, body_radius, ramp, per_m, room
+):
+    """Fill how much of each pixel of a row is tag, and where on its print that is [cells, with the rim]; add tag and
+    body to the cover, and the body's grey to the light. The compiler does eight pixels at once."""
+    one, middle = np.float32(1.0), np.float32(0.5 * CELLS + _RIM)
+    to_tag, to_body = np.float32(further[0]), np.float32(further[1])
+    eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
+    tag_x, tag_y, c, s, body_x, body_y = instant[0], instant[1], instant[2], instant[3], instant[4], instant[5]
+    edge, radius, per_ramp = np.float32(paper), np.float32(body_radius), np.float32(1.0 / ramp)
+    per_cell, there = np.float32(per_m), one if body_radius > 0.0 else np.float32(0.0)
+    for j in range(len(plane_x)):
+        x, y = plane_x[j], plane_y[j]
+        from_x, from_y = x - eye_x, y - eye_y
+        d_x, d_y = x + from_x * to_tag - tag_x, y + from_y * to_tag - tag_y
+        a, b = c * d_x + s * d_y, c * d_y - s * d_x
+        tag = _step((edge - abs(a)) * per_ramp) * _step((edge - abs(b)) * per_ramp)
+        d_x, d_y = x + from_x * to_body - body_x, y + from_y * to_body - body_y
+        body = there * (one - tag) * _step((radius - np.sqrt(d_x * d_x + d_y * d_y)) * per_ramp)
+        room[j] = tag
+        room[_COLUMN + j], room[_ROW + j] = middle + a * per_cell, middle - b * per_cell
+        room[_COVER + j] += tag + body
+        room[_LIGHT + j] += body * np.float32(_BODY)
+
+
+@image_kernel
+def _print(black, per_blur, count, room):  # type: ignore[no-untyped-def]
+    """Add the print's grey to the light. What lies beyond the next cell is taken for that one's."""
+    one, zero, most = np.float32(1.0), np.float32(0.0), np.float32(len(black) - 1.001)
+    white, contrast, steep = np.float32(WHITE), np.float32(WHITE - BLACK), np.float32(per_blur)
+    for j in range(count):
+        if room[j] > zero:
+            column, row = min(max(room[_COLUMN + j], one), most), min(max(room[_ROW + j], one), most)
+            m, n = int(row), int(column)
+            left, right = _beyond(column - np.float32(n), steep)
+            above, below = _beyond(row - np.float32(m), steep)
+            here, level = one - left - right, one - above - below
+            dark = above * (left * black[m - 1, n - 1] + here * black[m - 1, n] + right * black[m - 1, n + 1])
+            dark += level * (left * black[m, n - 1] + here * black[m, n] + right * black[m, n + 1])
+            dark += below * (left * black[m + 1, n - 1] + here * black[m + 1, n] + right * black[m + 1, n + 1])
+            room[_LIGHT + j] += room[j] * (white - contrast * dark)
+
+
+@image_kernel
+def _blend(image, noise, offset, gain, share, room):  # type: ignore[no-untyped-def]
+    """Put a robot's row over floor and noise."""
+    part, low, high = np.float32(share), np.float32(0.0), np.float32(255.0)
+    shift, rounding = np.float32(offset), np.float32(0.5)
+    for j in range(len(image)):
+        hidden = room[_COVER + j] * part
+        gray = np.float32(image[j]) * (np.float32(1.0) - hidden) + room[_LIGHT + j] * part * gain[j]
+        gray += (np.float32(noise[j]) - shift) * hidden
+        image[j] = np.uint8(np.int32(min(max(gray, low), high) + rounding))
 
 
 @image_kernel

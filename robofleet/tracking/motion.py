@@ -57,7 +57,8 @@ def measure(
 @kernel
 def _after_ns(row: float, line_ns: Array) -> int:
     """Return how long after the middle row a row is exposed."""
-    return round((row - line_ns[0]) * line_ns[1])
+    after_ns: int = round((row - line_ns[0]) * line_ns[1])
+    return after_ns
 
 
 @kernel

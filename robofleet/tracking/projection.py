@@ -18,7 +18,7 @@ _AXIS = 1e-8  # slope of a ray so near the axis that a fisheye does not bend it
 
 
 def flat(lens: str, K: Array, distortion: Array, rotation: Array, translation: Array) -> Array:
-    """Return a camera (40,) for ``project``: model, focal lengths and centre [px], world to camera, distortion, tilt."""
+    """Return a camera (40,): model, focal lengths and centre [px], world to camera, distortion, tilt."""
     coefficients = np.zeros(_COEFFICIENTS)
     coefficients[: distortion.size] = distortion.ravel()
     model = _FISHEYE if lens == "fisheye" else _PINHOLE
@@ -32,7 +32,8 @@ def _tilt(x: float, y: float) -> Array:
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(x), math.sin(x)], [0.0, -math.sin(x), math.cos(x)]])
     about_y = np.array([[math.cos(y), 0.0, -math.sin(y)], [0.0, 1.0, 0.0], [math.sin(y), 0.0, math.cos(y)]])
     turn = about_y @ about_x
-    return np.array([[turn[2, 2], 0.0, -turn[0, 2]], [0.0, turn[2, 2], -turn[1, 2]], [0.0, 0.0, 1.0]]) @ turn
+    level = np.array([[turn[2, 2], 0.0, -turn[0, 2]], [0.0, turn[2, 2], -turn[1, 2]], [0.0, 0.0, 1.0]])
+    return np.asarray(level @ turn, np.float64)
 
 
 @infinite_kernel

@@ -23,7 +23,7 @@ from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.motion import measure, predict
 from robofleet.tracking.photometric import Fit, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
-from robofleet.tracking.tags import Found, Region, TagDetector, tiles, wrapped
+from robofleet.tracking.tags import Found, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -89,7 +89,8 @@ class TagTracker:
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
-        self._tiles = tiles(image_size, _TILES, 1.5 * max(side_px(geometry, target) for target in targets))
+        overlap = 1.5 * max(side_px(geometry, target) for target in targets)
+        self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
         self._images = 0
         self._news = News()
         self._refused = 0
@@ -201,15 +202,14 @@ class TagTracker:
         """Search a tile, or the whole image at first and while nothing is followed; returns those that are believed."""
         beginning = self._images < _BEGINNING and not self._measured_ns.all()
         whole = beginning or not self._followed.any()
-        region = None if whole else self._tiles[self._images % len(self._tiles)]
         known = np.full_like(self._centre, np.nan)
         known[list(measured)] = self._centre[list(measured)]
-        findings = self._detector.detect(image, region, known)
+        look = self._detector.detect(image, known=known) if whole else self._sweep.search(image, self._images, known)
         self._images += 1
-        self._refused += findings.refused
+        self._refused += look.refused
         believed: set[int] = set()
-        seconds = [tag for tag in findings.tags if self._suspects.is_second(tag, exposure_ns)]
-        others = [tag for tag in findings.tags if tag not in seconds]
+        seconds = [tag for tag in look.tags if self._suspects.is_second(tag, exposure_ns)]
+        others = [tag for tag in look.tags if tag not in seconds]
         for tag in seconds:
             self._refuse(TrackerEvent.TAG_TWICE, tag, complex(self._centre[tag.target]), exposure_ns)
         for tag in others:
@@ -242,7 +242,7 @@ class TagTracker:
             return True
         rival = self._suspects.rival(tag, exposure_ns)
         hidden_ns = exposure_ns - int(self._measured_ns[i]) if known else None
-        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._tiles), hidden_ns)
+        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._sweep), hidden_ns)
         if rival is not None:
             self._refuse(TrackerEvent.TAG_TWICE, tag, rival, exposure_ns)
             self._doubt(i, exposure_ns)
