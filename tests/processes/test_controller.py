@@ -52,7 +52,7 @@ class Stand:
 
     def state(self, phase: Phase) -> None:
         self.bench.say(
-            STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(1, 1, 0),) * 4)
+            STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, (RobotState(1, 1, 0),) * 4)
         )
 
     def status(self, robot: str, nonce: int, session: int | None = None) -> None:
