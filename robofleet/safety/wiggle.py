@@ -130,7 +130,7 @@ def step(
     """Go on; a happening is why the fleet must not start."""
     if view.image != state.image:
         poses = _poses(view)
-        bad = _bad_sign(state, wheel_radius, poses)
+        bad = _bad_sign(state, wheel_radius, wheel_base, view, poses)
         if bad is not None:
             return state, bad
         state = _look(_watch(state, view, poses), view, poses)
@@ -145,12 +145,18 @@ def _poses(view: FleetView) -> Array:
     return np.array([robot.pose for robot in view.robots])
 
 
-def _bad_sign(state: Wiggle, wheel_radius: tuple[float, ...], poses: Array) -> Happening | None:
+def _bad_sign(
+    state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView, poses: Array
+) -> Happening | None:
     """Return what the newest image says against going on."""
     for row, start in state.tried.items():
         travelled = math.dist(poses[row, :2], start.pose[:2])
         if travelled > room_m(wheel_radius[row]):
             return Happening(Event.WRONG_GAIN, row, travelled / travel_m(wheel_radius[row]))
+    if state.stood is not None:
+        row = state.strange
+        if math.dist(poses[row, :2], state.stood.poses[row, :2]) > room_m(wheel_radius[row]):
+            return _blamed(state, wheel_radius, wheel_base, view)
     if state.round < 0 and (moved := state.means.moved(poses)).any():
         return Happening(Event.NOT_AT_REST, int(moved.argmax()))
     return None
@@ -275,7 +281,8 @@ def _blamed(
     that follows another one's commands, unless it was tried in every round in which that one was.
     """
     assert state.stood is not None
-    seen = np.where(state.means.images[:, None] > 0, state.means.poses, _poses(view))
+    known = (state.means.images > 0) & (state.rest_tick is not None)
+    seen = np.where(known[:, None], state.means.poses, _poses(view))
     moved = state.stood.moved(seen)
     moved[list(state.tried)] = False
     still = [

@@ -159,6 +159,10 @@ def _stands_on_its_way_back(lab: Lab) -> None:
     lab.alter = alter
 
 
+def _exchanged_runaway(lab: Lab) -> None:
+    lab.tags, lab.runaway = [1, 0, 2], {0}
+
+
 REFUSED = {
     **{name: Scenario(*row, between_s=_AT_ONCE) for name, row in _WRONG.items()},  # type: ignore[misc, arg-type]
     **{name: Scenario(*row, between_s=_AFTER_5_S) for name, row in _MISSING.items()},  # type: ignore[misc, arg-type]
@@ -172,6 +176,7 @@ REFUSED = {
     "tags exchanged": Scenario(lab_with(tags=[1, 0, 2]), Event.WRONG_TAG_MOVED, 0, 1, (0.2, 1.3)),
     "tags exchanged, the last two": Scenario(lab_with(tags=[0, 2, 1]), Event.WRONG_TAG_MOVED, 2, 1),
     "drivers exchanged": Scenario(lab_with(bodies=[1, 0, 2]), Event.WRONG_TAG_MOVED, 0, 1),
+    "tags exchanged, and wheels go on": Scenario(_exchanged_runaway, Event.WRONG_TAG_MOVED, 0, 1, (0.2, 1.1)),
     "three tags in a ring are taken for two": Scenario(lab_with(tags=[1, 2, 0]), Event.WRONG_TAG_MOVED, 0, 1),
     "another one turns": Scenario(in_round(0, shifted(1, psi=0.1)), Event.MOVED_UNASKED, 1),
     "another one goes too": Scenario(lab_with(twins={1: 0}), Event.MOVED_UNASKED, 1),
