@@ -27,7 +27,7 @@ from robofleet.processes.compiling import Say, on_stderr, told
 from robofleet.processes.deciding import Deciding, Judge, untimed
 from robofleet.processes.leases import Leases
 from robofleet.safety import barrier as safety_barrier
-from robofleet.safety.supervisor import MOVING, NOBODY, Phase
+from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
 from robofleet.tracking import estimator, measured
 from robofleet.tracking.estimator import CARRIED, UNUSED
@@ -126,7 +126,7 @@ class Controller:
         self._phase = Phase.IDLE
         self._run_tick = -1
         self._permitted = np.zeros(n, dtype=np.bool_)
-        self._probe: tuple[int, int] = (NOBODY, 0)  # a robot, and the stroke that it does
+        self._tried: list[tuple[int, int]] = []  # robots whose wheels are tried, and their strokes
         self._taken = (0, 0)  # epoch and seq of the newest poses
         self._exposure_ns = 0  # of the newest ones used
         self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
@@ -198,7 +198,8 @@ class Controller:
         n = len(self._permitted)
         if state.phase in _PHASES and len(robots) >= n:
             np.not_equal(robots["permitted"][:n], 0, out=self._permitted)
-            self._probe = (state.probed, state.stroke) if state.phase == Phase.ARMED else (NOBODY, 0)
+            strokes = robots["stroke"][:n].tolist() if state.phase == Phase.ARMED else []
+            self._tried = [(row, stroke) for row, stroke in enumerate(strokes) if 0 < stroke < len(STROKES)]
             if state.phase != self._phase:
                 resumed, self._phase = self._phase is Phase.HOLD, Phase(state.phase)
                 if resumed and self._phase is self._deciding.phase:
@@ -212,9 +213,8 @@ class Controller:
         self._leases.update()
 
     def _try_wheels(self, commanded: Array) -> None:
-        """Let the robot that is being tried do its stroke."""
-        row, stroke = self._probe
-        if row < len(commanded) and stroke < len(STROKES):
+        """Let the robots that are being tried do their strokes."""
+        for row, stroke in self._tried:
             drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
             ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
             commanded[row] = ratio * left, ratio * right

@@ -293,6 +293,7 @@ class Supervisor:
                 int(self._permitted[row] > 0.0),
                 int(emergency and acknowledged(seen)),
                 causes[row].event if row in causes else Event.NOTHING,
+                self._stroke(row),
             )
             for row, seen in enumerate(self._view.robots)
         )
@@ -308,9 +309,11 @@ class Supervisor:
         """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""
         if self._status.phase in MOVING:
             return self._limits[row]
-        if self._checks is not None and self._checks.probed == row:
-            return min(PROBE_RAD_S, self._limits[row])
-        return 0.0
+        return min(PROBE_RAD_S, self._limits[row]) if self._stroke(row) else 0.0
+
+    def _stroke(self, row: int) -> int:
+        """Return what a robot must do whose wheels are tried; 0: stand."""
+        return 0 if self._checks is None else self._checks.stroke(row)
 
     def _publish(self) -> None:
         self._seq += 1
@@ -324,8 +327,6 @@ class Supervisor:
             robot,
             detail,
             checks.stage,
-            checks.probed,
-            checks.stroke,
             self._robots,
         )
         self._publish_state(RUN_STATE.encode(state))
