@@ -2,7 +2,6 @@
 
 import json
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from bench_tracker import Row, percentiles
 from numpy.typing import NDArray
 
 from robofleet.behaviours.platoon import Platoon
-from robofleet.clock import MS, S, SimulatedClock
+from robofleet.clock import MS, S, SimulatedClock, processor_ns
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.keys import CAMERA, POSES, STATE, TICK
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, FleetPoses, RobotState, RunState, TagPose
@@ -77,7 +76,7 @@ def controller_ticks() -> list[Row]:
 
 
 def _tick_times(config: Config, ticks: int) -> list[float]:
-    """Return how much CPU time each tick took [ms]: robots that do exactly what the tick before said, seen with noise."""
+    """Return the CPU time of each tick [ms]; robots do exactly what the tick before said, and are seen with noise."""
     compile_kernels(config)
     clock, rng = SimulatedClock(), np.random.default_rng(1)
     clock.advance_to(S)
@@ -98,9 +97,9 @@ def _tick_times(config: Config, ticks: int) -> list[float]:
         say_poses(FLEET_POSES.encode(FleetPoses(1, tick, 0, S, S, tick - 1, since_ns, 0, 0, image)))
         say_state(RUN_STATE.encode(RunState(1, tick, Phase.RUNNING, 0, NOBODY, 0.0, 0, NOBODY, 0, permitted)))
         clock.advance_to(now_ns)
-        began_ns = time.thread_time_ns()
+        began_ns = processor_ns()
         controller.step(now_ns)
-        times.append((time.thread_time_ns() - began_ns) / MS)
+        times.append((processor_ns() - began_ns) / MS)
         clock.advance_to(now_ns + _DELAY_NS)
         poses = _driven(poses, said.take(), vehicle.wheel_radius_m, vehicle.wheel_base_m, period_ns / S)
     return times[ticks // 5 :]
