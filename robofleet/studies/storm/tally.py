@@ -3,9 +3,9 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from robofleet.processes.storm.episode import Episode
-from robofleet.processes.storm.schedule import KINDS
 from robofleet.safety.supervisor import Event
+from robofleet.studies.storm.episode import Episode
+from robofleet.studies.storm.schedule import KINDS
 
 MANY = 200  # seeds after which every kind of fault must have come, and every reaction been seen
 REACTIONS = (

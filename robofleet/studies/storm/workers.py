@@ -10,9 +10,9 @@ from multiprocessing import get_context
 
 from robofleet.config.tree import Config
 from robofleet.processes.controller import compile_kernels
-from robofleet.processes.storm.episode import Episode, play
-from robofleet.processes.storm.tally import Tally
-from robofleet.processes.storm.verdict import Violation
+from robofleet.studies.storm.episode import Episode, play
+from robofleet.studies.storm.tally import Tally
+from robofleet.studies.storm.verdict import Violation
 
 _TWICE = 25  # one seed in so many is played twice
 

@@ -12,11 +12,11 @@ from robofleet.comms.messages import TRUTH
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.check import refusals
-from robofleet.processes.storm import workers
-from robofleet.processes.storm.bodies import apart
-from robofleet.processes.storm.episode import play
-from robofleet.processes.storm.schedule import KINDS, WINDOW_S, plan
-from robofleet.processes.storm.tally import Tally
+from robofleet.studies.storm import workers
+from robofleet.studies.storm.bodies import apart
+from robofleet.studies.storm.episode import play
+from robofleet.studies.storm.schedule import KINDS, WINDOW_S, plan
+from robofleet.studies.storm.tally import Tally
 
 
 @pytest.fixture(scope="module")
