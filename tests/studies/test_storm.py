@@ -12,6 +12,7 @@ from robofleet.comms.messages import TRUTH
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.check import refusals
+from robofleet.studies.engine import Local
 from robofleet.studies.storm import workers
 from robofleet.studies.storm.bodies import apart
 from robofleet.studies.storm.episode import play
@@ -85,7 +86,7 @@ def _overlap(faults: Iterable[Any]) -> bool:
 
 
 def test_twenty_storms_leave_every_invariant_standing(fleet: Config) -> None:
-    tally = workers.storm(fleet, range(1, 21), lambda _tally, _episode: None)
+    tally = workers.storm(fleet, range(1, 21), Local(2), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
     assert list(tally.shortfalls()) == []
     assert tally.seeds == 20

@@ -69,4 +69,6 @@ def summarise(tally: Tally, elapsed_s: float) -> bool:
     shortfalls = list(tally.shortfalls())
     for shortfall in shortfalls:
         print(f"the storm proves too little: {shortfall}", file=sys.stderr)
-    return not tally.failed and not shortfalls
+    for unplayed in tally.unplayed:
+        print(unplayed, file=sys.stderr)
+    return not tally.failed and not shortfalls and not tally.unplayed

@@ -29,6 +29,7 @@ class Tally:
         self.injected: Counter[str] = Counter()  # their effects
         self.events: Counter[Event] = Counter()  # seeds in which each was a recorded cause
         self.failed: list[Episode] = []
+        self.unplayed: list[str] = []  # seeds of which nothing is known, and why
 
     def add(self, episode: Episode) -> None:
         """Count a seed."""
