@@ -2,7 +2,6 @@
 
 import fcntl
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,30 +48,27 @@ def opened(folder: Path, study: Study) -> Iterator[Journal]:
 
 
 def _read(stream: BinaryIO, file: Path, study: Study) -> dict[int, Played]:
-    """Return what is finished, and leave the stream where the next line goes: a line that was cut short is removed."""
+    """Return what is finished; a last line that was cut short is removed, and nothing else ever is."""
     head = {"sweep": study.digest, "runs": len(study.runs)}
     stream.seek(0)
-    whole = 0
-    played: dict[int, Played] = {}
-    for number, line in enumerate(stream):
-        if not line.endswith(b"\n"):
-            break
-        try:
-            told = json.loads(line)
-            if number == 0 and told != head:
-                break
-            if number > 0:
-                played[told.pop("run")] = Played(**told)
-        except (ValueError, KeyError, TypeError, AttributeError):
-            break
-        whole += len(line)
-    size = os.fstat(stream.fileno()).st_size
-    if whole == 0 and size > 0:
-        raise RefusedError(
-            f"--out: {file} is of another sweep, or of this one before it was changed: name another folder"
-        )
-    stream.truncate(whole)
-    if whole == 0:
+    lines = stream.read().split(b"\n")
+    if len(lines) == 1:  # it was interrupted before it began
+        stream.truncate(0)
         stream.write(dumps(head, compact=True).encode() + b"\n")
         stream.flush()
+        return {}
+    try:
+        same = json.loads(lines[0]) == head
+        played = dict(_run(line) for line in lines[1:-1]) if same else {}
+    except (ValueError, KeyError, TypeError) as error:
+        raise RefusedError(f"--out: {file} is damaged: {error}: name another folder") from error
+    if not same:
+        raise RefusedError(f"--out: {file} is of another sweep, or of this one as it was: name another folder")
+    if lines[-1]:
+        stream.truncate(stream.tell() - len(lines[-1]))
     return played
+
+
+def _run(line: bytes) -> tuple[int, Played]:
+    told = json.loads(line)
+    return told.pop("run"), Played(**told)

@@ -94,8 +94,8 @@ def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], kinds
         return
     if len(varied) > 1:
         page.section("Two settings together", "Each cell is the median of its runs.")
-        pairs = sorted(combinations(varied, 2), key=lambda pair: -max(map(len, pair)))
-        for across, up in islice(((max(p, key=len), min(p, key=len)) for p in pairs), _PAIRS):
+        for one, other in islice(combinations(varied, 2), _PAIRS):
+            across, up = (one, other) if len(one) >= len(other) else (other, one)
             figure = plots.together(across, up, shown, kinds)
             page.figure(figure, f"{up.key} over {across.key}.", title=f"{across.name} and {up.name}")
     page.section("One setting at a time", "A box holds half of the runs, its line is the median; a point is a run.")

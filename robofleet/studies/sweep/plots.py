@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,6 +23,7 @@ _REDS = LinearSegmentedColormap.from_list("reds", ["#f4f4f4", "#eeb8aa", FAULT, 
 _ROW, _BAR = 2.5, 0.21  # heights [inch]
 _LONG_NAMES = 26  # letters of all level names of a panel that fit side by side
 _WRITTEN = 64  # cells with their numbers in them
+_DARK = 0.6  # brightness of a cell that is written on in white
 
 Kinds = NDArray[np.int64]  # (R,) of every run, into KINDS
 
@@ -104,7 +106,7 @@ def _cells(axes: Axes, across: Factor, up: Factor, measure: Measure, *, red: boo
     if medians.size <= _WRITTEN:
         for (i, k), value in np.ndenumerate(medians):
             if np.isfinite(value):
-                dark = value > low + 0.55 * (high - low) and high > low
+                dark = _brightness(image.to_rgba(value)) < _DARK
                 axes.annotate(
                     _number(value, medians), (k + 0.5, i + 0.5), ha="center", va="center", fontsize=8,
                     color="white" if dark else INK,
@@ -161,6 +163,11 @@ def _near(limit: float, values: Array) -> bool:
     low, high = np.nanmin(values), np.nanmax(values)
     room = 0.75 * (high - low)
     return bool(low - room <= limit <= high + room)
+
+
+def _brightness(colour: Any) -> float:
+    """Return how bright the eye sees a colour (r, g, b, ...), from 0 to 1."""
+    return float(np.dot(colour[:3], (0.299, 0.587, 0.114)))
 
 
 def _number(value: float, among: Array) -> str:
