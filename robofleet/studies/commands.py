@@ -80,13 +80,13 @@ def sweep(
 
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
     with bad_input(), hangup_interrupts():
-        study = load(sweep)
+        study = load(sweep, lambda of: bar("checks", of))
         with engine.opened(on, jobs) as where, journal.opened(folder, study) as kept:
             try:
                 with bar("sweep", len(study.runs), len(kept.played)) as shown:
 
                     def watch(ran: table.Ran) -> None:
-                        shown.say(*report.lines(ran))
+                        shown.say(*report.lines(ran, shown.failed))
                         shown.add(failed=ran.outcome != "completed")
 
                     runs = running.run(study, where, kept, watch)

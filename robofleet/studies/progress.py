@@ -34,6 +34,11 @@ class Bar:
             self._next_ns = stopwatch_ns() + _LINE_NS
             print(f"{words}: {self._done:,} of {self._total:,}, {self._left()} left", file=sys.stderr, flush=True)
 
+    @property
+    def failed(self) -> int:
+        """How many failed so far."""
+        return self._failed
+
     def say(self, *lines: str) -> None:
         """Print lines above the bar."""
         for line in lines:

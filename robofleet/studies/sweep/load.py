@@ -3,6 +3,7 @@
 import os
 import shlex
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from hashlib import blake2b
 from importlib.metadata import version
 from pathlib import Path
@@ -14,11 +15,12 @@ from robofleet.config.parameters import Loc, load_placed, mistake_at
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Mistake, Node, printable
 from robofleet.processes.check import load_checked
+from robofleet.studies.progress import Bar
 from robofleet.studies.sweep.plan import Setting, Sweep, settings
 
 _SEED = "run.seed"
 
-Told = Callable[[int, int], None]  # how many settings were checked, and of how many
+Told = Callable[[int], AbstractContextManager[Bar]]  # shows how many of so many settings were checked
 
 
 class Planned(NamedTuple):
@@ -44,7 +46,7 @@ class Study(NamedTuple):
     digest: str  # of everything that decides its results but the machine
 
 
-def load(file: Path, told: Told = lambda _done, _of: None) -> Study:
+def load(file: Path, told: Told) -> Study:
     """Read a sweep and check each of its runs; ConfigError with everything that is wrong, where it stands."""
     sweep, root = load_placed(Sweep, file)
     if wrong := list(_complaints(sweep, root)):
@@ -55,8 +57,7 @@ def load(file: Path, told: Told = lambda _done, _of: None) -> Study:
     plans: list[Planned] = []
     broken = _Broken()
     of = sweep.total // len(sweep.every_seed)
-    for done, setting in enumerate(settings(sweep)):
-        told(done, of)
+    for done, setting in enumerate(_each(sweep, told(of))):
         own = [Change(key, _written(root, place, setting.values[key])) for key, place in setting.places.items()]
         name = sweep.faults[setting.faults]
         faults = None if name is None else _beside(file, name)
@@ -104,6 +105,13 @@ def _complaints(sweep: Sweep, root: Node) -> Iterator[Mistake]:
         message = f"these are {sweep.total:,} runs ({many}): at most {sweep.runs:,} are asked for"
         at = ("runs",) if root.child("runs") else ()
         yield mistake_at(root, at, f"{message}: leave some out, or write `runs: {sweep.total}`")
+
+
+def _each(sweep: Sweep, shown: AbstractContextManager[Bar]) -> Iterator[Setting]:
+    with shown as bar:
+        for setting in settings(sweep):
+            yield setting
+            bar.add()
 
 
 class _Broken:

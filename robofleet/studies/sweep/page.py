@@ -17,7 +17,7 @@ from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import TIMES, Ran
 
 FILE = "sweep.html"
-_FIGURES, _PAIRS = 4, 6  # that are drawn
+_PAIRS = 6  # of settings that are drawn
 _SHOWN = 50  # runs of a list
 
 
@@ -28,7 +28,7 @@ def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]
     _verdict(page, runs, kinds)
     known, varied = measures(runs), factors(study)
     page.tiles(_tile(measure, runs) for measure in known)
-    shown = [measure for measure in known if measure.varies][:_FIGURES]
+    shown = [measure for measure in known if measure.varies][: plots.MOST]
     with mpl.rc_context(STYLE):
         _breaking(page, varied, kinds)
         _plots(page, varied, shown, kinds)

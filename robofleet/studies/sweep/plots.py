@@ -20,6 +20,7 @@ KINDS = (("completed", FINE), ("completed, a bound not met", MISSED), ("did not 
 
 _SHADES = LinearSegmentedColormap.from_list("shades", ["#eef4f9", "#8fb8d9", COLOURS[0], "#0d3a5c"])
 _REDS = LinearSegmentedColormap.from_list("reds", ["#f4f4f4", "#eeb8aa", FAULT, "#7d2615"])
+MOST = 4  # figures that are drawn
 _ROW, _BAR = 2.5, 0.21  # heights [inch]
 _LONG_NAMES = 26  # letters of all level names of a panel that fit side by side
 _WRITTEN = 64  # cells with their numbers in them
@@ -49,7 +50,7 @@ def breaking(factors: Sequence[Factor], kinds: Kinds) -> Figure:
                 f"{said or 'all well'}, of {counts[k].sum()}", (101.5, k), va="center", fontsize=8,
                 annotation_clip=False, color=INK if said else QUIET,
             )  # fmt: skip
-        axes.set(xlim=(0, 135), title=factor.key, xticks=[])
+        axes.set(xlim=(0, 140), title=factor.key, xticks=[])
         axes.set_yticks(range(len(factor)), factor.levels)
         axes.invert_yaxis()
         axes.grid(visible=False)
@@ -63,7 +64,7 @@ def together(across: Factor, up: Factor, measures: Sequence[Measure], kinds: Kin
     broke = np.where(kinds == 2, 100.0, 0.0)
     shown = [*measures]
     if broke.any():
-        shown.insert(0, Measure("did not complete", "% of the runs", broke))
+        shown = [Measure("did not complete", "% of the runs", broke), *shown[: MOST - 1]]
     figure, panels = _panels(len(shown), max(_ROW, 0.42 * len(up) + 0.9))
     for axes, measure in zip(panels, shown, strict=True):
         _cells(axes, across, up, measure, red=measure.values is broke)
