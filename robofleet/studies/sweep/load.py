@@ -4,6 +4,7 @@ import os
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from hashlib import blake2b
 from importlib.metadata import version
 from pathlib import Path
@@ -152,9 +153,9 @@ def _at(root: Node, loc: Loc) -> Node | None:
 
 def _written(root: Node, loc: Loc, value: Any) -> Node:
     """Return a value with the places of what stands at ``loc``; a drawn one stands nowhere else."""
-    node = _at(root, loc)
-    assert node is not None
-    return _drawn(node, value) if loc[0] == "random" else node
+    node, named = _at(root, loc), _at(root, loc[:2] if loc[0] == "grid" else loc)
+    assert node is not None and named is not None
+    return _drawn(node, value) if loc[0] == "random" else replace(node, key=named.key)
 
 
 def _drawn(at: Node, value: Any) -> Node:
