@@ -81,7 +81,7 @@ def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, int
     assert [row["tracker.truth.position_noise_m"] for row in found] == ["0.0003", "0.0003", "0.006", "0.006"]
     assert [row["outcome"] for row in found] == ["completed", "completed", "fault", "fault"]
     assert len({row["trace_hash"] for row in found}) == 4
-    assert all(float(row["control_error_mm.mean"]) > 0 for row in found[:2])
+    assert all(float(row["min_gap_mm"]) > 0 for row in found[:2])
     told = json.loads(out)
     assert (told["runs"], told["completed"]) == (4, 2)
     assert [run["run"] for run in told["failed"]] == [3, 4]
