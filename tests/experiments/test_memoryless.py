@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from robofleet.config.load import ConfigError
+from robofleet.config.parameters import load_parameters
 from robofleet.experiments.memoryless import MemorylessParameters, error_of, nonlinearity, run
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 
 SHIPPED_PARAMETERS = load_parameters(MemorylessParameters, SHIPPED / "memoryless.yaml")
 

@@ -11,10 +11,11 @@ from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.config.load import ConfigError
+from robofleet.config.parameters import Parameters, load_parameters
 from robofleet.experiments import paper
 from robofleet.experiments.closed_curve import ClosedCurveParameters
 from robofleet.experiments.lane_change import LaneChangeParameters
-from robofleet.experiments.parameters import SHIPPED, Parameters, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,8 @@
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.config.parameters import load_parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon import PlatoonParameters, run, scaled
 from robofleet.experiments.platoon_gain import robot_gains
 from robofleet.processes.check import refusals

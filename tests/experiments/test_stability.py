@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.config.load import ConfigError
+from robofleet.config.parameters import load_parameters
 from robofleet.control.flow import FlowSettings, Integrator
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.stability import (
     DOUBLE_INTEGRATOR,
     StabilityParameters,

@@ -11,11 +11,12 @@ import pytest
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.check import refusals
-from robofleet.processes.storm import workers
-from robofleet.processes.storm.bodies import apart
-from robofleet.processes.storm.episode import play
-from robofleet.processes.storm.schedule import KINDS, WINDOW_S, plan
-from robofleet.processes.storm.tally import Tally
+from robofleet.studies.engine import Local
+from robofleet.studies.storm import workers
+from robofleet.studies.storm.bodies import apart
+from robofleet.studies.storm.episode import play
+from robofleet.studies.storm.schedule import KINDS, WINDOW_S, plan
+from robofleet.studies.storm.tally import Tally
 from tests.comms.alone import TRUTH
 
 
@@ -85,7 +86,7 @@ def _overlap(faults: Iterable[Any]) -> bool:
 
 
 def test_twenty_storms_leave_every_invariant_standing(fleet: Config) -> None:
-    tally = workers.storm(fleet, range(1, 21), lambda _tally, _episode: None)
+    tally = workers.storm(fleet, range(1, 21), Local(2), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
     assert list(tally.shortfalls()) == []
     assert tally.seeds == 20
