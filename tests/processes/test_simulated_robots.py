@@ -1,4 +1,4 @@
-"""Simulated robots in arrays do what each does behind a gate and a driver of its own: the same bytes, to the last bit."""
+"""Simulated robots in arrays say the same bytes as robots that have a gate and a driver each."""
 
 from typing import Any
 
