@@ -32,13 +32,12 @@ SPEEDS = (0.0, -0.0, 0.3, 0.6, 0.8, -0.8, 3.0, -7.5, 12.5, 40.0)
 def imperfections(rng: Random) -> Imperfections:
     """Return any robot's: ideal, worn, and whatever lies between."""
     lag, quantum = rng.choice((0.0, 0.02, 0.08)), rng.choice((0.0, 0.2244, 0.8233))
-    drawn = replace(
+    return replace(
         rng.choice((IDEAL, WORN, CREATE2_IDEAL)), wiring=rng.choice(get_args(Wiring)), motor_lag=lag,
         speed_quantum=quantum, battery_life=rng.choice((1e9, 2400.0, 1.5)), top_speed_sag=rng.choice((0.0, 0.3)),
         wheel_gain_error=rng.choice((0.0, 0.02)), slip=rng.choice((0.0, 0.02, 0.2)), slip_noise=rng.choice((0.2, 2.0)),
         actuation_delay=rng.choice((0.0, 0.0, 0.003, 0.03, 0.35)),
     )  # fmt: skip
-    return drawn
 
 
 def trouble(rng: Random) -> BodyTrouble:
