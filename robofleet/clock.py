@@ -94,6 +94,11 @@ def stopwatch_ns() -> int:
     return time.perf_counter_ns()
 
 
+def processor_ns() -> int:
+    """Return how long this thread was on a processor: what other processes take is not in it."""
+    return time.thread_time_ns()
+
+
 def epoch_ns() -> int:
     """Return what makes an instant of ``WallClock`` a date: add it, and it counts from 1970 [ns]."""
     return time.time_ns() - time.clock_gettime_ns(_CLOCK)

@@ -16,6 +16,7 @@ from packages import needing
 
 with needing("bench", "lab"):
     import bench_barrier
+    import bench_scale
     import bench_tracker
     import cv2
     import numba
@@ -60,6 +61,7 @@ def main() -> None:
         *closed_curve(),
         *gate_steps(),
         *lockstep(),
+        *bench_scale.rows(),
     ]
     if as_json:
         print(json.dumps({"rows": rows}))

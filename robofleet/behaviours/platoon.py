@@ -32,7 +32,7 @@ from robofleet.behaviours.interface import (
 )
 from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
-from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings, see
+from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings
 from robofleet.safety import starts
 from robofleet.safety.barrier import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
@@ -42,6 +42,12 @@ Array = NDArray[np.float64]
 
 _PATH_POINTS = 400  # of the line that is drawn
 _JUDGED = 100  # points of a side, for judging a start
+_FIGURES = (
+    ("control_error", int(Column.CONTROL_ERROR)),
+    ("estimated_path_error", int(Column.PATH_ERROR)),
+    ("estimated_spacing", int(Column.SPACING)),
+    ("reference_parameter", int(Column.REFERENCE_PARAMETER)),
+)
 _PLACED = 2000  # points of a side, for places: a chord is then 0.1 um off its arc
 
 
@@ -82,27 +88,18 @@ class Platoon(Behaviour):
             ),
             team.drives,
         )  # fmt: skip
-        self._along = np.full(len(team), np.nan)  # parameters nearest to the points; NaN: the whole path is searched
 
     # At each tick
 
     def decide(self, now: Situation) -> Decision:
         """Return Algorithm 1's inputs."""
         told = self._law.tick(now.t, now.poses, now.driving, now.disturbance)
-        seen = np.empty((len(told), 2))
-        see(self._path.coefficients, now.points(self.team.point_ahead), self._along, seen)
-        figures = {
-            "control_error": told[:, Column.CONTROL_ERROR],
-            "estimated_path_error": seen[:, 0],
-            "estimated_spacing": seen[:, 1],
-            "reference_parameter": told[:, Column.REFERENCE_PARAMETER],
-        }
+        figures = {name: told[:, column] for name, column in _FIGURES}
         return Decision(told[:, INPUTS], references=told[:, REFERENCES], figures=figures)
 
     def restart(self) -> None:
         """Begin at the path's beginning, or where the leader stands."""
         self._law.restart()
-        self._along[:] = np.nan
 
     def changed(self, velocities: Array) -> None:
         """Predict by what the robots do, not by what was asked."""
@@ -111,7 +108,6 @@ class Platoon(Behaviour):
     def carried(self, robot: int) -> None:
         """Search the whole path for it."""
         self._law.carried(robot)
-        self._along[robot] = np.nan
 
     # Before a run
 

@@ -213,8 +213,8 @@ class _Watch:
             text = f"held: {cause}; then press r, or `robofleet resume`"
         ticks = recording.messages.get(key(self._config.arena.name, TICK))
         head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None
-        if head is not None and head[3] >= 0:
-            row = int(np.searchsorted(self._ends, head[3] * self._config.controller.tick_s, side="right"))
+        if head is not None and head.run_tick >= 0:
+            row = int(np.searchsorted(self._ends, head.run_tick * self._config.controller.tick_s, side="right"))
             if row < self._count:
                 text = f"{self._config.members[row].id} drives"
         if text != self._said:

@@ -36,7 +36,7 @@ TICK = Topic("tick", "controller", "all", 0.033, "DATA", _FLEET, messages.TICK_R
 RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
 STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
 BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)
-TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.010, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
+TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
 REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
 ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
 VERSION = 6
 _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "d": "<f8"}
@@ -26,6 +27,7 @@ _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
 _MOST = 1e300  # so many of them have a finite sum, by which decoding judges
+_FEW = 16  # items
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
@@ -120,7 +122,9 @@ class ListLayout(Generic[M]):
         self._item_columns = _columns(make_item, item)
         plain = item.rstrip("d")
         assert "d" not in plain, "an item's floats are its last fields"
-        self.item_floats = len(item) - len(plain)
+        self.item_floats, self._floats_at = len(item) - len(plain), self._item.size - 8 * (len(item) - len(plain))
+        self._strides = self._item.size, 8
+        self._none: tuple[tuple[()], ...] = ((),) * (1 + numbers)  # the lists of a message that is only a head
         self._head_floats = [name for name, kind in self._columns if kind == "<f8"]
 
     @cached_property
@@ -158,41 +162,56 @@ class ListLayout(Generic[M]):
         rest = length - self._head.size - count * self._item.size
         return rest == 0 or (self._numbers and rest > 0 and rest % 8 == 0)
 
-    def decode_head(self, payload: bytes) -> tuple[Any, ...] | None:
-        """Return the head's fields alone, or None where length or version is wrong."""
+    def decode_head(self, payload: bytes) -> M | None:
+        """Return the message without its items, or None where length or version is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
-        return tuple(head) if self._fits(len(payload), count) else None
+        return self._make._make((*head, *self._none)) if self._fits(len(payload), count) else None
 
-    def arrays(self, payload: bytes) -> "tuple[np.ndarray, np.ndarray] | None":
+    def arrays(self, payload: bytes) -> "tuple[NDArray[Any], NDArray[Any]] | None":
         """Return the head (1,) and the items (N,) as structured arrays that share the payload's memory.
 
         None where length, version or finiteness is wrong. The numbers of a message with ``numbers`` are left out.
         """
-        import numpy as np  # noqa: PLC0415
-
-        if len(payload) < self._head.size or payload[0] != VERSION:
+        read, size = self._reader, self._head.size
+        if len(payload) < size or payload[0] != VERSION:
             return None
-        head: np.ndarray = np.ndarray((1,), self.head_dtype, payload)
-        count = int(self._count.unpack_from(payload, self._head.size - self._count.size)[0])
+        (count,) = self._count.unpack_from(payload, size - 2)
         if not self._fits(len(payload), count):
             return None
-        items: np.ndarray = np.ndarray((count,), self.item_dtype, payload, self._head.size)
-        if not math.isfinite(self._largest(items)):
+        head: NDArray[Any] = read.array(1, self.head_dtype, payload)
+        items: NDArray[Any] = read.array(count, self.item_dtype, payload, size)
+        if not self._finite(payload, count, size):
             return None
         if self._head_floats and not math.isfinite(sum(head[name][0] for name in self._head_floats)):
             return None
         return head, items
 
-    def view(self, payload: bytes) -> "tuple[M, np.ndarray] | None":
-        """Return the message without its items, and these as a structured array (N,); None as of ``arrays``."""
-        arrays = self.arrays(payload)
-        if arrays is None:
+    def head_of(self, payload: bytes, field: str) -> Any:
+        """Return one field of a message's head; None where length or version is wrong."""
+        if len(payload) < self._head.size or payload[0] != VERSION:
             return None
-        head, items = arrays
-        rest = [()] * (1 + self._numbers)
-        return self._make._make([*head[0].item()[1:-1], *rest]), items
+        return self._fields[field].unpack_from(payload)[0]
+
+    @cached_property
+    def _fields(self) -> dict[str, Struct]:
+        spans = {name: _span(self._columns, name, name) for name, _ in self._columns[1:]}
+        letters = dict(zip(spans, f"{self._head_letters}H", strict=True))
+        return {name: Struct(f"<{span.start}x{letters[name]}") for name, span in spans.items()}
+
+    @cached_property
+    def _reader(self) -> "_Reader":
+        return _Reader()
+
+    def _tail(self, count: int, memory: Any, at: int) -> "NDArray[Any]":
+        """Return the floats of items (count, floats) that begin in some memory."""
+        return self._reader.array((count, self.item_floats), self._reader.double, memory, at, self._strides)
+
+    def floats(self, items: "NDArray[Any]") -> "NDArray[Any]":
+        """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
+        floats: NDArray[Any] = items.view(self._split_dtype)["floats"]
+        return floats
 
     @cached_property
     def _split_dtype(self) -> "np.dtype[Any]":
@@ -202,26 +221,22 @@ class ListLayout(Generic[M]):
         count = self.item_floats
         return np.dtype([("plain", f"V{self._item.size - 8 * count}"), ("floats", "<f8", (count,))])
 
-    def floats(self, items: "np.ndarray") -> "np.ndarray":
-        """Return the floats of items (N,), which are their last fields, as an array (N, floats) of the same memory."""
-        floats: np.ndarray = items.view(self._split_dtype)["floats"]
-        return floats
-
-    def _largest(self, items: "np.ndarray") -> float:
-        """Return the greatest magnitude among the floats of items; NaN where one is."""
-        import numpy as np  # noqa: PLC0415
-
-        return float(np.abs(self.floats(items)).max(initial=0.0))
-
-    def encode_view(self, message: M, items: "np.ndarray") -> bytes:
+    def encode_view(self, message: M, items: "NDArray[Any]") -> bytes:
         """Return the payload of a message whose items are an array (N,) of ``item_dtype``; its own are passed over."""
-        head = message[: len(self._head_letters)]
-        if len(items) <= _MOST_ITEMS and self._largest(items) <= _MOST:
-            try:
-                return self._head.pack(VERSION, *head, len(items)) + items.tobytes()
-            except _TOO_LARGE:
-                pass
-        return self.encode_parts(head, len(items), items.tobytes())
+        return self.encode_array(message[: len(self._head_letters)], items)
+
+    def view(self, payload: bytes) -> "tuple[M, NDArray[Any]] | None":
+        """Return the message without its lists, and its items as a structured array that lies in the payload.
+
+        None where ``decode`` returns None. Nothing is copied, and nothing can be written there.
+        """
+        size = self._head.size
+        if len(payload) < size or payload[0] != VERSION:
+            return None
+        _, *head, count = self._head.unpack_from(payload)
+        if not (self._fits(len(payload), count) and math.isfinite(sum(head)) and self._finite(payload, count, size)):
+            return None
+        return self._make._make((*head, *self._none)), self._reader.array(count, self.item_dtype, payload, size)
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -247,6 +262,27 @@ class ListLayout(Generic[M]):
             packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
         return packed + items + numbers
 
+    def encode_array(self, head: tuple[Any, ...], items: "NDArray[Any]", numbers: bytes = b"") -> bytes:
+        """As ``encode_parts``; items: contiguous, structured or not, with the bytes that the layout has."""
+        count = len(items)
+        try:
+            packed = self._head.pack(VERSION, *head, count)
+        except _TOO_LARGE:
+            return self.encode_parts(head, count, items.tobytes(), numbers)
+        body = items.tobytes()
+        if not (math.isfinite(sum(head)) and self._finite(body, count, 0)):
+            return self.encode_parts(head, count, body, numbers)
+        return b"".join((packed, body, numbers))
+
+    def _finite(self, payload: bytes, count: int, start: int) -> bool:
+        """Return whether all floats of the items that begin at a place in a payload are finite."""
+        if not self.item_floats:
+            return True
+        if count < _FEW:  # then Python is faster
+            items = payload[start : start + count * self._item.size]
+            return math.isfinite(sum(map(sum, self._item.iter_unpack(items))))
+        return self._reader.finite(self._tail(count, payload, start + self._floats_at))
+
     def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)
 
@@ -263,6 +299,19 @@ class ListLayout(Generic[M]):
             return None
         numbers = (Struct(f"<{(len(payload) - end) // 8}d").unpack(payload[end:]),) if self._numbers else ()
         return self._make._make([*head, tuple(map(self._make_item._make, rows)), *numbers])
+
+
+class _Reader:
+    """What reads arrays out of payloads, made when the first one is read: numpy is loaded then."""
+
+    def __init__(self) -> None:
+        import numpy as np  # noqa: PLC0415
+
+        self.array, self._sum, self.double = np.ndarray, np.add.reduce, np.dtype("<f8")
+
+    def finite(self, floats: "NDArray[Any]") -> bool:
+        """Return whether all are numbers, and not too large by far."""
+        return math.isfinite(self._sum(floats, None))
 
 
 class BlobLayout(Generic[M]):

@@ -86,6 +86,7 @@ class RobotState(NamedTuple):
     permitted: int  # 1: its wheels may move
     acknowledged: int  # 1: it has answered the e-stop by closing its gate
     cause: int  # safety.supervisor.Event for which it alone stands still; 0: none
+    stroke: int = 0  # index in safety.wiggle.STROKES of what it must do while its wheels are tried; 0: stand
 
 
 class RunState(NamedTuple):
@@ -98,8 +99,6 @@ class RunState(NamedTuple):
     robot: int  # index of the robot concerned in the group's order; safety.supervisor.NOBODY where it is not about one
     detail: float  # the cause's own figure, as its description says
     stage: int  # safety.arming.Stage, while ARMED
-    probed: int  # index of the robot whose wheels are tried; NOBODY: none
-    stroke: int  # index in safety.arming.STROKES of what the probed robot must do; 0: stand
     robots: tuple[RobotState, ...]  # in the group's order
 
 
@@ -285,4 +284,4 @@ FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hiiddd")
 TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBBQqq", RobotTick, "d" * 15, numbers=True)
 PICTURE = BlobLayout(Picture, "IQqHH")
 BUSY_MACHINE = ListLayout(BusyMachine, "IQHBIIHd", Late, "Hqq")
-RUN_STATE = ListLayout(RunState, "IQBHHdBHB", RobotState, "BBH")
+RUN_STATE = ListLayout(RunState, "IQBHHdB", RobotState, "BBHB")

@@ -19,8 +19,9 @@ class Part(NamedTuple):
 
     name: str
     size: int  # all robots of the unit
-    rows: NDArray[np.intp]  # (K,) of those that are looked after, in the looker's own order
-    places: NDArray[np.intp]  # (K,) of the same robots in the unit
+    numbers: NDArray[np.intp]  # (K,) of those that are looked after, in the looker's own order
+    rows: "slice | NDArray[np.intp]"  # the same as an index
+    places: "slice | NDArray[np.intp]"  # of the same robots in the unit
 
 
 class Statuses:
@@ -36,7 +37,7 @@ class Statuses:
             mine = [(rows[robot], place) for place, robot in enumerate(members) if robot in rows]
             if mine:
                 of, places = (np.array(column, np.intp) for column in zip(*mine, strict=True))
-                self.units.append(Part(name, len(members), of, places))
+                self.units.append(Part(name, len(members), of, _index(of), _index(places)))
         self._inboxes = [Inbox(bus.newest(STATUS, unit.name), UNIT_STATUS.view) for unit in self.units]
         self.newest: list[UnitStatus | None] = [None] * len(self.units)  # without their robots
         self.robots: NDArray[Any] = np.zeros(len(robots), UNIT_STATUS.item_dtype)
@@ -61,3 +62,9 @@ class Statuses:
     def hurried(self) -> list[int]:
         """Return the units whose link is bad: what is said to these is said every HURRY_NS."""
         return [number for number, status in enumerate(self.newest) if status is not None and status.hurry]
+
+
+def _index(numbers: NDArray[np.intp]) -> "slice | NDArray[np.intp]":
+    """Return numbers as an index: those that follow each other as a slice, which is several times as fast."""
+    first, count = int(numbers[0]), len(numbers)
+    return slice(first, first + count) if (numbers == np.arange(first, first + count)).all() else numbers

@@ -31,7 +31,7 @@ class TickFollower:
         head = None if payload is None else TICK_RECORD.decode_head(payload)
         if head is None:
             return
-        _, _, tick, run_tick, stamp_ns, *_ = head
+        tick, run_tick, stamp_ns = head.tick, head.run_tick, head.stamp_ns
         if tick < self.newest:
             self._origins.clear()  # another controller
         self.newest, self.newest_stamp_ns = tick, stamp_ns

@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
 _CLEARLY = 0.999  # of a squared distance: beyond any rounding
+_LAST_STEP = 1e-9  # of Newton: what is left is its square
+_ROUNDING = 1e-13  # of the largest coefficient
+_CHOOSE_OF_5 = (1.0, 5.0, 10.0, 10.0, 5.0, 1.0)
 _NEWTON_STEPS = 60  # bisection alone would need 53
 
 
@@ -103,13 +106,18 @@ def point(coefficients: Array, sigma: float) -> tuple[float, float]:
 @kernel
 def unit_tangent(coefficients: Array, sigma: float) -> tuple[float, float]:
     """Return r'(sigma) / |r'(sigma)|."""
+    dx, dy = _derivative(coefficients, sigma)
+    norm = np.hypot(dx, dy)
+    return dx / norm, dy / norm
+
+
+@kernel
+def _derivative(coefficients: Array, sigma: float) -> tuple[float, float]:
+    """Return r'(sigma) [m a side]."""
     side = int(np.floor(sigma))
     s = sigma - side
     c = coefficients[side % len(coefficients)]
-    dx = c[1, 0] + s * (2 * c[2, 0] + s * 3 * c[3, 0])
-    dy = c[1, 1] + s * (2 * c[2, 1] + s * 3 * c[3, 1])
-    norm = np.hypot(dx, dy)
-    return dx / norm, dy / norm
+    return c[1, 0] + s * (2 * c[2, 0] + s * 3 * c[3, 0]), c[1, 1] + s * (2 * c[2, 1] + s * 3 * c[3, 1])
 
 
 @kernel
@@ -123,13 +131,17 @@ def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
     sides = len(coefficients)
     low, high = (0.0, float(sides)) if np.isnan(near) else (near - 0.5, near + 0.5)
     best, best_value = low, np.inf
-    roots = np.empty(8)
-    for side in range(int(np.floor(low)), int(np.ceil(high))):
+    arrays = np.empty((10, 8))  # one: to allocate costs more than to find a root
+    squared, slope, roots, room = arrays[0, :7], arrays[1, :6], arrays[2], arrays[3:, :7]
+    first, searched = int(np.floor(low)), int(np.ceil(high)) - int(np.floor(low))
+    own = 0 if np.isnan(near) else int(np.floor(near)) - first  # looked at first: then others may be too far away
+    for turn in range(own, own + searched):
+        side = first + turn % searched
         if _CLEARLY * _box_distance(coefficients[side % sides], x, y) > best_value:
             continue
         start, end = max(low - side, 0.0), min(high - side, 1.0)
-        squared = _squared_distance(coefficients[side % sides], x, y)
-        count = _real_roots(_differentiate(squared), start, end, roots)
+        _squared_distance(coefficients[side % sides], x, y, squared, slope)
+        count = _real_roots(slope, start, end, near - side, roots, room)
         roots[count], roots[count + 1] = start, end
         for k in range(count + 2):
             s = roots[k]
@@ -145,19 +157,23 @@ def back(coefficients: Array, sigma: float, distance: float) -> float:
     sides = len(coefficients)
     x, y = point(coefficients, sigma)
     last = int(np.floor(sigma))
-    roots = np.empty(8)
+    dx, dy = _derivative(coefficients, sigma)
+    speed = np.hypot(dx, dy)
+    expected = sigma - distance / speed if speed > 0.0 else np.nan
+    arrays = np.empty((10, 8))
+    excess, slope, roots, room = arrays[0, :7], arrays[1, :6], arrays[2], arrays[3:, :7]
     for side in range(last, last - sides - 1, -1):
         start = 0.0 if side > last - sides else sigma - last
         end = sigma - last if side == last else 1.0
-        excess = _squared_distance(coefficients[side % sides], x, y)
+        _squared_distance(coefficients[side % sides], x, y, excess, slope)
         excess[0] -= distance * distance
-        count = _real_roots(_differentiate(excess), start, end, roots)
+        count = _real_roots(slope, start, end, np.nan, roots, room)
         roots[count] = start
         upper = end
         for k in range(count - 1, -2, -1):
             lower = roots[k] if k >= 0 else start
             if _horner(excess, lower) >= 0.0:
-                return (side + _solve(excess, lower, upper)) % sides
+                return (side + _solve(excess, lower, upper, expected - side)) % sides
             upper = lower
     return np.nan
 
@@ -192,24 +208,18 @@ def _box_distance(c: Array, x: float, y: float) -> float:
 
 
 @kernel
-def _squared_distance(c: Array, x: float, y: float) -> Array:
-    """Coefficients (7,) of |r(s) - (x, y)|^2 on one side."""
-    result = np.zeros(7)
+def _squared_distance(c: Array, x: float, y: float, squared: Array, slope: Array) -> None:
+    """Write the coefficients of |r(s) - (x, y)|^2 on one side (7,), and of its derivative (6,)."""
+    for k in range(7):
+        squared[k] = 0.0
     for axis in range(2):
         q = x if axis == 0 else y
         for i in range(4):
             a = c[i, axis] - (q if i == 0 else 0.0)
             for j in range(4):
-                result[i + j] += a * (c[j, axis] - (q if j == 0 else 0.0))
-    return result
-
-
-@kernel
-def _differentiate(a: Array) -> Array:
-    result = np.empty(len(a) - 1)
-    for j in range(1, len(a)):
-        result[j - 1] = j * a[j]
-    return result
+                squared[i + j] += a * (c[j, axis] - (q if j == 0 else 0.0))
+    for j in range(1, 7):
+        slope[j - 1] = j * squared[j]
 
 
 @kernel
@@ -221,21 +231,26 @@ def _horner(a: Array, s: float) -> float:
 
 
 @kernel
-def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
-    """Write the roots of the polynomial where it changes sign in (low, high), ascending; return how many.
+def _real_roots(a: Array, low: float, high: float, near: float, roots: Array, room: Array) -> int:
+    """Write the roots of a quintic where it changes sign in (low, high), ascending; return how many.
 
-    A polynomial is monotone between the roots of its derivative: from the linear derivative upwards, each level's
-    roots bracket the next one's.
+    Descartes' rule, on the Bernstein coefficients, tells most cases: no root, or one. Else the derivatives tell: a
+    polynomial is monotone between the roots of its derivative, so from the linear one upwards each level's roots
+    bracket the next one's. ``near``: where the root is expected; ``room`` (7, 7) is overwritten.
     """
-    degree = len(a) - 1
-    ladder = np.zeros((degree + 1, degree + 1))
+    degree, ladder = 5, room
+    changes = _sign_changes(a, low, high, ladder[0])
+    if changes == 0:
+        return 0
+    if changes == 1 and (_horner(a, low) < 0.0) != (_horner(a, high) < 0.0):
+        roots[0] = _solve(a, low, high, near)
+        return 1
     for j in range(degree + 1):
         ladder[0, j] = a[j]
     for k in range(1, degree):
         for j in range(1, degree + 2 - k):
             ladder[k, j - 1] = j * ladder[k - 1, j]
-    breaks = np.empty(degree + 2)
-    count = 0
+    breaks, count = ladder[degree + 1], 0
     for k in range(degree - 1, -1, -1):
         polynomial = ladder[k, : degree + 1 - k]
         for j in range(count):
@@ -246,7 +261,7 @@ def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
         for j in range(count + 1):
             next_value = _horner(polynomial, breaks[j])
             if (value < 0.0) != (next_value < 0.0):
-                roots[found] = _solve(polynomial, previous, breaks[j])
+                roots[found] = _solve(polynomial, previous, breaks[j], np.nan)
                 found += 1
             previous, value = breaks[j], next_value
         count = found
@@ -254,10 +269,41 @@ def _real_roots(a: Array, low: float, high: float, roots: Array) -> int:
 
 
 @kernel
-def _solve(a: Array, low: float, high: float) -> float:
-    """Return the root of a polynomial that changes sign once between low and high: Newton, kept in the bracket."""
+def _sign_changes(a: Array, low: float, high: float, b: Array) -> int:
+    """Return how often the Bernstein coefficients ``b`` (6,) of a quintic on [low, high] change their sign.
+
+    It has so many roots there, or an even number less. What is nothing but rounding has no sign.
+    """
+    for k in range(6):
+        b[k] = a[k]
+    for k in range(5):  # around the low end
+        for j in range(4, k - 1, -1):
+            b[j] += low * b[j + 1]
+    power, largest = 1.0, 0.0
+    for k in range(1, 6):
+        power *= high - low
+        b[k] *= power / _CHOOSE_OF_5[k]
+    for k in range(1, 6):  # sums with binomial weights, as a triangle of sums
+        for j in range(5, k - 1, -1):
+            b[j] += b[j - 1]
+    for k in range(6):
+        largest = max(largest, abs(b[k]))
+    changes, before = 0, 0.0
+    for k in range(6):
+        if not abs(b[k]) <= _ROUNDING * largest:
+            changes += b[k] * before < 0.0
+            before = b[k]
+    return changes if largest < np.inf else 6  # not finite: the derivatives tell
+
+
+@kernel
+def _solve(a: Array, low: float, high: float, near: float) -> float:
+    """Return the root of a polynomial that changes sign once between low and high: Newton, kept in the bracket.
+
+    It begins at ``near``, or in the middle where that is not in the bracket.
+    """
     rising = _horner(a, low) < 0.0  # as the callers tell a change of sign
-    s = 0.5 * (low + high)
+    s = near if low < near < high else 0.5 * (low + high)
     for _ in range(_NEWTON_STEPS):
         value, slope = 0.0, 0.0
         for j in range(len(a) - 1, -1, -1):
@@ -270,8 +316,10 @@ def _solve(a: Array, low: float, high: float) -> float:
         else:
             low = s
         step = s - value / slope if slope != 0.0 else low
-        following = step if low < step < high else 0.5 * (low + high)
-        if abs(following - s) <= 1e-15:
+        newton = low < step < high
+        following = step if newton else 0.5 * (low + high)
+        size = abs(following - s)
+        if size <= 1e-15 or (newton and size < _LAST_STEP):
             return following
         s = following
     return s

@@ -13,6 +13,7 @@ driven by the commands and the images whatever the law does: the poles are the l
 the loop is stable where both are. u stays what the wheels were asked for, so that its limits bind where they are.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
@@ -58,10 +59,13 @@ class Column(IntEnum):
     REFERENCE_Y = 3
     REFERENCE_PARAMETER = 4  # of rho on the path
     CONTROL_ERROR = 5  # |rho - (x + T (u + w))| before the update [m]; w: the estimated disturbance, else 0
+    PATH_ERROR = 6  # of p, to the path [m]
+    SPACING = 7  # of p, to the predecessor's [m]; NaN: it has none
 
 
 INPUTS = slice(Column.U_X, Column.U_Y + 1)
 REFERENCES = slice(Column.REFERENCE_X, Column.REFERENCE_Y + 1)
+_COLUMNS = len(Column)
 
 
 @dataclass
@@ -74,11 +78,13 @@ class PlatoonLaw:
     u: Array = field(init=False)
     reference_parameter: Array = field(init=False)  # (N,) of rho; NaN: none yet
     _nearest_parameter: Array = field(init=False)  # (N,) of q; NaN: search the whole path
+    _along: Array = field(init=False)  # (N,) of the point of the path that is nearest to p; NaN: search the whole path
 
     def __post_init__(self) -> None:
         """Start at rest."""
         n = len(self.vehicles)
-        self.u, self.reference_parameter, self._nearest_parameter = np.empty((n, 2)), np.empty(n), np.empty(n)
+        self.u, self.reference_parameter = np.empty((n, 2)), np.empty(n)
+        self._nearest_parameter, self._along = np.empty(n), np.empty(n)
         self.restart()
         self._limits = np.array([(v.wheel_radius, v.wheel_base, v.max_wheel_speed, v.max_speed) for v in self.vehicles])
         s = self.settings
@@ -90,27 +96,29 @@ class PlatoonLaw:
         self.u[:] = 0.0
         self.reference_parameter[:] = np.nan
         self._nearest_parameter[:] = np.nan
-        self._origin = np.nan  # the leader's parameter at t = 0
+        self._along[:] = np.nan
+        self._origin = math.nan  # the leader's parameter at t = 0
 
     def carried(self, robot: int) -> None:
         """Forget where a robot was along the path: it was put somewhere else."""
         self._nearest_parameter[robot] = np.nan
+        self._along[robot] = np.nan
 
     def changed(self, u: Array) -> None:
         """Remember what the robots are asked for instead: u (N, 2) [m/s]."""
         self.u[:] = u
 
     def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
-        """Return what all robots do in the next tick: (N, 6), columns as in :class:`Column`.
+        """Return what all robots do in the next tick: (N, 8), columns as in :class:`Column`.
 
         t: time since the start at the moment when the commands act [s]. poses (N, 3): x, y [m], psi [rad] of the
         centres at that moment. driving (N,): false where a robot must stand still (its u becomes 0).
         disturbance (N, 2): w, the points' velocity beyond u as estimated [m/s; world]; None takes it as 0.
         """
         s = self.settings
-        if np.isnan(self._origin):
+        if math.isnan(self._origin):
             self._origin = self._beginning(t, poses[0])
-        decisions = np.zeros((len(poses), len(Column)))
+        decisions = np.empty((len(poses), _COLUMNS))
         _tick(
             self.path.coefficients,
             self._origin + s.path_rate * (t + s.horizon),
@@ -126,6 +134,7 @@ class PlatoonLaw:
             self.u,
             self._nearest_parameter,
             self.reference_parameter,
+            self._along,
             decisions,
         )
         return decisions
@@ -163,9 +172,11 @@ def _follow(
 @kernel
 def _tick(
     coefficients: Array, leader: float, d: float, T: float, l: float, offset: float, gain: float, limits: Array,
-    poses: Array, driving: NDArray[np.bool_], w: Array, u: Array, nearest: Array, reference: Array, decisions: Array,
+    poses: Array, driving: NDArray[np.bool_], w: Array, u: Array, nearest: Array, reference: Array, along: Array,
+    decisions: Array,
 ) -> None:  # fmt: skip
     predicted_x, predicted_y = np.nan, np.nan  # of the robot before
+    before_x, before_y = np.nan, np.nan  # its p
     for i in range(len(poses)):
         psi = poses[i, 2]
         x, y = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
@@ -194,21 +205,10 @@ def _tick(
         predicted_y = drifted_y + T * u[i, 1] - offset * np.sin(psi)
         row = decisions[i]  # columns as in Column; number by number, as an assignment of a tuple compiles slowly
         row[0], row[1], row[2], row[3], row[4], row[5] = u_x, u_y, rho_x, rho_y, reference[i], error
-
-
-@kernel
-def see(coefficients: Array, points: Array, along: Array, seen: Array) -> None:
-    """Write each robot's distance from the path and from the robot ahead (NaN: none) into ``seen`` (N, 2) [m].
-
-    points (N, 2) [m]. along (N,): the parameters nearest to them in the tick before, NaN: search the whole path; they
-    are brought up to date.
-    """
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
         along[i] = paths.nearest(coefficients, x, y, along[i])
         path_x, path_y = paths.point(coefficients, along[i])
-        seen[i, 0] = np.hypot(x - path_x, y - path_y)
-        seen[i, 1] = np.hypot(x - points[i - 1, 0], y - points[i - 1, 1]) if i else np.nan
+        row[6], row[7] = np.hypot(x - path_x, y - path_y), np.hypot(x - before_x, y - before_y)
+        before_x, before_y = x, y
 
 
-KERNELS = (_tick, see)  # that are called from Python
+KERNELS = (_tick,)  # that are called from Python

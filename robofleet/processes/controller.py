@@ -1,12 +1,13 @@
 """The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
 
-import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.clock import Clock, S, TickGrid
-from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.bus import Bus
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK
 from robofleet.comms.messages import (
     FLEET_POSES,
@@ -14,6 +15,7 @@ from robofleet.comms.messages import (
     TICK_RECORD,
     UNIT_COMMAND,
     FleetPoses,
+    RobotTick,
     UnitCommand,
 )
 from robofleet.comms.statuses import HURRY_NS, Statuses
@@ -25,13 +27,15 @@ from robofleet.processes.compiling import Say, on_stderr, told
 from robofleet.processes.deciding import Deciding, Judge, untimed
 from robofleet.processes.leases import Leases
 from robofleet.safety import barrier as safety_barrier
-from robofleet.safety.supervisor import MOVING, NOBODY, Phase
+from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
-from robofleet.tracking import estimator
+from robofleet.tracking import estimator, measured
 from robofleet.tracking.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
 
-_UNSEEN = [math.nan] * 3
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
 _PHASES = tuple(Phase)
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
@@ -43,6 +47,35 @@ class _Timing:
     overruns: int = 0
     lateness_ns: int = 0
     compute_ns: int = 0  # of the tick before
+
+
+class _Parts(NamedTuple):
+    """The parts of a tick's record (N, 15), as the fields of RobotTick are named: views of it."""
+
+    pose: Array  # (N, 3)
+    point: Array  # (N, 2)
+    u: Array  # (N, 2)
+    wheels: Array  # (N, 2)
+    saturated: Array  # (N,), as those that follow
+    measured: Array
+    lost: Array
+    filtered: Array
+    blocked: Array
+    failed: Array
+
+    @classmethod
+    def of(cls, record: Array) -> "_Parts":
+        """Return the parts of a record."""
+        names = RobotTick._fields
+
+        def between(first: str, last: str) -> Array:
+            return record[:, names.index(first) : names.index(last) + 1]
+
+        several = (
+            between("x_m", "psi_rad"), between("point_x_m", "point_y_m"), between("u_x_m_s", "u_y_m_s"),
+            between("left_rad_s", "right_rad_s"),
+        )  # fmt: skip
+        return cls(*several, *(record[:, names.index(name)] for name in cls._fields[len(several) :]))
 
 
 class Controller:
@@ -61,13 +94,13 @@ class Controller:
         session = self._epoch << 32 | slices.drawn_id(rng, 32)
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
-        self._lost_after_ns = round(c.filter.lost_after_s * S)
-        self._rows = {robot.tag: row for row, robot in enumerate(config.bodies)}
+        self._lost_after_s = c.filter.lost_after_s
+        self._rows = measured.rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
+        self._image = np.empty((len(config.bodies), 3)), np.empty(len(config.bodies), dtype=np.int64)
         self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
         self._leases = Leases(bus, self._statuses, session, take_over=take_over)
-        self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.decode)
-        self._state = Inbox(bus.newest(STATE), RUN_STATE.decode)
+        self._poses, self._state = bus.newest(POSES, CAMERA), bus.newest(STATE)
         units = self._statuses.units
         self._commands = [bus.publisher(COMMAND, unit.name) for unit in units]
         self._items = [np.zeros(unit.size, UNIT_COMMAND.item_dtype) for unit in units]
@@ -76,7 +109,9 @@ class Controller:
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
         self._timing = _Timing()
-        self._record = np.zeros((len(robots), 15))
+        self._record = np.zeros((len(robots), len(RobotTick._fields)))
+        self._said = _Parts.of(self._record)
+        self._nobody = np.zeros(len(robots), dtype=np.bool_)
         self._deciding = Deciding(config, judge)
         self._unknown = np.zeros((len(robots), 2))
         self._begin()
@@ -91,7 +126,7 @@ class Controller:
         self._phase = Phase.IDLE
         self._run_tick = -1
         self._permitted = np.zeros(n, dtype=np.bool_)
-        self._probe: tuple[int, int] = (NOBODY, 0)  # a robot, and the stroke that it does
+        self._tried: list[tuple[int, int]] = []  # robots whose wheels are tried, and their strokes
         self._taken = (0, 0)  # epoch and seq of the newest poses
         self._exposure_ns = 0  # of the newest ones used
         self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
@@ -124,22 +159,27 @@ class Controller:
             if not silent:
                 self._begin()
             return
-        measured = [False] * len(self._drives)
+        used = self._nobody
         if not silent:  # who begins anew takes nothing at first: by that the record tells it
             self._read_state()
-            measured = self._read_poses()
-        lost = tick_ns - self._filter.measured_ns > self._lost_after_ns
-        running = self._phase is Phase.RUNNING
-        self._run_tick += running
-        driving = ~lost & self._permitted & (self._phase in MOVING)
+            used = self._read_poses()
+        unseen_s, moving = estimator.ages(self._filter.measured_ns, tick_ns), self._phase in MOVING
+        lost = unseen_s > self._lost_after_s
+        self._run_tick += self._phase is Phase.RUNNING
+        driving = self._permitted & ~lost if moving else self._nobody
         here, there, turning = self._filter.predict(tick_ns)
         w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else self._unknown
-        bodies, seen = there, self._filter.measured_ns > 0
+        bodies, pushed = there, None
         if len(self._bystanders.measured_ns):
             bodies = np.concatenate([there, self._bystanders.predict(tick_ns)])
-            seen = np.concatenate([seen, self._bystanders.measured_ns > 0])
-        self._deciding.tick(bodies, seen, driving, w, moving=self._phase in MOVING)
-        self._keep_apart(tick_ns, bodies, turning, driving)
+            pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
+            turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
+            unseen_s = np.concatenate([unseen_s, estimator.ages(self._bystanders.measured_ns, tick_ns)])
+        self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving)
+        self._said.filtered[:], self._said.blocked[:] = self._barrier.filter(
+            bodies, turning, unseen_s, driving, self._deciding.wheels, self._deciding.u, pushed
+        )
+        self._deciding.changed()
         commanded = self._deciding.wheels
         self._try_wheels(commanded)
         self._filter.command(tick_ns, commanded)
@@ -147,28 +187,19 @@ class Controller:
         seq = self._seq
         for unit in range(len(self._commands)):
             self._command(unit)
-        self._publish_record(tick_ns, here, measured, lost, seq)
-
-    def _keep_apart(self, tick_ns: int, bodies: np.ndarray, turning: np.ndarray, driving: np.ndarray) -> None:
-        """Change what is not safe, and let the behaviours know what is done instead."""
-        unseen, pushed = _age_s(self._filter.measured_ns, tick_ns), None
-        if len(self._bystanders.measured_ns):
-            pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
-            turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
-            unseen = np.concatenate([unseen, _age_s(self._bystanders.measured_ns, tick_ns)])
-        self._record[:, 12], self._record[:, 13] = self._barrier.filter(
-            bodies, turning, unseen, driving, self._deciding.wheels, self._deciding.u, pushed
-        )
-        self._deciding.changed()
+        self._publish_record(tick_ns, here, used, lost, seq)
 
     def _read_state(self) -> None:
-        state = self._state.take()
-        if state is not None:
-            self._heard = state.epoch, state.seq
+        payload = self._state.take()
+        if payload is None or (message := RUN_STATE.view(payload)) is None:
+            return
+        state, robots = message
+        self._heard = state.epoch, state.seq
         n = len(self._permitted)
-        if state is not None and state.phase in _PHASES and len(state.robots) >= n:
-            self._permitted[:] = [robot.permitted for robot in state.robots[:n]]
-            self._probe = (state.probed, state.stroke) if state.phase == Phase.ARMED else (NOBODY, 0)
+        if state.phase in _PHASES and len(robots) >= n:
+            np.not_equal(robots["permitted"][:n], 0, out=self._permitted)
+            strokes = robots["stroke"][:n].tolist() if state.phase == Phase.ARMED else []
+            self._tried = [(row, stroke) for row, stroke in enumerate(strokes) if 0 < stroke < len(STROKES)]
             if state.phase != self._phase:
                 resumed, self._phase = self._phase is Phase.HOLD, Phase(state.phase)
                 if resumed and self._phase is self._deciding.phase:
@@ -181,38 +212,35 @@ class Controller:
         self._statuses.take()
         self._leases.update()
 
-    def _try_wheels(self, commanded: np.ndarray) -> None:
-        """Let the robot that is being tried do its stroke."""
-        row, stroke = self._probe
-        if row < len(commanded) and stroke < len(STROKES):
+    def _try_wheels(self, commanded: Array) -> None:
+        """Let the robots that are being tried do their strokes."""
+        for row, stroke in self._tried:
             drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
             ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
             commanded[row] = ratio * left, ratio * right
 
-    def _read_poses(self) -> list[bool]:
+    def _read_poses(self) -> Flags:
         """Correct the filter by the newest image; returns which robots it measured."""
-        message = self._poses.take()
-        n, bodies = len(self._drives), len(self._rows)
-        if message is not None:
-            self._taken = message.epoch, message.seq
-        if message is None or not 0 <= self._index - message.echo_tick <= _STALE_TICKS or not message.echo_tick:
-            return [False] * n
-        exposure_ns, latest_ns = self._exposure(message), self._grid.instant(self._index + 1)
+        payload = self._poses.take()
+        if payload is None or (message := FLEET_POSES.view(payload)) is None:
+            return self._nobody
+        image, said = message
+        self._taken = image.epoch, image.seq
+        if not 0 <= self._index - image.echo_tick <= _STALE_TICKS or not image.echo_tick:
+            return self._nobody
+        exposure_ns, latest_ns = self._exposure(image), self._grid.instant(self._index + 1)
         if exposure_ns > latest_ns:  # impossible, and the filter would be blind until then
-            return [False] * n
-        poses, instants_ns = [_UNSEEN] * bodies, [exposure_ns] * bodies
-        for tag, after_ns, coasted_ns, *pose in message.poses:
-            row = self._rows.get(tag)
-            if row is not None and coasted_ns == 0 and exposure_ns + after_ns <= latest_ns:
-                poses[row], instants_ns[row] = pose, exposure_ns + after_ns
-        used = self._filter.observe(np.array(instants_ns[:n]), np.array(poses[:n])).tolist()
-        if n < bodies:
-            self._bystanders.observe(np.array(instants_ns[n:]), np.array(poses[n:]))
-        for row, how in enumerate(used):
-            if how == CARRIED:
+            return self._nobody
+        (poses, instants_ns), n = self._image, len(self._drives)
+        measured.placed(said, self._rows, exposure_ns, latest_ns, poses, instants_ns)
+        used = self._filter.observe(instants_ns[:n], poses[:n])
+        if n < len(poses):
+            self._bystanders.observe(instants_ns[n:], poses[n:])
+        if used.max() == CARRIED:
+            for row in np.flatnonzero(used == CARRIED).tolist():
                 self._deciding.carried(row)
-        self._exposure_ns = message.exposure_ns
-        return [how != UNUSED for how in used]
+        self._exposure_ns = image.exposure_ns
+        return np.not_equal(used, UNUSED)
 
     def _exposure(self, message: FleetPoses) -> int:
         """Mid-exposure on the controller's clock: the tracker says how long after which tick it was."""
@@ -237,22 +265,22 @@ class Controller:
         head = UnitCommand(self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ())
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
-    def _publish_record(self, tick_ns: int, here: np.ndarray, measured: list[bool], lost: np.ndarray, seq: int) -> None:
-        r, decided = self._record, self._deciding
-        r[:, 0:3], r[:, 3:5], r[:, 5:7], r[:, 7:9] = here, decided.points, decided.u, decided.wheels
-        r[:, 9], r[:, 10], r[:, 11], r[:, 14] = decided.saturated, measured, lost, decided.failed
+    def _publish_record(self, tick_ns: int, here: Array, used: Flags, lost: Flags, seq: int) -> None:
+        said, decided = self._said, self._deciding
+        said.pose[:], said.point[:], said.u[:], said.wheels[:] = here, decided.points, decided.u, decided.wheels
+        said.saturated[:], said.measured[:], said.lost[:], said.failed[:] = (
+            decided.saturated,
+            used,
+            lost,
+            decided.failed,
+        )
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
             *self._taken, self._exposure_ns, *self._heard, seq,
             self._phase, decided.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
-        self._publish_tick(TICK_RECORD.encode_parts(head, len(r), r.tobytes(), decided.numbers.tobytes()))
-
-
-def _age_s(measured_ns: np.ndarray, tick_ns: int) -> np.ndarray:
-    """Return the age of each robot's newest image [s]; infinite for one that never was seen."""
-    return np.where(measured_ns > 0, (tick_ns - measured_ns) / S, np.inf)
+        self._publish_tick(TICK_RECORD.encode_array(head, self._record, decided.numbers.tobytes()))
 
 
 def compile_kernels(config: Config, say: Say | None = None) -> None:
@@ -260,7 +288,14 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
 
     ``say`` is told how far it is; by default a line is written to stderr.
     """
-    kernels = (*platoon.KERNELS, *path.KERNELS, *wheels.KERNELS, *estimator.KERNELS, *safety_barrier.KERNELS)
+    kernels = (
+        *platoon.KERNELS,
+        *path.KERNELS,
+        *wheels.KERNELS,
+        *measured.KERNELS,
+        *estimator.KERNELS,
+        *safety_barrier.KERNELS,
+    )
     with told("control", kernels, say or on_stderr()):
         _call_kernels(config)
 
@@ -270,8 +305,12 @@ def _call_kernels(config: Config) -> None:
     to_start, to_park = config.run.begin == "go_to_start", config.run.end == "park"
     n = len(config.members)
     driving = np.ones(n, dtype=np.bool_)
+    poses, instants_ns = np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    nobody = np.frombuffer(b"", FLEET_POSES.item_dtype)  # read only, as what comes from the bus
     for instant_ns in (S, 2 * S):
+        measured.placed(nobody, measured.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
         fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, 3)))
+        estimator.ages(fleet_filter.measured_ns, instant_ns)
         _, there, _ = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
         bodies = np.zeros((len(config.bodies), 3))

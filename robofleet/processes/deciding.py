@@ -3,7 +3,7 @@
 import sys
 import traceback
 from collections.abc import Callable
-from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,10 +59,11 @@ class Deciding:
         self.u, self.wheels = np.zeros((n, 2)), np.zeros((n, 2))  # [m/s], [rad/s]
         self.points = np.zeros((n, 2))  # p when the commands act [m]
         self.saturated, self.failed = np.zeros(n), np.zeros(n)
+        self._late: set[int] = set()  # rows of the crew, of this tick
         self._velocities, self._of_body = np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
         said = groups.descriptions(config)
         self.numbers = np.full(described.size(said), np.nan)  # as behaviours.described reads them
-        self._names = [[figure.name for figure in group.figures] for group in said]
+        self._columns = [{figure.name: 2 + k for k, figure in enumerate(group.figures)} for group in said]
         self._told = [part[0] for part in described.parts(said, self.numbers[None])]
         self.begin()
 
@@ -73,7 +74,7 @@ class Deciding:
         self._arrived = [False] * len(self._crew)
         self.phase = Phase.RUNNING  # whose behaviours these are
         self._ticks = -1  # of this phase in which somebody might drive
-        self.failed[:] = Event.NOTHING
+        self._forgive()
 
     @property
     def arrived(self) -> bool:
@@ -83,7 +84,7 @@ class Deciding:
     def restart(self, phase: Phase) -> None:
         """Begin a phase in which the robots move."""
         self.phase, self._ticks = phase, -1
-        self.failed[:] = Event.NOTHING
+        self._forgive()
         if phase is Phase.RUNNING:
             self._crew = list(zip(self._behaviours, self._rows, strict=True))
         else:
@@ -94,18 +95,23 @@ class Deciding:
 
     def resume(self) -> None:
         """Ask behaviours again that failed."""
+        self._forgive()
+
+    def _forgive(self) -> None:
+        self._stopped: set[int] = set()  # rows of the crew that failed
         self.failed[:] = Event.NOTHING
 
     def carried(self, row: int) -> None:
         """Tell the behaviour of a robot that was carried away."""
         for k, (behaviour, own) in enumerate(self._crew):
             if own.start <= row < own.stop:
-                self._heard(k, partial(behaviour.carried, row - own.start))
+                self._heard(k, behaviour.carried, row - own.start)
 
     def changed(self) -> None:
         """Tell what the barrier let through: ``u`` as it was changed."""
+        u = self.u.copy()
         for k, (behaviour, own) in enumerate(self._crew):
-            self._heard(k, partial(behaviour.changed, self.u[own].copy()))
+            self._heard(k, behaviour.changed, u[own])
 
     def tick(self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool) -> None:
         """Ask every behaviour; then find what the wheels can do of it.
@@ -115,27 +121,41 @@ class Deciding:
         """
         n = len(self.u)
         self._ticks += moving
-        self.numbers[:] = np.nan
-        for k, (behaviour, own) in enumerate(self._crew):
-            if not self.failed[own.start]:
-                t = max(0, self._ticks) * self._tick_s + behaviour.team.delay
-                others = self._others(bodies, seen, own)
-                poses, may, w = bodies[own].copy(), driving[own].copy(), disturbance[own].copy()  # it may write there
-                self._ask(k, Situation(t, poses, may, w, others))
+        self.numbers.fill(np.nan)
+        said = self._asked(bodies, seen, driving, disturbance)
+        self._check(said, driving)
+        for k, decision in said.items():
+            if k not in self._stopped:
+                self._tell(k, decision)
+        if self._stopped:
+            driving = driving & (self.failed == 0.0)
         wheel_limits.commanded(
-            self._velocities, self._of_body, bodies[:n], self._l, self._limits, driving & (self.failed == 0.0),
+            self._velocities, self._of_body, bodies[:n], self._l, self._limits, driving,
             self.u, self.wheels, self.saturated, self.points,
         )  # fmt: skip
 
-    def _others(self, bodies: Array, seen: Flags, own: slice) -> Array:
-        """Return who else is in the arena (M, 3): x, y, body radius [m]."""
-        if own.stop - own.start == len(bodies):
-            return np.empty((0, 3))
-        other = seen.copy()
-        other[own] = False
-        return np.column_stack([bodies[:, :2], self._radii])[other]
+    def _asked(self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array) -> dict[int, Decision]:
+        """Return what each group decides, by its row of the crew."""
+        poses, may, w = bodies[: len(self.u)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
+        others = self._others(bodies, seen)
+        t, said = max(0, self._ticks) * self._tick_s, {}
+        for k, (behaviour, own) in enumerate(self._crew):
+            if k not in self._stopped:
+                now = Situation(t + behaviour.team.delay, poses[own], may[own], w[own], others(own))
+                if (decision := self._ask(k, now)) is not None:
+                    said[k] = decision
+        return said
 
-    def _ask(self, k: int, now: Situation) -> None:
+    def _others(self, bodies: Array, seen: Flags) -> Callable[[slice], Array]:
+        """Return what tells a group who else is in the arena (M, 3): x, y, body radius [m]."""
+        if len(self._crew) == 1 and len(self.u) == len(bodies):
+            return lambda own: np.empty((0, 3))
+        everybody = np.column_stack([bodies[:, :2], self._radii])[seen]
+        before = [0, *np.cumsum(seen).tolist()]  # so many of the first were seen
+        return lambda own: np.concatenate([everybody[: before[own.start]], everybody[before[own.stop] :]])
+
+    def _ask(self, k: int, now: Situation) -> Decision | None:
+        """Return what a group decides; None where it failed."""
         behaviour, own = self._crew[k]
         try:
             decision, late = self._judge(k, lambda: behaviour.decide(now))
@@ -143,40 +163,56 @@ class Deciding:
             if decision.of not in ("point", "body"):
                 raise ValueError(f"of={decision.of!r}: must be 'point' or 'body'")
             if velocities.shape != (own.stop - own.start, 2):
-                return self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
-            known = np.abs(velocities) < _BEYOND
-            if not known.all() and (unknown := ~known.all(axis=1) & now.driving).any():
-                row = int(unknown.argmax())
-                return self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {velocities[row]}")
-            if late:
-                return self._fail(k, 0, Event.BEHAVIOUR_LATE, "its decision after its share of the tick was over")
-            self._tell(k, decision)
-            self._arrived[k] = bool(behaviour.arrived)
+                self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
+                return None
+            self._velocities[own], self._of_body[own] = velocities, decision.of == "body"
         except _RAISED:
-            return self._raised(k)
-        self._velocities[own], self._of_body[own] = velocities, decision.of == "body"
-        return None
+            self._raised(k)
+            return None
+        if late:
+            self._late.add(k)
+        return decision
+
+    def _check(self, said: dict[int, Decision], driving: Flags) -> None:
+        """Stop who decided what is not finite, or too late."""
+        known = np.abs(self._velocities) < _BEYOND
+        if not known.all():
+            unknown = ~known.all(axis=1) & driving
+            for k in said:
+                own = self._crew[k][1]
+                if unknown[own].any():
+                    row = int(unknown[own].argmax())
+                    self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {self._velocities[own][row]}")
+        for k in self._late - self._stopped:
+            self._fail(k, 0, Event.BEHAVIOUR_LATE, "its decision after its share of the tick was over")
+        self._late.clear()
 
     def _tell(self, k: int, decision: Decision) -> None:
-        """Keep a decision's references and figures; on the way, where no group decides, the references."""
-        if self.phase is not Phase.RUNNING:
-            for part, own in zip(self._told, self._rows, strict=True):
-                if decision.references is not None:
+        """Keep a decision's references and figures, and whether its behaviour has arrived."""
+        try:
+            if self.phase is Phase.RUNNING:
+                self._keep(k, decision)
+            elif decision.references is not None:  # on the way no group decides: there are no figures
+                for part, own in zip(self._told, self._rows, strict=True):
                     part[:, :2] = decision.references[own]
-            return
-        told, names = self._told[k], self._names[k]
+            self._arrived[k] = bool(self._crew[k][0].arrived)
+        except _RAISED:
+            self._raised(k)
+
+    def _keep(self, k: int, decision: Decision) -> None:
+        told, columns = self._told[k], self._columns[k]
         if decision.references is not None:
             told[:, :2] = decision.references
         for name, values in decision.figures.items():
-            if name not in names:
+            if name not in columns:
                 raise ValueError(f"the figure {name!r} is none of its `figures`")
-            told[:, 2 + names.index(name)] = values
+            told[:, columns[name]] = values
 
-    def _heard(self, k: int, hear: Callable[[], None]) -> None:
+    def _heard(self, k: int, hear: Callable[..., None], *what: Any) -> None:
         """Let a behaviour hear something that it need not answer."""
-        if not self.failed[self._crew[k][1].start]:
+        if k not in self._stopped:
             try:
-                hear()
+                hear(*what)
             except _RAISED:
                 self._raised(k)
 
@@ -188,6 +224,7 @@ class Deciding:
         behaviour, own = self._crew[k]
         team = behaviour.team
         self.u[own], self.wheels[own] = 0.0, 0.0
+        self._stopped.add(k)
         self.failed[own] = Event.BEHAVIOUR_STANDS
         self.failed[own.start + row] = why
         said = f"group {team.name}, {team.robots[row]}: {type(behaviour).__name__} returned {what}: the group stands"

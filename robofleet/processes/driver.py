@@ -109,7 +109,7 @@ class DriverProcess:
         self._loops = 0
 
     def step(self, now_ns: int) -> int:
-        """Pass on what arrived; every 10 ms read and publish. Wheels go first, then latches, disk, bus, log."""
+        """Pass on what arrived; every 10 ms read, every 20 publish. Wheels go first, then latches, disk, bus, log."""
         due = not self._loop_ns - _LOOP_NS <= now_ns < self._loop_ns  # also when the clock was set back
         if due:
             self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
@@ -123,9 +123,8 @@ class DriverProcess:
             self._answer(request)
         robots.keep(due=due)
         if due:
-            self._seq += 1
-            if self._publish_truth is not None and (truths := robots.truths()) is not None:
-                self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
+            if self._loops % 2 == 1:
+                self._tell_truth()
             if self._loops % 2 == 1 or robots.hurries:
                 self._tell()
             robots.say()
@@ -157,6 +156,12 @@ class DriverProcess:
             return
         answers = self._robots.lease(asked.session, LeaseAction(asked.action), self._now())
         request.reply(UNIT_LEASES.encode(UnitLeases(answers)))
+
+    def _tell_truth(self) -> None:
+        """Publish where the simulated ones really are."""
+        if self._publish_truth is not None and (truths := self._robots.truths()) is not None:
+            self._seq += 1
+            self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
 
     def _tell(self) -> None:
         """Publish what every robot says of itself."""

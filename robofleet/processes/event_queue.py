@@ -13,7 +13,7 @@ from robofleet.simulation.faults import Injection, Schedule, SteppedClock
 from robofleet.simulation.faulty_bus import FaultyBus
 
 SECOND_CONTROLLER = "second-controller"
-_TRUTH_NS = S // 100
+_TRUTH_NS = round(TRUTH.period_s * S)
 _IDLE_NS = 3600 * S
 
 

@@ -97,7 +97,7 @@ class FleetListener:
         for unit in statuses.take():
             said, part = statuses.newest[unit], statuses.units[unit]
             assert said is not None
-            _take_statuses(self._robots, statuses.robots, part.rows, now_ns, said.build, np.uint64(said.boot_id))
+            _take_statuses(self._robots, statuses.robots, part.numbers, now_ns, said.build, np.uint64(said.boot_id))
 
     def _take_tick(self, head: NDArray[Any], robots: NDArray[Any], now_ns: int) -> None:
         record = dict(zip(TICK_RECORD.head_dtype.names or (), head[0].item(), strict=True))

@@ -6,7 +6,7 @@ from typing import Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import BUSY, CAMERA, PICTURE, REQUEST, STATE, TICK, key
+from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, REQUEST, STATE, STATUS, TICK, key
 from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, TICK_RECORD, BusyMachine, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
@@ -23,7 +23,6 @@ from robofleet.processes.page_process import PageProcess, PageWanted
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
 from robofleet.recording import busy_machine
-from robofleet.recording.channels import keys
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
@@ -87,7 +86,6 @@ class Launcher:
         self._arena, self._robots = config.arena.name, config.ids
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
         self._busy_key = key(self._arena, BUSY)
-        self._picture_key = key(self._arena, PICTURE, CAMERA)
         started = table.started_by("run", config)
         # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
         self._first = [one for one in started if one.row.first]
@@ -167,7 +165,7 @@ class Launcher:
         self._terminal.emergency = self._stop_now
         held.callback(setattr, self._terminal, "emergency", lambda: None)
         try:
-            self._stream = bus.stream(*keys(self._config), capacity=_STREAM)
+            self._stream = bus.stream(*self._heard(), capacity=_STREAM)
             held.callback(self._silence.close)
             self._silence.heard(self._clock.now_ns())
             try:
@@ -176,6 +174,12 @@ class Launcher:
                 return self._ended("stopped", f"{why}{self._held()}")
         except EmergencyError as why:
             return self._emergency(str(why))
+
+    def _heard(self) -> list[str]:
+        """Return the keys of what is shown and judged during a run: the recorder hears the rest."""
+        common = [key(self._arena, topic) for topic in (TICK, STATE, BUSY)]
+        seen = [key(self._arena, topic, CAMERA) for topic in (POSES, NEWS)]
+        return [*common, *seen, *(key(self._arena, STATUS, unit) for unit in self._config.units)]
 
     def _follow(self) -> Outcome:
         """See the run through its checks and its laps; returns how it ended."""
@@ -289,8 +293,7 @@ class Launcher:
             self._attend()
         heard_ns = 0
         for at_ns, full, payload in self._stream.drain():
-            if full != self._picture_key:
-                self.recording.add(full, payload)
+            self.recording.add(full, payload)
             if full == self._state_key:
                 heard_ns = at_ns
         if heard_ns:

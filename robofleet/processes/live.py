@@ -182,7 +182,7 @@ class LiveView:
         arena = self._config.arena.name
         payloads = recording.messages.get(key(arena, TICK), [])[-_WINDOW:]
         heads = [head for payload in payloads if (head := TICK_RECORD.decode_head(payload)) is not None]
-        compute, late = ([head[column] / 1e6 for head in heads] for column in (-1, -2))
+        compute, late = [head.compute_ns / 1e6 for head in heads], [head.lateness_ns / 1e6 for head in heads]
         ticks = Text(f"p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
         overruns = self._overruns(tick)
         ticks.append(f"{overruns} overruns", "red" if overruns else "")

@@ -12,8 +12,8 @@ from robofleet.processes.terminal import Terminal
 from robofleet.recording import busy_machine
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
-from robofleet.safety.wiggle import STROKES
 
+_NAMED = 3  # robots in a line
 _STAGES = {
     Stage.CHECKS: "does every robot answer, is it seen, and is it at rest?",
     Stage.DRILL: "trying the emergency stop",
@@ -40,17 +40,11 @@ _GOES_ON = {
 def arming(state: RunState, robots: tuple[str, ...]) -> str:
     """Return what is checked now."""
     doing = next((words for stage, words in _STAGES.items() if stage == state.stage), "another check")
-    if state.probed >= len(robots):
+    tried = [robot for robot, its in zip(robots, state.robots, strict=False) if its.stroke]
+    if not tried:
         return doing
-    return f"trying {robots[state.probed]}: {_stroke(state.stroke)}"
-
-
-def _stroke(index: int) -> str:
-    if index >= len(STROKES):
-        return "another motion"
-    left, right = STROKES[index]
-    wheels = "both wheels" if left and right else "its left wheel" if left else "its right wheel" if right else ""
-    return f"{wheels} {'forwards' if max(left, right) > 0.0 else 'backwards'}" if wheels else "it must stand"
+    more = f" and {len(tried) - _NAMED} more" if len(tried) > _NAMED else ""
+    return f"{doing} of {', '.join(tried[:_NAMED])}{more}"
 
 
 def banner(

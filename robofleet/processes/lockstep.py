@@ -191,17 +191,15 @@ class Lockstep:
 
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
-        update, add = self._hash.update, self.recording.add
+        add, said = self.recording.add, self._said
         if self._log is not None:
-            now_ns = self.clock.now_ns()
-            for full, payload in self._said:
-                self._log.add(full, payload, now_ns)
-            self._log.flush(now_ns)
-        for full, payload in self._said:
-            update(full.encode() + payload)
+            self._log.add_all(said, self.clock.now_ns())
+        for full, payload in said:
+            self._hash.update(full.encode())
+            self._hash.update(payload)
             add(full, payload)
-            if full == self._tick_key and (tick := TICK_RECORD.arrays(payload)) is not None:
-                self._run_tick = int(tick[0]["run_tick"][0])
+            if full == self._tick_key and (run_tick := TICK_RECORD.head_of(payload, "run_tick")) is not None:
+                self._run_tick = run_tick
             elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
                 if (told := state[2:6]) != self.status[:4]:
                     self.status = RunStatus(Phase(told[0]), Event(told[1]), *told[2:])

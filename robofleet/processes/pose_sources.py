@@ -1,7 +1,7 @@
 """Where the tracker's poses come from: the images of a camera, or the truth of a simulation."""
 
 import sys
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from functools import partial
 
 from robofleet.clock import S
@@ -10,6 +10,7 @@ from robofleet.comms.messages import TagPose
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.compiling import Say, told
+from robofleet.simulation import arena
 from robofleet.simulation.sources import TruthSource, VirtualPoses
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sight import FleetSight
@@ -38,12 +39,12 @@ def camera_feed(context: CameraContext, wake: Wake) -> Feed:
 def compiling(config: Config, say: Say) -> AbstractContextManager[None]:
     """Tell ``say`` of the kernels that are compiled while the source of a tracker's poses is made here."""
     if config.tracker.source != "camera":
-        return nullcontext()
+        return told("truth", arena.KERNELS, say)
     from robofleet.simulation import draw  # noqa: PLC0415 - these load OpenCV
-    from robofleet.tracking import photometric  # noqa: PLC0415
+    from robofleet.tracking import motion, photometric  # noqa: PLC0415
 
     simulated = draw.KERNELS if config.camera.source == "simulated" else ()
-    return told("camera", (*simulated, *photometric.KERNELS), say)
+    return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *photometric.KERNELS), say)
 
 
 class CameraPoses:

@@ -14,7 +14,7 @@ from robofleet.recording.channels import keys
 from robofleet.recording.log import RunLog
 
 _QUEUE = 65536  # messages: half a minute of a fleet of four, three seconds of a hundred robots
-_PERIOD_NS = 10 * MS
+_PERIOD_NS = 40 * MS  # with the log's own flush a quarter of a second
 _SAID_NS = 250 * MS
 
 

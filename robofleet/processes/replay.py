@@ -129,7 +129,7 @@ class _Takings:
         self._messages: dict[Name, bytes] = {}
         for payload in recording.messages.get(key(recording.config.arena.name, topic, name), ()):
             if (head := layout.decode_head(payload)) is not None:
-                self._messages.setdefault((head[0], head[1]), payload)
+                self._messages.setdefault((head.epoch, head.seq), payload)
 
     def of(self, name: Name) -> bytes | None:
         """Return a message, None where it was not recorded."""

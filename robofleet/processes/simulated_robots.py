@@ -410,9 +410,10 @@ def compile_kernels(say: Say) -> None:
     with told("robots", KERNELS, say):
         _pass_on(gate, inputs, links, limits, *arena, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
         _look_all(gate, links, *arena, 0, 0)
-        _ask(*one, 0, np.uint64(0), int(LeaseAction.RELEASE), 0)
-        _adopt_row(one[0], one[2], *place, 0, 0, 0)
         _fill_statuses(gate, links, statuses, 0, 0)
         _fill_truths(*arena, truths, 0)
         _stop_all(*arena, 0)
         simulated.advance_all(*arena, 0)
+        gate, inputs, links, limits = one
+        _ask(gate, inputs, links, limits, 0, np.uint64(0), int(LeaseAction.RELEASE), 0)
+        _adopt_row(gate, links, *place, 0, 0, 0)

@@ -7,13 +7,16 @@ import numpy as np
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Request, Wake
 from robofleet.comms.keys import BUSY, ENABLE, REQUEST, STATE
-from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, RobotState, RunState, UnitEnable
+from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, RobotState, RunState, UnitEnable
 from robofleet.comms.statuses import HURRY_NS
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
+from robofleet.kernels import kernel
+from robofleet.processes import fleet_view
 from robofleet.processes.busy_news import BusyNews
+from robofleet.processes.compiling import Say, told
 from robofleet.processes.fleet_view import FleetListener
-from robofleet.safety import arming, busy, monitor
+from robofleet.safety import arming, busy, monitor, scan
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
@@ -24,6 +27,7 @@ from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
 
 _PERIOD_NS = 40 * MS
+_DRILL = int(Latch.DRILL)
 _ACKNOWLEDGED_WITHIN_NS = 200 * MS
 _MOST_REQUESTS = 32  # of a step: a flood of them does not keep it from publishing
 _CLEARED_WITHIN_NS = 500 * MS  # some enables and statuses; a latch that is still there was made anew
@@ -88,7 +92,8 @@ class Supervisor:
         units = self._listener.statuses.units
         self._enables = [bus.publisher(ENABLE, unit.name) for unit in units]
         self._items = [np.zeros(unit.size, UNIT_ENABLE.item_dtype) for unit in units]
-        self._driven = [unit.rows < driven for unit in units]
+        self._places = [np.arange(unit.size)[unit.places] for unit in units]
+        self._driven = driven
         self._publish_state = bus.publisher(STATE)
         self._request = bus.serve(REQUEST, "supervisor", wake)
         self._status = RunStatus()
@@ -288,6 +293,7 @@ class Supervisor:
                 int(self._permitted[row] > 0.0),
                 int(emergency and acknowledged(seen)),
                 causes[row].event if row in causes else Event.NOTHING,
+                self._stroke(row),
             )
             for row, seen in enumerate(self._view.robots)
         )
@@ -303,9 +309,11 @@ class Supervisor:
         """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""
         if self._status.phase in MOVING:
             return self._limits[row]
-        if self._checks is not None and self._checks.probed == row:
-            return min(PROBE_RAD_S, self._limits[row])
-        return 0.0
+        return min(PROBE_RAD_S, self._limits[row]) if self._stroke(row) else 0.0
+
+    def _stroke(self, row: int) -> int:
+        """Return what a robot must do whose wheels are tried; 0: stand."""
+        return 0 if self._checks is None else self._checks.stroke(row)
 
     def _publish(self) -> None:
         self._seq += 1
@@ -319,8 +327,6 @@ class Supervisor:
             robot,
             detail,
             checks.stage,
-            checks.probed,
-            checks.stroke,
             self._robots,
         )
         self._publish_state(RUN_STATE.encode(state))
@@ -334,17 +340,38 @@ class Supervisor:
         if status is None:
             return
         self._enable_seq += 1
-        seen, items = statuses.robots[part.rows], self._items[unit]
-        places = part.places
-        items["epoch"][places] = seen["epoch"]
-        if phase is Phase.ESTOP:
-            items["latch"][places] = Latch.EMERGENCY_STOP
-        else:
-            items["latch"][places] = self._driven[unit] * int(Latch.NONE if checks is None else checks.latch)
-        drill = (seen["latch"] == Latch.DRILL) & (
-            checks is None or checks.clear
-        )  # it was no incident: it needs no reset
-        items["clear"][places] = np.where(drill, seen["latch_id"], self._clear[part.rows])
-        items["limit_rad_s"][places] = self._permitted[part.rows]
+        drill = int(Latch.NONE if checks is None else checks.latch)
+        latch = int(Latch.EMERGENCY_STOP if phase is Phase.ESTOP else Latch.NONE)
+        _fill_enables(
+            self._items[unit], statuses.robots, part.numbers, self._places[unit], self._permitted, self._clear,
+            self._driven, latch, drill, checks is None or checks.clear,
+        )  # fmt: skip
         head = UnitEnable(self._enable_seq, status.boot_id, status.nonce, phase, ())
-        self._enables[unit](UNIT_ENABLE.encode_view(head, items))
+        self._enables[unit](UNIT_ENABLE.encode_view(head, self._items[unit]))
+
+
+@kernel
+def _fill_enables(  # type: ignore[no-untyped-def]
+    enables, statuses, rows, places, permitted, clear, driven, latch, drill, clearing
+):
+    """Write each robot's permission; a drill's latch is cleared without a reset: it was no incident."""
+    for k in range(len(rows)):
+        row, enable = rows[k], enables[places[k]]
+        seen = statuses[row]
+        enable.epoch, enable.limit_rad_s = seen.epoch, permitted[row]
+        enable.latch = latch if latch or row >= driven else drill
+        enable.clear = seen.latch_id if clearing and seen.latch == _DRILL else clear[row]
+
+
+KERNELS = (_fill_enables, *fleet_view.KERNELS, *scan.KERNELS)
+
+
+def compile_kernels(say: Say) -> None:
+    """Compile every kernel, or load it from the cache; ``say`` is told how far it is."""
+    with told("supervisor", KERNELS, say):
+        fleet_view.compile_kernels()
+        scan.compile_kernels()
+        none, of = np.zeros(0, np.intp), np.zeros(1, UNIT_STATUS.item_dtype)
+        _fill_enables(
+            np.zeros(0, UNIT_ENABLE.item_dtype), of, none, none, np.zeros(1), np.zeros(1, np.uint64), 0, 0, 0, True
+        )

@@ -149,8 +149,9 @@ def _twins(edges: Edges) -> Node:
 def _supervisor(edges: Edges) -> Node:
     """RefusedError where the folder in which the run is recorded cannot be opened."""
     from robofleet.processes.machine import MachineProbe  # noqa: PLC0415
-    from robofleet.processes.supervisor import Supervisor  # noqa: PLC0415
+    from robofleet.processes.supervisor import Supervisor, compile_kernels  # noqa: PLC0415
 
+    compile_kernels(edges.progress)
     free = _room(edges.folder)
     if edges.faults is not None:
         from robofleet.simulation import faulty_disk  # noqa: PLC0415
@@ -179,6 +180,8 @@ def _say(line: str) -> None:
 
 def _tracker(edges: Edges) -> Node:
     """CameraError where its camera cannot be used."""
+    import cv2  # noqa: PLC0415
+
     from robofleet.comms.ticks import TickFollower  # noqa: PLC0415
     from robofleet.processes.pose_sources import CameraPoses, TruthPoses, camera_feed, compiling  # noqa: PLC0415
     from robofleet.processes.tracker import Tracker  # noqa: PLC0415
@@ -186,11 +189,8 @@ def _tracker(edges: Edges) -> Node:
     from robofleet.simulation.sources import TruthSource  # noqa: PLC0415
     from robofleet.tracking.sources import CameraContext, PoseSource  # noqa: PLC0415
 
+    cv2.setNumThreads(1)  # parts of an image are too small to share
     config, bus, clock, wake, rng = edges.config, edges.bus, edges.clock, edges.wake, edges.rng
-    if edges.real_time:
-        import cv2  # noqa: PLC0415
-
-        cv2.setNumThreads(1)
     ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
     with compiling(config, edges.progress):
         if config.tracker.source == "truth":

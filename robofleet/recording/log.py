@@ -1,7 +1,7 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -93,6 +93,13 @@ class RunLog:
             self._add_robot_ticks(ticks)
         if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
             self._write()
+
+    def add_all(self, said: Iterable[tuple[str, bytes]], at_ns: int) -> None:
+        """Keep messages that came at one instant, and write what waits if it is time to."""
+        for full, payload in said:
+            self.add(full, payload, at_ns)
+        if at_ns - self._flushed_ns >= _FLUSH_NS:
+            self.flush(at_ns)
 
     def drop(self, count: int) -> None:
         """Count messages that were lost before they came here."""

@@ -44,6 +44,7 @@ _ADVICE = {
     Event.NOT_AT_REST: "let it stand, then start again",
     Event.DID_NOT_MOVE: "switch it on, and compare its tag with robots[].tag",
     Event.WRONG_TAG_MOVED: "exchange their tags, or mend robots[].tag",
+    Event.MOVED_UNASKED: "compare the tags with robots[].tag, and which robot each driver reaches; let nobody push one",
     Event.WHEELS_SWAPPED: "exchange its motors' plugs, left for right",
     Event.LEFT_REVERSED: "reverse that motor",
     Event.RIGHT_REVERSED: "reverse that motor",

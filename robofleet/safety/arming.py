@@ -4,15 +4,17 @@ What is missing is waited for; what is wrong for good refuses the start at once.
 A fleet that is proved waits for its start, and not for long: what was proved must still be so.
 """
 
-import math
 from collections.abc import Callable
 from enum import IntEnum
-from itertools import combinations
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.safety import wiggle
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import faults_told
+from robofleet.safety.rounds import rounds, within
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView, RobotView
@@ -35,7 +37,7 @@ class Stage(IntEnum):
 
     CHECKS = 0  # everything is there, fresh, at rest and of one build
     DRILL = 1  # every driver closes its gate by an e-stop, and is cleared again
-    WIGGLE = 2  # robot by robot: this driver moves this tag, forwards, as far as expected
+    WIGGLE = 2  # round by round: each driver moves its own tag, forwards, as far as expected
     DONE = 3  # it waits for the start
 
 
@@ -48,15 +50,9 @@ class ArmingState(NamedTuple):
     clear: bool = False  # every gate's drill may be cleared
     wiggle: Wiggle = Wiggle()
 
-    @property
-    def probed(self) -> int:
-        """The robot whose wheels are tried, or NOBODY."""
-        return self.wiggle.robot
-
-    @property
-    def stroke(self) -> int:
-        """Index in STROKES of what it must do; 0: stand."""
-        return self.wiggle.stroke
+    def stroke(self, row: int) -> int:
+        """Return the index in STROKES of what a robot must do now; 0: stand."""
+        return self.wiggle.strokes[row] if row < len(self.wiggle.strokes) else wiggle.STAND
 
 
 Jam = Callable[[tuple[tuple[float, float, float], ...]], Reason | None]
@@ -96,10 +92,10 @@ def step(
     if state.stage is Stage.CHECKS:
         return _check(state, settings, view)
     if state.stage is Stage.DRILL:
-        return _drill(state, view)
+        return _drill(state, settings, view)
     if state.stage is Stage.WIGGLE:
         going, happening = wiggle.step(state.wiggle, settings.wheel_radius, settings.wheel_base, view)
-        if going.robot < view.driven or going.robot == NOBODY:
+        if happening is not None or not going.done:
             return state._replace(wiggle=going), happening
         state = ArmingState(Stage.DONE, view.now_ns)
     if start:
@@ -178,19 +174,38 @@ def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
 
     A bystander does not wiggle: it may stand at the wall, beyond it, and beside another one.
     """
-    poses, driven = [robot.pose for robot in view.robots], view.driven
-    free = [free_m(radius) if row < driven else 0.0 for row, radius in enumerate(settings.wheel_radius)]
-    for row, ((x, y, _), body) in enumerate(zip(poses[:driven], settings.body_radius, strict=False)):
-        gap = min(settings.arena[0] / 2.0 - abs(x), settings.arena[1] / 2.0 - abs(y)) - body
-        if gap < 0.0:
-            return Happening(Event.OUTSIDE_ARENA, row)
-        if gap < free[row]:
-            return Happening(Event.TOO_CLOSE, row, NOBODY)
-    for one, other in combinations(range(len(poses)), 2):
-        gap = math.dist(poses[one][:2], poses[other][:2]) - settings.body_radius[one] - settings.body_radius[other]
-        if one < driven and gap < max(free[one], free[other]):
-            return Happening(Event.TOO_CLOSE, one, other)
-    return None
+    at, free = np.array([robot.pose[:2] for robot in view.robots]), _free(settings, view)
+    edges = (np.array(settings.arena) / 2.0 - np.abs(at)).min(axis=1) - np.array(settings.body_radius)
+    beside = (edges < free)[: view.driven]
+    if beside.any():
+        row = int(beside.argmax())
+        return Happening(Event.OUTSIDE_ARENA, row) if edges[row] < 0.0 else Happening(Event.TOO_CLOSE, row, NOBODY)
+    pairs, gaps = _gaps(settings, view, free)
+    close = (gaps < free[pairs].max(axis=1)) & (pairs[:, 0] < view.driven)
+    return Happening(Event.TOO_CLOSE, *map(int, pairs[close.argmax()])) if close.any() else None
+
+
+def _rounds(settings: ArmingSettings, view: FleetView) -> tuple[tuple[int, int], ...]:
+    """Return in which rounds each robot wiggles: two that have no room for both never at once."""
+    free = _free(settings, view)
+    pairs, gaps = _gaps(settings, view, free)
+    close = (gaps < free[pairs].sum(axis=1)) & (pairs[:, 1] < view.driven)
+    return rounds(view.driven, pairs[close].tolist())
+
+
+def _free(settings: ArmingSettings, view: FleetView) -> NDArray[np.float64]:
+    """Return the room that each robot's wiggle must have: none, where it does not wiggle [m]."""
+    driven = view.driven
+    return np.array([free_m(radius) if row < driven else 0.0 for row, radius in enumerate(settings.wheel_radius)])
+
+
+def _gaps(
+    settings: ArmingSettings, view: FleetView, free: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the pairs of robots (K, 2) that may have no room for both, and the gaps between their bodies (K,) [m]."""
+    at, bodies = np.array([robot.pose[:2] for robot in view.robots]), np.array(settings.body_radius)
+    pairs = within(at, 2.0 * float(bodies.max() + free.max()))
+    return pairs, np.hypot(*(at[pairs[:, 0]] - at[pairs[:, 1]]).T) - bodies[pairs].sum(axis=1)
 
 
 def _jammed(settings: ArmingSettings, view: FleetView) -> Happening | None:
@@ -203,7 +218,7 @@ def _jammed(settings: ArmingSettings, view: FleetView) -> Happening | None:
     return Happening(Event.WRONG_ORDER, why.one, why.other)
 
 
-def _drill(state: ArmingState, view: FleetView) -> tuple[ArmingState, Happening | None]:
+def _drill(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:
     """The e-stop, tried on all at once: every gate shows it, then none does."""
     waited_ns = view.now_ns - state.since_ns
     latched = [bool(robot.latch) for robot in view.robots[: view.driven]]
@@ -213,6 +228,6 @@ def _drill(state: ArmingState, view: FleetView) -> tuple[ArmingState, Happening 
         late = waited_ns >= _ANSWER_NS
         return state, Happening(Event.ESTOP_UNANSWERED, latched.index(False)) if late else None
     if not any(latched):
-        return ArmingState(Stage.WIGGLE, view.now_ns, wiggle=wiggle.begin(view)), None
+        return ArmingState(Stage.WIGGLE, view.now_ns, wiggle=wiggle.begin(view, _rounds(settings, view))), None
     late = waited_ns >= _CLEAR_NS
     return state, Happening(Event.GATE_LATCHED, latched.index(True), Latch.DRILL) if late else None

@@ -50,6 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
+from robofleet.safety.neighbours import around, sorted_into_cells
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -78,6 +79,8 @@ _STALL_S, _STALL_M, _STALL_MOVED = 1.0, 0.04, 0.2  # told to go so far in this t
 _ROUND = 6  # a tick that a robot stands counts as so many in which it goes round without getting on
 # of a robot's memory: ticks; _TURN: which of _TURNS, from 1; _STALLS and _PRESSING: 0 or 1
 _HELD, _TURN, _VAIN, _CLEAR, _BLOCKED, _WAITED, _STALLS, _WATCHED, _PRESSING, _STAYED = range(10)
+# of a body: its drive, its edge's margin [m], its fastest q [m/s], how long its speed is believed [s], its disc [m]
+_WHEEL, _BASE, _LAG, _WHEEL_SPEED, _TOP, _EDGE, _FASTEST, _BELIEVED, _DISC = range(9)
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
 
 _arc = kernel(differential_drive.arc)
@@ -147,11 +150,11 @@ class Barrier:
         self._bodies = np.array(
             [
                 (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
-                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), _believed_for(keepout, b))
+                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), _believed_for(keepout, b), b.radius)
                 for b in bodies
             ]
         )  # fmt: skip
-        self._apart = np.array([[apart_at_rest(keepout, one, other) for other in bodies] for one in bodies])
+        self._between = keepout.gap, 2 * (keepout.ahead + keepout.pose_error)  # beside two discs, as apart_at_rest
         longest = max(_believed_for(keepout, body) for body in bodies)
         fastest = [[body.drive.max_speed] for body in bodies]  # as long as nothing is known of their commands
         self._lately = np.repeat(np.array(fastest), math.ceil(longest / keepout.tick) + 1, axis=1)  # speeds asked for
@@ -161,10 +164,7 @@ class Barrier:
         self._told = np.zeros((len(bodies), 7))  # pose at a window's start, what was commanded since; where it stayed
         around, clear, waited, stall = (round(s / keepout.tick) for s in (_AROUND_S, _CLEAR_S, _WAITED_S, _STALL_S))
         self._times = (around, clear, waited, stall)
-        self._blocked_ticks, self._stayed_ticks = (
-            _ROUND * round(_BLOCKED_S / keepout.tick),
-            round(_STAYED_S / keepout.tick),
-        )
+        self._patience = _ROUND * round(_BLOCKED_S / keepout.tick), round(_STAYED_S / keepout.tick)
 
     def filter(
         self,
@@ -186,64 +186,85 @@ class Barrier:
         stands); and whether it is blocked: it will not get on by itself.
         """
         k = self._keepout
-        how = np.zeros(len(wheels), dtype=np.int64)
+        how, blocked = np.zeros(len(wheels), dtype=np.int64), np.empty(len(wheels), dtype=np.bool_)
         pushed = self._still if pushed is None else pushed
         _filter(
-            poses, turning, unseen, pushed, driving, self._bodies, self._apart, self._half, k.ahead, k.rate,
-            k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times, how, self._memory,
-            self._lately, self._told,
+            poses, turning, unseen, pushed, driving, self._bodies, self._between, self._half, k.ahead, k.rate,
+            k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times, self._patience, how, blocked,
+            self._memory, self._lately, self._told,
         )  # fmt: skip
-        its = self._memory[: len(wheels)]
-        return how, (its[:, _BLOCKED] >= self._blocked_ticks) | (its[:, _STAYED] >= self._stayed_ticks)
+        return how, blocked
 
 
 @kernel
 def _filter(
     poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_], bodies: Array,
-    apart: Array, half: Array, ahead: float, rate: float, l: float, age: float, lost_after: float, tick: float,
-    wheels: Array, u: Array, times: tuple[int, int, int, int], how: Instants, memory: Instants, lately: Array,
-    told: Array,
+    between: tuple[float, float], half: Array, ahead: float, rate: float, l: float, age: float, lost_after: float,
+    tick: float, wheels: Array, u: Array, times: tuple[int, int, int, int], patience: tuple[int, int], how: Instants,
+    blocked: NDArray[np.bool_], memory: Instants, lately: Array, told: Array,
 ) -> None:  # fmt: skip
     n = len(poses)
     stops, grown, believed = np.empty((n, 6)), np.empty(n), np.empty(n)
     for i in range(n):
         _stop(poses[i], turning[i], bodies[i], ahead, l, stops[i])
-        grown[i] = bodies[i, 4] * min(max(unseen[i] - age, 0.0), lost_after)
-        v, _ = _body_from_wheels(turning[i, 0], turning[i, 1], bodies[i, 0], bodies[i, 1])
-        believed[i] = bodies[i, 7] * max(abs(v), lately[i].max())
+        grown[i] = bodies[i, _TOP] * min(max(unseen[i] - age, 0.0), lost_after)
+        v, _ = _body_from_wheels(turning[i, 0], turning[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
+        believed[i] = bodies[i, _BELIEVED] * max(abs(v), lately[i].max())
     asks = _asking(wheels, driving, bodies, l, n, memory)
+    share = min(1.0, rate * tick)
+    grid = sorted_into_cells(stops, unseen < np.inf, _reach(bodies, between, grown, believed, pushed, rate, share))
+    near, found = np.empty(n), np.empty(n, dtype=np.int64)
     rows, whose = np.empty((10 + n, 3)), np.empty(10 + n, dtype=np.int64)
     for i in range(len(wheels)):
         if not driving[i]:
             memory[i] = 0
             continue
-        back, fastest = -_WITHDRAWING * bodies[i, 4], bodies[i, 4]
-        for j in range(n):
-            if j != i and unseen[j] < np.inf:
-                near = apart[i, j] + grown[i] + grown[j]
-                share = min(1.0, rate * tick)
-                fastest = min(fastest, _speed(stops[i], stops[j], near, believed[i], believed[j], share, bodies[i]))
-        first = _edges(rows, _limits(rows, bodies[i], l, fastest), stops[i], half, bodies[i, 5] + grown[i], rate, back)
+        back, fastest = -_WITHDRAWING * bodies[i, _TOP], bodies[i, _TOP]
+        others = around(grid, stops, i, found)
+        for k in range(others):
+            j = found[k]
+            near[k] = bodies[i, _DISC] + bodies[j, _DISC] + between[0] + between[1] + grown[i] + grown[j]
+            fastest = min(fastest, _speed(stops[i], stops[j], near[k], believed[i], believed[j], share, bodies[i]))
+        margin = bodies[i, _EDGE] + grown[i]
+        first = _edges(rows, _limits(rows, bodies[i], l, fastest), stops[i], half, margin, rate, back)
         count = first
-        for j in range(n):
-            if j != i and unseen[j] < np.inf:
-                near = apart[i, j] + grown[i] + grown[j] + max(believed[i], believed[j])
-                whose[count] = j
-                count = _pair(rows, count, stops[i], stops[j], pushed[j], near, rate, bodies[i], back)
-        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
-        along, across = _answer(v, l * omega, rows[:count], first, whose, bodies[i, 4], asks, times, i, memory)
+        for k in range(others):
+            j = found[k]
+            whose[count] = j
+            apart = near[k] + max(believed[i], believed[j])
+            count = _pair(rows, count, stops[i], stops[j], pushed[j], apart, rate, bodies[i], back)
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
+        along, across = _answer(v, l * omega, rows[:count], first, whose, bodies[i, _TOP], asks, times, i, memory)
         if along != v or across != l * omega:
             how[i] = CHANGED
             if not np.isfinite(along + across):
                 how[i], along, across = NO_ANSWER, 0.0, 0.0
-            wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, 0], bodies[i, 1])
+            wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, _WHEEL], bodies[i, _BASE])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             u[i, 0], u[i, 1] = c * along - s * across, s * along + c * across
-    lately[: len(wheels), :-1] = lately[: len(wheels), 1:].copy()
     for i in range(len(wheels)):
-        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
+        for k in range(lately.shape[1] - 1):
+            lately[i, k] = lately[i, k + 1]
         lately[i, -1] = abs(v)
         _watch(poses[i], v * tick, l * omega * tick, l, times[3], told[i], memory[i])
+        blocked[i] = memory[i, _BLOCKED] >= patience[0] or memory[i, _STAYED] >= patience[1]
+
+
+@kernel
+def _reach(
+    bodies: Array, between: tuple[float, float], grown: Array, believed: Array, pushed: Array, rate: float, share: float
+) -> float:
+    """Return the distance beyond which no body's row can be broken, and no body slows another one [m]."""
+    disc, hurry, margin, fastest, slowing = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(bodies)):
+        disc, margin, fastest = max(disc, bodies[i, _DISC]), max(margin, grown[i]), max(fastest, bodies[i, _FASTEST])
+        hurry = max(hurry, np.hypot(pushed[i, 0], pushed[i, 1]))
+        counts = bodies[i, _TOP] * bodies[i, _BELIEVED]  # so far from what is kept a robot has its top speed
+        if counts > 0.0:
+            slowing = max(slowing, counts / (1.0 - share) if share < 1.0 else np.inf)
+    pressed = believed.max() + 2.0 * (fastest + hurry) / rate
+    return float(2.0 * (disc + margin) + between[0] + between[1] + max(pressed, slowing))
 
 
 @kernel
@@ -272,11 +293,11 @@ def _watch(pose: Array, along: float, across: float, l: float, window: int, told
 @kernel
 def _speed(stop: Array, other: Array, near: float, own: float, others: float, share: float, body: Array) -> float:
     """Return how fast a robot may be beside another [m/s]: what is believed of the other counts anyway."""
-    if body[7] == 0.0:
-        return float(body[4])
+    if body[_BELIEVED] == 0.0:
+        return float(body[_TOP])
     left = np.hypot(other[0] - stop[0], other[1] - stop[1]) - near
     allowed = (1.0 - share) * left + share * max(own, others)
-    return float(max(_CREEPING * body[4], max(others, allowed) / body[7]))
+    return float(max(_CREEPING * body[_TOP], max(others, allowed) / body[_BELIEVED]))
 
 
 @kernel
@@ -286,8 +307,8 @@ def _asking(
     """Return which bodies are asked to go somewhere and do not stall; the others stand."""
     asks = np.zeros(n, dtype=np.bool_)
     for i in range(len(wheels)):
-        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, 0], bodies[i, 1])
-        wants = np.hypot(v, l * omega) > _ASKS * bodies[i, 4]
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
+        wants = np.hypot(v, l * omega) > _ASKS * bodies[i, _TOP]
         asks[i] = driving[i] and wants and memory[i, _STALLS] == 0
     return asks
 
@@ -350,8 +371,8 @@ def _held_by(
 @kernel
 def _stop(pose: Array, turning: Array, body: Array, ahead: float, l: float, stop: Array) -> None:
     """Write q of the pose where a robot comes to rest [m], and its velocity by one of v, and by one of l omega."""
-    lag = body[2]
-    v, omega = _body_from_wheels(turning[0], turning[1], body[0], body[1])
+    lag = body[_LAG]
+    v, omega = _body_from_wheels(turning[0], turning[1], body[_WHEEL], body[_BASE])
     x, y, psi = _arc(pose[0], pose[1], pose[2], v, omega, lag)
     half = omega * lag / 2.0
     chord, slope = 1.0 - half * half / 6.0, -half / 3.0  # sin(half) / half, and its derivative
@@ -368,7 +389,7 @@ def _stop(pose: Array, turning: Array, body: Array, ahead: float, l: float, stop
 @kernel
 def _limits(rows: Array, body: Array, l: float, speed: float) -> int:
     """Write the rows of the wheels, and of the body's speed: what the robot can do, and may."""
-    turn, fastest, count = body[1] / (2.0 * l), body[0] * body[3] * _INSIDE, 0
+    turn, fastest, count = body[_BASE] / (2.0 * l), body[_WHEEL] * body[_WHEEL_SPEED] * _INSIDE, 0
     for sign in (1.0, -1.0):
         count = _add(rows, count, sign, sign * turn, fastest)
         count = _add(rows, count, sign, -sign * turn, fastest)
@@ -391,7 +412,7 @@ def _pair(
     back: float,
 ) -> int:  # fmt: skip
     hurry = np.hypot(pushed[0], pushed[1])
-    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * (body[6] + hurry) / rate
+    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * (body[_FASTEST] + hurry) / rate
     squared = x * x + y * y
     if squared == 0.0 or squared > reach * reach:
         return count  # no direction is away from it; or nothing that the robot can do breaks the row

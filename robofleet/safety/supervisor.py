@@ -1,8 +1,8 @@
 """The run's state machine: one transition table, no I/O.
 
-Wheels may move in RUNNING, before it in POSITIONING, after it in PARKING, and in ARMED those of the one robot that is
-being tried. HOLD keeps the run and waits for the operator, who resumes what was held; FAULT and ESTOP end it and wait
-for a reset, which moves nothing.
+Wheels may move in RUNNING, before it in POSITIONING, after it in PARKING, and in ARMED those of the robots that
+are being tried. HOLD keeps the run and waits for the operator, who resumes what was held; FAULT and ESTOP end it and
+wait for a reset, which moves nothing.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ class Phase(IntEnum):
     """State of a run."""
 
     IDLE = 0
-    ARMED = 1  # the checks before a start, robot by robot; passed, they wait for it
+    ARMED = 1  # the checks before a start; passed, they wait for it
     RUNNING = 2
     FAULT = 3
     HOLD = 4
@@ -101,6 +101,7 @@ class Event(IntEnum):
     LEFT_REVERSED = 55
     RIGHT_REVERSED = 56
     BOTH_REVERSED = 57
+    MOVED_UNASKED = 67  # while others were tried
     WRONG_GAIN = 58  # travelled over expected
     ENCODER_WRONG = 59  # counted over asked
     WRONG_ORDER = 63  # it stands ahead of the robot with this index, which it is to follow
@@ -177,6 +178,7 @@ CAUSES = {
     Event.ESTOP_UNANSWERED: "its driver did not answer the test of the emergency stop",
     Event.DID_NOT_MOVE: "its tag did not move when its wheels were turned",
     Event.WRONG_TAG_MOVED: "its driver moves the tag of {other}",
+    Event.MOVED_UNASKED: "its tag moved while others were tried, and it was told to stand",
     Event.WHEELS_SWAPPED: "its wheels are swapped",
     Event.ENCODER_WRONG: "an encoder counts {detail:.2f} of its wheel's commanded travel",
     Event.LEFT_REVERSED: "its left wheel turns backwards",
@@ -259,6 +261,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.ESTOP_UNANSWERED:     (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.DID_NOT_MOVE:         (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WRONG_TAG_MOVED:      (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.MOVED_UNASKED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.WHEELS_SWAPPED:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.ENCODER_WRONG:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.LEFT_REVERSED:        (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),

@@ -1,18 +1,27 @@
-"""The wiggle: robot by robot a short arc, forth and back, which proves that this driver moves this tag, and how far.
+"""The wiggle: a short arc, forth and back, which proves that this driver moves this tag, and how far.
 
-One arc tells the wheels apart (``rolled.py``). It is short in time and room, and ends where it began.
+Many robots wiggle at once, round by round (``rounds.py``): in a round some do one stroke, and all others must stand.
+A stroke tells the wheels apart (``rolled.py``). It is short in time and room, and both end where the first began. A tag
+that moves though its robot must stand stops everybody at once; who moved it is told by where all have come to rest.
 """
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.safety.rolled import Leg, Pose, Wheels, gain_fault, mean_of, rolled, wiring_fault
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView, RobotView
 
+Array = NDArray[np.float64]
+
 
 class Stroke(NamedTuple):
-    """What a probed robot is asked to do: shares of the probing speed."""
+    """What a robot that is tried is asked to do: shares of the probing speed."""
 
     left: float
     right: float
@@ -20,7 +29,7 @@ class Stroke(NamedTuple):
 
 PROBE_RAD_S = 6.0
 STROKES = (Stroke(0.0, 0.0), Stroke(1.0, 0.6), Stroke(-1.0, -0.6))  # stand, forth, back
-FORTH, BACK = 1, 2
+STAND, FORTH, BACK = 0, 1, 2
 
 _STROKE_NS = 240_000_000  # six periods of the supervisor
 _IMAGES = 3  # of a robot that stands
@@ -30,37 +39,70 @@ _NO_START_NS = 1_000_000_000
 _NO_REST_NS = 2_000_000_000
 _NO_IMAGE_NS = 2_000_000_000
 _MOVED_M, _MOVED_RAD = 0.006, 0.05  # of a robot that stands: ten sigmas of noise, a third of what a stroke gives
+_STILL = 1.0 / 3.0  # a tag that rolled less of what its robot's wheels were told was not moved by them
 _MOST = 1.5  # of what a stroke should take it: then the wiggle is stopped at once
 _SILENT_RAD = 1e-3  # a wheel that counted less counted nothing
 
 
-class Mean(NamedTuple):
-    """Poses of a robot that stands."""
+class Means(NamedTuple):
+    """Poses of robots that stand, a row a robot: the mean of so many images."""
 
-    images: int = 0
-    pose: Pose = (0.0, 0.0, 0.0)
+    images: NDArray[np.int64]  # (N,)
+    poses: Array  # (N, 3): x, y [m], psi [rad]; world
 
-    def add(self, pose: Pose) -> "Mean":
-        """Return the mean with one more."""
-        x, y, psi = self.pose
-        k = 1.0 / (self.images + 1)
-        turn = math.remainder(pose[2] - psi, math.tau)
-        return Mean(self.images + 1, (x + k * (pose[0] - x), y + k * (pose[1] - y), psi + k * turn))
+    @classmethod
+    def none(cls, robots: int) -> "Means":
+        """Return the means of no image."""
+        return cls(np.zeros(robots, dtype=np.int64), np.zeros((robots, 3)))
+
+    def add(self, poses: Array, rows: NDArray[np.bool_]) -> "Means":
+        """Return the means with one image more of some robots."""
+        images = self.images + rows
+        step = poses - self.poses
+        step[:, 2] = _wrapped(step[:, 2])
+        return Means(images, self.poses + step * (rows / np.maximum(images, 1))[:, None])
+
+    def forget(self, rows: Sequence[int]) -> "Means":
+        """Return the means without what was seen of some robots."""
+        images = self.images.copy()
+        images[rows] = 0
+        return Means(images, self.poses)
+
+    def moved(self, poses: Array) -> NDArray[np.bool_]:
+        """Return which robots are seen elsewhere, of those whose mean is known."""
+        step = poses - self.poses
+        away = (np.hypot(step[:, 0], step[:, 1]) > _MOVED_M) | (np.abs(_wrapped(step[:, 2])) > _MOVED_RAD)
+        return (self.images > 0) & away
 
 
-class Wiggle(NamedTuple):
-    """Where the wiggle is. Instants on the supervisor's clock [ns]; wheels [rad], forward +."""
+class Start(NamedTuple):
+    """A robot at the beginning of its stroke."""
 
-    means: tuple[Mean, ...] = ()
+    pose: Pose
+    angles: Wheels  # as its encoders counted [rad]
+    told: Wheels  # how far the wheels had been told to turn [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Wiggle:
+    """Where the wiggle is. Instants on the supervisor's clock [ns]."""
+
+    rounds: tuple[tuple[int, int], ...] = ()  # of each driven robot: when it goes forth, and when back
+    round: int = -1  # below 0 all are looked at first
+    strokes: tuple[int, ...] = ()  # of each driven robot: index in STROKES of what it must do now
+    tried: Mapping[int, Start] = field(default_factory=dict)  # in this round
+    means: Means = field(default_factory=lambda: Means.none(0))
     image: int = 0  # number of the newest that was looked at
-    robot: int = NOBODY  # that is tried; NOBODY while all are looked at first; their number at the end
-    stroke: int = 0  # index in STROKES of what it must do now
-    since_ns: int = 0  # when it began to drive, to slow down or to stand
-    rest_tick: int | None = None  # newest tick when it was seen at rest
-    before: Pose = (0.0, 0.0, 0.0)  # where the leg began
-    angles: Wheels = (0.0, 0.0)  # and what the encoders said
-    told: Wheels = (0.0, 0.0)  # and how far they had been told to turn
-    forth: Leg | None = None
+    since_ns: int = 0  # when the round began to drive, to slow down or to stand
+    rest_tick: int | None = None  # newest tick when all who are tried were seen at rest
+    forth: Mapping[int, Leg] = field(default_factory=dict)  # of those that were tried once
+    strange: int = NOBODY  # whose tag moved though it was to stand; then nobody goes on
+    stood: Means | None = None  # where all were before that
+
+    @property
+    def done(self) -> bool:
+        """Whether everybody has wiggled."""
+        return self.round > max((back for _, back in self.rounds), default=-1)
 
 
 def travel_m(wheel_radius: float) -> float:
@@ -74,122 +116,203 @@ def room_m(wheel_radius: float) -> float:
     return _MOST * travel_m(wheel_radius) + _MOVED_M
 
 
-def begin(view: FleetView) -> Wiggle:
-    """Return the first state: everybody stands and is looked at."""
-    return Wiggle((Mean(),) * len(view.robots), since_ns=view.now_ns, rest_tick=view.tick)
+def begin(view: FleetView, rounds: tuple[tuple[int, int], ...]) -> Wiggle:
+    """Return the first state: everybody stands and is looked at. ``rounds`` are those of each driven robot."""
+    n = len(view.robots)
+    return Wiggle(
+        rounds, strokes=(STAND,) * len(rounds), means=Means.none(n), since_ns=view.now_ns, rest_tick=view.tick
+    )
 
 
 def step(
     state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
 ) -> tuple[Wiggle, Happening | None]:
-    """Go on; a happening is why the fleet must not start. ``state.robot`` is the number of driven robots at the end."""
+    """Go on; a happening is why the fleet must not start."""
     if view.image != state.image:
-        bad = _bad_sign(state, wheel_radius, view)
+        poses = _poses(view)
+        bad = _bad_sign(state, wheel_radius, wheel_base, view, poses)
         if bad is not None:
             return state, bad
-        state = _look(state, view)
-    if state.robot != NOBODY:
-        if state.stroke:
-            return _drive(state, view)
-        if state.rest_tick is None:
-            return _slow_down(state, view)
+        state = _look(_watch(state, view, poses), view, poses)
+    if any(state.strokes):
+        return _drive(state, view)
+    if state.rest_tick is None:
+        return _slow_down(state, wheel_radius, wheel_base, view)
     return _stand(state, wheel_radius, wheel_base, view)
 
 
-def _bad_sign(state: Wiggle, wheel_radius: tuple[float, ...], view: FleetView) -> Happening | None:
+def _poses(view: FleetView) -> Array:
+    return np.array([robot.pose for robot in view.robots])
+
+
+def _bad_sign(
+    state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView, poses: Array
+) -> Happening | None:
     """Return what the newest image says against going on."""
-    for row, (robot, mean) in enumerate(zip(view.robots, state.means, strict=True)):
-        if row == state.robot:
-            x, y, _ = state.before
-            travelled = math.hypot(robot.pose[0] - x, robot.pose[1] - y)
-            if travelled > room_m(wheel_radius[row]):
-                return Happening(Event.WRONG_GAIN, row, travelled / travel_m(wheel_radius[row]))
-        elif mean.images and _moved(mean.pose, robot.pose):
-            if state.robot == NOBODY:
-                return Happening(Event.NOT_AT_REST, row)
-            return Happening(Event.WRONG_TAG_MOVED, state.robot, row)
+    for row, start in state.tried.items():
+        travelled = math.dist(poses[row, :2], start.pose[:2])
+        if travelled > room_m(wheel_radius[row]):
+            return Happening(Event.WRONG_GAIN, row, travelled / travel_m(wheel_radius[row]))
+    if state.stood is not None:
+        row = state.strange
+        if math.dist(poses[row, :2], state.stood.poses[row, :2]) > room_m(wheel_radius[row]):
+            return _blamed(state, wheel_radius, wheel_base, view)
+    if state.round < 0 and (moved := state.means.moved(poses)).any():
+        return Happening(Event.NOT_AT_REST, int(moved.argmax()))
     return None
 
 
-def _moved(before: Pose, after: Pose) -> bool:
-    return (
-        math.hypot(after[0] - before[0], after[1] - before[1]) > _MOVED_M
-        or abs(math.remainder(after[2] - before[2], math.tau)) > _MOVED_RAD
-    )
+def _watch(state: Wiggle, view: FleetView, poses: Array) -> Wiggle:
+    """Stop everybody if the tag of somebody moves who must stand."""
+    if state.strange != NOBODY:
+        return state
+    moved = state.means.moved(poses)
+    moved[list(state.tried)] = False
+    if not moved.any():
+        return state
+    return replace(
+        state, strange=int(moved.argmax()), stood=state.means, strokes=(STAND,) * len(state.strokes),
+        since_ns=view.now_ns, rest_tick=None,
+    )  # fmt: skip
 
 
-def _look(state: Wiggle, view: FleetView) -> Wiggle:
-    """Take the newest image's poses of all who stand: of the one that is tried, only after it was seen at rest."""
-    settled = state.rest_tick is not None and view.image_tick > state.rest_tick
-    means = tuple(
-        mean.add(robot.pose) if robot.image == view.image and (settled or state.robot not in (NOBODY, row)) else mean
-        for row, (robot, mean) in enumerate(zip(view.robots, state.means, strict=True))
-    )
-    return state._replace(means=means, image=view.image)
+def _look(state: Wiggle, view: FleetView, poses: Array) -> Wiggle:
+    """Take the newest image's poses of all who stand: of those that are tried, only after they were seen at rest."""
+    seen = np.array([robot.image == view.image for robot in view.robots])
+    if state.rest_tick is None or view.image_tick <= state.rest_tick:
+        some = state.tried and state.strange == NOBODY
+        seen[list(state.tried) if some else slice(None)] = False
+    return replace(state, means=state.means.add(poses, seen), image=view.image)
 
 
 def _drive(state: Wiggle, view: FleetView) -> tuple[Wiggle, Happening | None]:
-    """Until the stroke's time is over; commands that come late get more of it."""
+    """Until the stroke's time is over; whom commands reach late gets more of it."""
     driven_ns = view.now_ns - state.since_ns
-    enough = max(map(abs, _asked(state, view.robots[state.robot]))) >= 0.5 * PROBE_RAD_S * _STROKE_NS * 1e-9
-    if driven_ns >= _STROKE_NS and enough:
-        return state._replace(stroke=0, since_ns=view.now_ns), None
-    return state, Happening(Event.LEASE_LOST, state.robot) if driven_ns >= _NO_START_NS else None
+    if driven_ns < _STROKE_NS:
+        return state, None
+    strokes = list(state.strokes)
+    for row, start in state.tried.items():
+        if max(map(abs, _asked(start, view.robots[row]))) >= 0.5 * PROBE_RAD_S * _STROKE_NS * 1e-9:
+            strokes[row] = STAND
+    if any(strokes):
+        late = next(row for row, stroke in enumerate(strokes) if stroke)
+        fault = Happening(Event.LEASE_LOST, late) if driven_ns >= _NO_START_NS else None
+        return replace(state, strokes=tuple(strokes)), fault
+    return replace(state, strokes=tuple(strokes), since_ns=view.now_ns), None
 
 
-def _slow_down(state: Wiggle, view: FleetView) -> tuple[Wiggle, Happening | None]:
-    """Until the wheels rest."""
-    robot, waited_ns = view.robots[state.robot], view.now_ns - state.since_ns
-    needed_ns = _SETTLE_NS if any(_counted(state, robot)) else _COAST_NS
-    if robot.at_rest and waited_ns >= needed_ns:
-        return state._replace(since_ns=view.now_ns, rest_tick=view.tick, means=_fresh(state)), None
-    return state, Happening(Event.NOT_AT_REST, state.robot) if waited_ns >= _NO_REST_NS else None
+def _slow_down(
+    state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
+) -> tuple[Wiggle, Happening | None]:
+    """Until the wheels of all who are tried rest."""
+    waited_ns, strange = view.now_ns - state.since_ns, state.strange != NOBODY
+    turning = (row for row, start in state.tried.items() if not _rests(start, view.robots[row], waited_ns))
+    row = next(turning, None)
+    if row is None:
+        stale = range(len(view.robots)) if strange else state.tried
+        return replace(state, since_ns=view.now_ns, rest_tick=view.tick, means=state.means.forget(list(stale))), None
+    if waited_ns < _NO_REST_NS:
+        return state, None
+    if strange:
+        return state, _blamed(state, wheel_radius, wheel_base, view)
+    return state, Happening(Event.NOT_AT_REST, row)
 
 
-def _fresh(state: Wiggle) -> tuple[Mean, ...]:
-    return tuple(Mean() if row == state.robot else mean for row, mean in enumerate(state.means))
+def _rests(start: Start, robot: RobotView, waited_ns: int) -> bool:
+    needed_ns = _SETTLE_NS if any(_counted(start, robot)) else _COAST_NS
+    return robot.at_rest and waited_ns >= needed_ns
 
 
 def _stand(
     state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
 ) -> tuple[Wiggle, Happening | None]:
-    """Until there are images enough; then judge, and go on with the next leg or robot."""
-    unseen = [row for row, mean in enumerate(state.means) if mean.images < _IMAGES]
-    if unseen:
-        late = view.now_ns - state.since_ns >= _NO_IMAGE_NS
-        return state, Happening(Event.TAG_LOST, unseen[0]) if late else None
-    row = state.robot
-    if row == NOBODY:
-        return _next(state, 0, view), None
-    pose = state.means[row].pose
-    counted = _counted(state, view.robots[row])
-    leg = Leg(_asked(state, view.robots[row]), counted, rolled(state.before, pose, wheel_radius[row], wheel_base[row]))
-    fault = wiring_fault(leg)
-    if state.forth is None:
-        following = _start(state._replace(forth=leg), BACK, view)
-    else:
-        following = _next(state, row + 1, view)
-        fault = fault or gain_fault(mean_of(state.forth, leg))
-    return (following, None) if fault is None else (state, Happening(fault[0], row, fault[1]))
+    """Until there are images enough; then judge, and go on with the next round."""
+    few = state.means.images < _IMAGES
+    late, strange = view.now_ns - state.since_ns >= _NO_IMAGE_NS, state.strange != NOBODY
+    if strange and (late or not few.any()):
+        return state, _blamed(state, wheel_radius, wheel_base, view)
+    if few.any():
+        return state, Happening(Event.TAG_LOST, int(few.argmax())) if late else None
+    forth = dict(state.forth)
+    for row, start in sorted(state.tried.items()):
+        robot, (x, y, psi) = view.robots[row], state.means.poses[row].tolist()
+        way = rolled(start.pose, (x, y, psi), wheel_radius[row], wheel_base[row])
+        leg = Leg(_asked(start, robot), _counted(start, robot), way)
+        fault = wiring_fault(leg)
+        if row in forth:
+            fault = fault or gain_fault(mean_of(forth.pop(row), leg))
+        else:
+            forth[row] = leg
+        if fault is not None:
+            return state, Happening(fault[0], row, fault[1])
+    return _next(replace(state, forth=forth), view), None
 
 
-def _next(state: Wiggle, row: int, view: FleetView) -> Wiggle:
-    state = state._replace(robot=row, forth=None)
-    return _start(state, FORTH, view) if row < view.driven else state
+def _next(state: Wiggle, view: FleetView) -> Wiggle:
+    """Begin the next round."""
+    this = state.round + 1
+    strokes = tuple(FORTH if this == forth else BACK if this == back else STAND for forth, back in state.rounds)
+    tried = {row: _start(state, row, view.robots[row]) for row, stroke in enumerate(strokes) if stroke}
+    return replace(
+        state, round=this, strokes=strokes, tried=tried, since_ns=view.now_ns, rest_tick=None if tried else view.tick
+    )
 
 
-def _start(state: Wiggle, stroke: int, view: FleetView) -> Wiggle:
-    robot = view.robots[state.robot]
-    return state._replace(
-        stroke=stroke, since_ns=view.now_ns, rest_tick=None, before=state.means[state.robot].pose,
-        angles=(robot.left_angle, robot.right_angle), told=(robot.left_told, robot.right_told),
-    )  # fmt: skip
+def _start(state: Wiggle, row: int, robot: RobotView) -> Start:
+    x, y, psi = state.means.poses[row].tolist()
+    return Start((x, y, psi), (robot.left_angle, robot.right_angle), (robot.left_told, robot.right_told))
 
 
-def _asked(state: Wiggle, robot: RobotView) -> Wheels:
-    return robot.left_told - state.told[0], robot.right_told - state.told[1]
+def _asked(start: Start, robot: RobotView) -> Wheels:
+    return robot.left_told - start.told[0], robot.right_told - start.told[1]
 
 
-def _counted(state: Wiggle, robot: RobotView) -> Wheels:
-    left, right = robot.left_angle - state.angles[0], robot.right_angle - state.angles[1]
+def _counted(start: Start, robot: RobotView) -> Wheels:
+    left, right = robot.left_angle - start.angles[0], robot.right_angle - start.angles[1]
     return (left, right) if max(abs(left), abs(right)) > _SILENT_RAD else (0.0, 0.0)
+
+
+def _blamed(
+    state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
+) -> Happening:
+    """Return who moves the tag that was to stand; where that is not sure, whose tag it is.
+
+    Robots whose tags are exchanged did the same in every round before, or they had been found out then. So had a robot
+    that follows another one's commands, unless it was tried in every round in which that one was.
+    """
+    assert state.stood is not None
+    known = (state.means.images > 0) & (state.rest_tick is not None)
+    seen = np.where(known[:, None], state.means.poses, _poses(view))
+    moved = state.stood.moved(seen)
+    moved[list(state.tried)] = False
+    still = [
+        row for row, start in state.tried.items()
+        if _still(start, view.robots[row], seen[row], wheel_radius[row], wheel_base[row])
+    ]  # fmt: skip
+    for tag in (state.strange, *np.flatnonzero(moved).tolist()):
+        before = _before(state, tag)
+        if still:
+            who = [row for row in still if _before(state, row) == before]
+        else:
+            who = [row for row in state.tried if _before(state, row) <= before]
+        if len(who) == 1:
+            return Happening(Event.WRONG_TAG_MOVED, who[0], tag)
+    return Happening(Event.MOVED_UNASKED, state.strange)
+
+
+def _still(start: Start, robot: RobotView, pose: Array, radius: float, base: float) -> bool:
+    """Return whether a robot's tag stood although its wheels were told to turn, whichever turned, and which way."""
+    told = max(map(abs, _asked(start, robot)))
+    x, y, psi = pose.tolist()
+    return told * radius > _MOVED_M and max(map(abs, rolled(start.pose, (x, y, psi), radius, base))) < _STILL * told
+
+
+def _before(state: Wiggle, row: int) -> frozenset[int]:
+    """Return in which rounds before this one a robot was tried."""
+    own = state.rounds[row] if row < len(state.rounds) else ()  # a bystander in none
+    return frozenset(one for one in own if one < state.round)
+
+
+def _wrapped(angles: Array) -> Array:
+    """Return angles in [-pi, pi) [rad]."""
+    return np.asarray((angles + math.pi) % math.tau - math.pi)

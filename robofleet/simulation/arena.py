@@ -1,54 +1,147 @@
 """The true world, as the simulated drivers publish it."""
 
 import math
-from bisect import bisect_right
-from collections import deque
+from typing import Any
 
-from robofleet.vehicles.differential_drive import arc
+import numpy as np
+from numpy.typing import NDArray
 
+from robofleet.kernels import kernel
+from robofleet.vehicles import differential_drive
+
+Array = NDArray[np.float64]
+Instants = NDArray[np.int64]
+
+NOBODY = -1  # as a row: a robot of which nothing is kept
+_BEYOND = 1e9  # any arena [m], any heading [rad]: such a truth is none
 _BEYOND_NS = 100_000_000  # after the newest sample a robot is taken to have gone on; then its driver is gone
 
-Pose = tuple[float, float, float]
+_arc = kernel(differential_drive.arc)
 
 
 class TruthHistory:
-    """The newest true samples of one robot: where it was at any instant among them, and a little beyond.
+    """The newest true samples of N robots: where each was at any instant among them, and a little beyond.
 
-    Between two samples the robot moved along the arc of the earlier one's body velocity, corrected so that it
-    ends where the later one is.
+    Between two samples a robot moved along the arc of the earlier one's body velocity, corrected so that it ends where
+    the later one is.
     """
 
-    def __init__(self, capacity: int) -> None:
-        self._stamps: deque[int] = deque(maxlen=capacity)
-        self._samples: deque[tuple[float, float, float, float, float]] = deque(maxlen=capacity)
+    def __init__(self, robots: int, capacity: int) -> None:
+        """Take how many robots there are, and how many samples are kept of each."""
+        self._stamps = np.zeros((robots, capacity), np.int64)  # a ring for each robot
+        self._samples = np.zeros((robots, capacity, 5))
+        self._count = np.zeros(robots, np.int64)  # of all samples
+        self.moving(np.zeros(robots, np.int64), 1)  # compiles, or loads
+        self.poses_at(np.zeros(robots, np.int64))
 
-    def add(self, stamp_ns: int, x: float, y: float, psi: float, v: float, omega: float) -> None:
-        """Add a sample [ns; m, rad in the world; m/s, rad/s of the body]; ignored if not the newest."""
-        if not self._stamps or stamp_ns > self._stamps[-1]:
-            self._stamps.append(stamp_ns)
-            self._samples.append((x, y, psi, v, omega))
+    def add(self, row: int, stamp_ns: int, sample: tuple[float, float, float, float, float]) -> None:
+        """Add a robot's x, y [m], psi [rad] in the world, v [m/s], omega [rad/s]; ignored if not its newest."""
+        count, capacity = int(self._count[row]), self._stamps.shape[1]
+        if not count or stamp_ns > self._stamps[row, (count - 1) % capacity]:
+            self._stamps[row, count % capacity] = stamp_ns
+            self._samples[row, count % capacity] = sample
+            self._count[row] = count + 1
 
-    def told_at(self, stamp_ns: int) -> bool:
-        """Return whether the robot's place at an instant is known from its own word, not from what it said long ago."""
-        return bool(self._stamps) and stamp_ns - self._stamps[-1] <= _BEYOND_NS
+    def take(self, rows: NDArray[np.intp], stamp_ns: int, truths: NDArray[Any]) -> None:
+        """Add what a unit says of its robots (K,) in one message; ``rows``: of each place in the unit, or NOBODY."""
+        take(self._stamps, self._samples, self._count, rows, stamp_ns, truths)
 
-    def pose_at(self, stamp_ns: int) -> Pose | None:
-        """Return x, y [m], psi [rad] at an instant; the first sample's before it; None without any sample."""
-        if not self._stamps:
-            return None
-        k = bisect_right(self._stamps, stamp_ns) - 1
-        if k < 0:
-            return self._samples[0][:3]
-        elapsed_s = min(stamp_ns - self._stamps[k], _BEYOND_NS) * 1e-9
-        pose = arc(*self._samples[k], elapsed_s)
-        if k + 1 == len(self._stamps):
-            return pose
-        step_s = (self._stamps[k + 1] - self._stamps[k]) * 1e-9
-        end, target = arc(*self._samples[k], step_s), self._samples[k + 1]
-        share = (elapsed_s / step_s) ** 2  # the velocity changed evenly over the step
-        turned = math.remainder(target[2] - end[2], math.tau)
-        return (
-            pose[0] + share * (target[0] - end[0]),
-            pose[1] + share * (target[1] - end[1]),
-            math.remainder(pose[2] + share * turned, math.tau),
-        )
+    def told_at(self, stamp_ns: int) -> NDArray[np.bool_]:
+        """Return (N,) whose place at an instant is known from its own word, not from what it said long ago."""
+        newest = np.take_along_axis(self._stamps, (self._count[:, None] - 1) % self._stamps.shape[1], 1)[:, 0]
+        told: NDArray[np.bool_] = (self._count > 0) & (stamp_ns - newest <= _BEYOND_NS)
+        return told
+
+    def poses_at(self, instants_ns: Instants) -> Array:
+        """Return x, y [m], psi [rad] (N, 3), each robot's at its own instant; before its first sample that one's.
+
+        NaN of a robot without a sample.
+        """
+        return poses_at(self._stamps, self._samples, self._count, instants_ns)
+
+    def moving(self, instants_ns: Instants, half_ns: int) -> tuple[Array, Array]:
+        """Return the poses (N, 3) and velocities (N, 3) [m/s, rad/s] over so long before and after the instants."""
+        return moving(self._stamps, self._samples, self._count, instants_ns, half_ns)
+
+
+@kernel
+def take(  # type: ignore[no-untyped-def]
+    stamps, samples, count, rows, stamp_ns, truths
+):
+    """See ``TruthHistory.take``."""
+    capacity = stamps.shape[1]
+    for truth in truths:
+        n = rows[truth.place] if truth.place < len(rows) else NOBODY
+        if n == NOBODY or not (abs(truth.x_m) < _BEYOND and abs(truth.y_m) < _BEYOND and abs(truth.psi_rad) < _BEYOND):
+            continue
+        if count[n] and stamp_ns <= stamps[n, (count[n] - 1) % capacity]:
+            continue
+        at = count[n] % capacity
+        stamps[n, at] = stamp_ns
+        samples[n, at, 0], samples[n, at, 1], samples[n, at, 2] = truth.x_m, truth.y_m, truth.psi_rad
+        samples[n, at, 3], samples[n, at, 4] = truth.v_m_s, truth.omega_rad_s
+        count[n] += 1
+
+
+@kernel
+def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Instants) -> Array:
+    """See ``TruthHistory.poses_at``."""
+    poses = np.empty((len(stamps), 3))
+    for n in range(len(stamps)):
+        poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instants_ns[n])
+    return poses
+
+
+@kernel
+def moving(
+    stamps: Instants, samples: Array, count: Instants, instants_ns: Instants, half_ns: int
+) -> tuple[Array, Array]:
+    """See ``TruthHistory.moving``."""
+    poses, velocities = np.empty((len(stamps), 3)), np.empty((len(stamps), 3))
+    per_s = 0.5e9 / half_ns
+    for n in range(len(stamps)):
+        x, y, psi = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] - half_ns)
+        x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] + half_ns)
+        d_x, d_y, turned = x_late - x, y_late - y, _remainder(psi_late - psi)
+        # The middle of an arc lies beside that of its chord.
+        poses[n, 0] = x + d_x / 2.0 + 0.125 * turned * d_y
+        poses[n, 1] = y + d_y / 2.0 - 0.125 * turned * d_x
+        poses[n, 2] = psi + turned / 2.0
+        velocities[n, 0], velocities[n, 1], velocities[n, 2] = d_x * per_s, d_y * per_s, turned * per_s
+    return poses, velocities
+
+
+@kernel
+def _pose_at(stamps: Instants, samples: Array, count: int, stamp_ns: int) -> tuple[float, float, float]:
+    if count == 0:
+        return np.nan, np.nan, np.nan
+    capacity = len(stamps)
+    oldest = max(0, count - capacity)
+    k = count - 1
+    while k > oldest and stamps[k % capacity] > stamp_ns:
+        k -= 1
+    at = k % capacity
+    x, y, psi, v, omega = samples[at, 0], samples[at, 1], samples[at, 2], samples[at, 3], samples[at, 4]
+    if stamps[at] > stamp_ns:
+        return x, y, psi
+    elapsed_s = min(stamp_ns - stamps[at], _BEYOND_NS) * 1e-9
+    there_x, there_y, there_psi = _arc(x, y, psi, v, omega, elapsed_s)
+    if k + 1 == count:
+        return there_x, there_y, there_psi
+    after = (k + 1) % capacity
+    step_s = (stamps[after] - stamps[at]) * 1e-9
+    end_x, end_y, end_psi = _arc(x, y, psi, v, omega, step_s)
+    share = (elapsed_s / step_s) ** 2  # the velocity changed evenly over the step
+    return (
+        there_x + share * (samples[after, 0] - end_x),
+        there_y + share * (samples[after, 1] - end_y),
+        _remainder(there_psi + share * _remainder(samples[after, 2] - end_psi)),
+    )
+
+
+@kernel
+def _remainder(angle: float) -> float:
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+KERNELS = (poses_at, moving, take)  # that are called from Python

@@ -10,23 +10,23 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.simulation.draw import BLUR_PX, draw
-from robofleet.simulation.floor import WHITE, WIDEST, Floor, textures
+from robofleet.simulation.draw import BLUR_PX, cells, centres, draw, renew
+from robofleet.simulation.floor import WIDEST, Floor
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
-Looks = tuple[Array32, NDArray[np.int64]]  # textures (tags, levels, S, S), and which one each robot carries
+Boxes = NDArray[np.int64]
 
 _BODY_RADIUS = 0.8  # [tag sides]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
-_LEVELS = 6  # textures a tag, between the finest and the coarsest scale in the image
+_IMAGES = 7  # that are drawn one after the other; with _STRIPS, which has no factor in common, see ``render``
+_STRIPS = 12
 _HORIZON = 0.1  # rays flatter than this slope meet the ground as if they had it
 
 
@@ -69,7 +69,7 @@ class SceneRenderer:
 
         offsets (N, 3): forward, left [m], turn [rad] of the tags on their robots. light: of full light.
         """
-        self._size, self._robots, self._prints, self._shutter = image_size, tuple(robots), tuple(prints), shutter
+        self._size, self._robots, self._prints, self._shutter = image_size, tuple(robots), tuple(prints), tuple(shutter)
         self._offsets = np.zeros((len(robots), 3)) if offsets is None else offsets
         self._side, self._rng = robots[0].side, rng
         self._height = max(target.height for target in robots)
@@ -77,12 +77,16 @@ class SceneRenderer:
         v, u = np.mgrid[:height, :width].astype(np.float64)
         self._gain = np.float32(light) * _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
         self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._side, BLUR_PX, rng)
-        # Noise is stored with an offset that the background lacks: one saturating addition does both signs. Where the
-        # background is darker than that, a saturating subtraction makes up for it.
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
         self._bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
-        self._image = np.empty((height, width), np.uint8)
+        self._images = np.empty((_IMAGES, height, width), np.uint8)
+        # Of each image, what is renewed when it is drawn again: robots, prints, and a strip.
+        self._boxes = np.zeros((_IMAGES, len(robots) + len(prints) + 1, 4), np.int64)
+        self._rendered = 0
+        self._heights = np.array([target.height for target in robots])
+        looks = [cells(target.tag) for target in robots]
+        self._looks = np.stack([*looks, np.zeros_like(looks[0])])
         self.moved(geometry)
         self.looks = np.arange(len(robots))  # (N,) which robot's tag each robot carries; N: plain paper
         self.render(np.full((len(robots), 3), np.nan))  # compiles the kernels, or loads them
@@ -94,62 +98,68 @@ class SceneRenderer:
         plane_x, plane_y = (np.ascontiguousarray(plane[..., axis], dtype=np.float32) for axis in (0, 1))
         self._plane = plane_x, plane_y
         near = np.maximum(*np.moveaxis(np.abs(plane - geometry.position[:2]), 2, 0)) < WIDEST * geometry.position[2]
-        self._sigmas = BLUR_PX * _scales(plane, near)
-        looks = [textures(robot.tag, self._side, self._sigmas) for robot in self._robots]
-        self._textures = np.stack([*looks, np.full_like(looks[0], WHITE)])
-        floor = self._floor.grays(plane + (plane - geometry.position[:2]) * self._further(0.0))
-        background = np.rint(floor * self._gain).astype(np.uint8)
-        for (tag, side, tag_height, _), x, y, psi in self._prints:
-            lying = np.array([[x, y, psi]])
-            look, still = (textures(tag, side, self._sigmas)[None], np.zeros(1, np.int64)), np.zeros((1, 3))
-            quiet = np.full_like(background, self._offset)
-            self._draw(background, quiet, look, side, [tag_height], lying, still, still)
-        self._background = cv2.subtract(background, self._offset)  # type: ignore[call-overload]
-        below = cv2.subtract(np.full_like(background, self._offset), background)
-        self._below = below if below.any() else None  # what is darker than the offset
+        self._blurs = BLUR_PX * _scales(plane, near)
+        self._further = self._further_by(self._heights)
+        ground = self._floor.grays(plane + (plane - geometry.position[:2]) * self._further_by(np.zeros(1))[0, 0])
+        self._ground = np.rint(ground * self._gain).astype(np.uint8)
+        self._boxes[:] = 0
+        quiet = np.full_like(self._ground, self._offset)
+        for k, ((tag, side, tag_height, _), x, y, psi) in enumerate(self._prints):
+            lying, height = np.array([[x, y, psi]]), np.array([tag_height])
+            still, further = np.zeros((1, 3)), self._further_by(height)
+            boxes = self._boxes[0, len(self._robots) + k :][:1]
+            self._draw(self._ground, quiet, cells(tag)[None], side, height, further, lying, still, still, boxes)
+        self._boxes[1:] = self._boxes[0]
+        self._unseen = _IMAGES  # images of another place
 
     def render(self, poses: Array, velocities: Array | None = None) -> Image:
         """Return the image (H, W) of robots at poses (N, 3): x, y [m], psi [rad] at mid-exposure of their tags' rows.
 
-        velocities (N, 3): of x, y [m/s], psi [rad/s]. A robot with a NaN is left out. The image is overwritten by the
-        next call.
+        velocities (N, 3): of x, y [m/s], psi [rad/s]. A robot with a NaN is left out. The image is the renderer's: it
+        is not to be changed, and overwritten by a later call.
+
+        Robots and prints have new noise in each image. The floor has that of ``_IMAGES`` images in turn, of which a
+        call renews one strip: a detector that searches the image in as many parts sees none of it twice.
         """
-        start = int(self._rng.integers(self._image.size))
-        noise = self._bank[start : start + self._image.size].reshape(self._image.shape)
-        cv2.add(self._background, noise, dst=self._image)
-        if self._below is not None:
-            cv2.subtract(self._image, self._below, dst=self._image)
+        turns, which = divmod(self._rendered, _IMAGES)
+        self._rendered += 1
+        image: Image = self._images[which]
+        boxes, n = self._boxes[which], len(self._robots)
+        height, width = image.shape
+        if self._unseen:
+            self._unseen -= 1
+            boxes[-1] = 0, 0, width, height
+        else:
+            strip = turns % _STRIPS
+            boxes[-1] = 0, strip * height // _STRIPS, width, (strip + 1) * height // _STRIPS
+        start = int(self._rng.integers(image.size))
+        noise = self._bank[start : start + image.size].reshape(image.shape)
+        renew(image, self._ground, noise, self._offset, boxes)
         moving = np.zeros_like(poses) if velocities is None else velocities
-        heights = [robot.height for robot in self._robots]
-        looks = self._textures, self.looks
-        self._draw(self._image, noise, looks, self._side, heights, poses, moving, self._offsets, bodies=True)
-        return self._image
+        self._draw(
+            image, noise, self._looks[self.looks], self._side, self._heights, self._further, poses, moving,
+            self._offsets, boxes[:n], bodies=True,
+        )  # fmt: skip
+        return image
 
     def rows(self, poses: Array) -> Array:
         """Return the rows (N,) of the image in which the tags of robots at poses (N, 3) have their centres [px]."""
-        return self._centres(poses, [robot.height for robot in self._robots], self._offsets)[:, 1]
+        return np.asarray(centres(self._geometry.flat, poses, self._offsets, self._heights)[:, 1], np.float64)
 
     def _draw(
-        self, image: Image, noise: Image, looks: Looks, side: float, heights: Sequence[float],
-        poses: Array, velocities: Array, offsets: Array, *, bodies: bool = False,
+        self, image: Image, noise: Image, looks: Array32, side: float, heights: Array, further: Array,
+        poses: Array, velocities: Array, offsets: Array, boxes: Boxes, *, bodies: bool = False,
     ) -> None:  # fmt: skip
-        further = np.array([(self._further(h), self._further(h - _BODY_DROP_M)) for h in heights])
         draw(
-            image, noise, self._offset, *self._plane, self._gain, *looks, self._sigmas, side,
-            self._geometry.position, further, _BODY_RADIUS * side if bodies else 0.0, poses, velocities, offsets,
-            np.array(self._shutter), self._centres(poses, heights, offsets), np.flatnonzero(np.isfinite(poses).all(1)),
+            image, noise, self._offset, *self._plane, self._gain, looks, self._blurs, side, self._geometry.flat,
+            self._geometry.position, heights, further, _BODY_RADIUS * side if bodies else 0.0, poses, velocities,
+            offsets, self._shutter, np.flatnonzero(np.isfinite(poses).all(1)), boxes,
         )  # fmt: skip
 
-    def _centres(self, poses: Array, heights: Sequence[float], offsets: Array) -> Array:
-        """Return where the tags' centres appear (N, 2) [px]."""
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x = poses[:, 0] + c * offsets[:, 0] - s * offsets[:, 1]
-        y = poses[:, 1] + s * offsets[:, 0] + c * offsets[:, 1]
-        return self._geometry.project(np.column_stack([x, y, heights]))
-
-    def _further(self, height: float) -> float:
-        """Return how far, of its way along the ground, a ray goes on from the map's height to another one."""
-        return float((self._height - height) / (self._geometry.position[2] - self._height))
+    def _further_by(self, heights: Array) -> Array:
+        """Return how far, of its way along the ground, a ray goes on from the map's height to tags' and bodies'."""
+        below = np.stack([heights, heights - _BODY_DROP_M], axis=1)
+        return np.asarray((self._height - below) / (self._geometry.position[2] - self._height), np.float64)
 
     def _plane_at(self, geometry: CameraGeometry, height: float) -> Array:
         """Return where the pixels' rays meet z = height, (H, W, 2) [m; world]; rays near the horizon: far away."""
@@ -170,11 +180,11 @@ def _slopes(lens: Lens, K: bytes, distortion: bytes, size: tuple[int, int]) -> A
 
 
 def _scales(plane: Array, near: NDArray[np.bool_]) -> Array:
-    """Return metres a pixel, (_LEVELS,), from the finest to the coarsest of the map (H, W, 2) where it is ``near``."""
+    """Return metres a pixel (2,) where it is finest, and coarsest, of the map (H, W, 2) where it is ``near``."""
     d_u, d_v = plane[1:, 1:] - plane[1:, :-1], plane[1:, 1:] - plane[:-1, 1:]
     scale = np.sqrt(np.abs(d_u[..., 0] * d_v[..., 1] - d_u[..., 1] * d_v[..., 0]))
     scale = scale[near[1:, 1:]]
-    return np.geomspace(scale.min(), scale.max(), _LEVELS)
+    return np.array([scale.min(), scale.max()])
 
 
 def _uneven_light(u: Array, v: Array, rng: np.random.Generator) -> Array32:

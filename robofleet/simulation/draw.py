@@ -1,16 +1,21 @@
-"""Draws robots into an image, row by row: the kernels of ``camera.py``.
+"""Draws robots into an image, and renews what lies below them: the kernels of ``camera.py``.
 
-A tag's print comes from a blurred texture, its body is a disc below it; both end in smooth steps as wide as the blur.
+A tag's print is blurred exactly, by how much of a Gaussian lies in each of its cells: so its edges lie where they
+should. Its paper, and its body, a disc below it, end in smooth steps as wide as the blur.
 Arithmetic is in single precision: 0.2 micrometres of a plane's two metres.
 """
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robofleet.kernels import image_kernel
-from robofleet.simulation.floor import TEXEL
-from robofleet.tracking.photometric import CELLS
+from robofleet.kernels import image_kernel, infinite_kernel
+from robofleet.simulation.floor import BLACK, WHITE
+from robofleet.tracking.photometric import CELLS, pattern
+from robofleet.tracking.projection import project
+
+Array32 = NDArray[np.float32]
 
 BLUR_PX = math.sqrt(0.5**2 + 1.0 / 12.0)  # standard deviation: lens, and a pixel's square
 
@@ -19,24 +24,43 @@ _MARGIN = 1.1  # around a robot: the scale at its edge is not that of its middle
 _RAMP = math.sqrt(20.0)  # width of a smooth step [standard deviations of its blur]
 _MOTION_PX = 0.7  # what moves further during an exposure is drawn at several instants
 _MOST_INSTANTS = 64
+_CHUNK = 128  # pixels of a row that are drawn at once: how much of each is tag, where that is on its print,
+_COLUMN, _ROW, _COVER, _LIGHT = _CHUNK, 2 * _CHUNK, 3 * _CHUNK, 4 * _CHUNK  # how much is robot, and its grey times that
+_RIM = 2  # white cells around a print
+_FINE = 64  # steps of a normal distribution's tail, a standard deviation; after five nothing is left
+_NORMAL = np.array([0.5 - 0.5 * math.erf(k / _FINE / math.sqrt(2.0)) for k in range(5 * _FINE)], np.float32)
+
+
+@image_kernel
+def renew(image, floor, noise, offset, boxes):  # type: ignore[no-untyped-def]
+    """Let ``boxes`` (M, 4) of an image show the floor again, with new noise, which is stored with an ``offset``.
+
+    A box: left, top, right, bottom; right and bottom are not part of it.
+    """
+    shift = np.int16(offset)
+    for k in range(len(boxes)):
+        left, top, right, bottom = boxes[k]
+        for i in range(top, bottom):
+            shown, lit, grain = image[i, left:right], floor[i, left:right], noise[i, left:right]
+            for j in range(len(shown)):
+                gray = np.int16(lit[j]) + np.int16(grain[j]) - shift
+                shown[j] = min(max(gray, 0), 255)
 
 
 @image_kernel
 def draw(  # type: ignore[no-untyped-def]
-    image, noise, offset, plane_x, plane_y, gain, textures, looks, sigmas, side, eye, further, body_radius,
-    poses, velocities, offsets, shutter, centres, seen,
+    image, noise, offset, plane_x, plane_y, gain, black, blurs, side, camera, eye, heights, further, body_radius,
+    poses, velocities, offsets, shutter, seen, boxes,
 ):  # fmt: skip
-    """Blend the prints ``seen``, and bodies below them, into background and noise; ``centres`` (N, 2) [px]."""
+    """Blend the prints ``seen``, and bodies below them, into an image; ``boxes`` (N, 4) become theirs."""
     exposure, line_time = shutter
     instants = np.empty((_MOST_INSTANTS, 6), np.float32)
-    cover, light = np.empty(image.shape[1], np.float32), np.empty(image.shape[1], np.float32)
-    at = np.empty((3, image.shape[1]), np.float32)
     paper = side / 2 + side / CELLS
+    boxes[:] = 0
     for n in seen:
-        u, v = centres[n]
+        u, v = _centre(camera, poses[n], offsets[n], heights[n])
         scale, finest = _scale(plane_x, plane_y, u, v, 1.0 + further[n, 0])
-        level = np.argmin(np.abs(sigmas - BLUR_PX * scale))
-        look, sigma, texel = textures[looks[n], level], sigmas[level], TEXEL * sigmas[0]
+        sigma = min(max(BLUR_PX * scale, blurs[0]), blurs[1])
         moved = math.hypot(velocities[n, 0], velocities[n, 1]) + abs(velocities[n, 2]) * side
         count = min(max(1, math.ceil(moved * exposure / (finest * _MOTION_PX))), _MOST_INSTANTS)
         aside = math.sqrt(2.0) * paper
@@ -46,22 +70,29 @@ def draw(  # type: ignore[no-untyped-def]
             aside = max(aside, body_radius + off + foot * (further[n, 1] - further[n, 0]))
         reach = _MARGIN * (aside + 0.5 * _RAMP * sigma + moved * exposure) / finest + 1.0
         _place(poses[n], velocities[n], offsets[n], 0.0, exposure, instants[:count])
-        for i in range(max(0, int(v - reach)), min(image.shape[0], int(v + reach) + 2)):
-            half = math.sqrt(max(reach * reach - (i - v) ** 2, 0.0))
-            left, right = max(0, int(u - half)), min(image.shape[1], int(u + half) + 2)
-            if right <= left:
-                continue
-            if line_time > 0.0:
-                _place(poses[n], velocities[n], offsets[n], (i - v) * line_time, exposure, instants[:count])
-            hidden, shown = cover[: right - left], light[: right - left]
-            hidden[:], shown[:] = 0.0, 0.0
-            for k in range(count):
-                _look(
-                    plane_x[i, left:right], plane_y[i, left:right], eye, further[n], instants[k], look,
-                    np.float32(1.0 / texel), np.float32(1.0 / (_RAMP * sigma)), np.float32(paper),
-                    np.float32(body_radius), at[:, : right - left], hidden, shown,
-                )  # fmt: skip
-            _blend(image[i, left:right], noise[i, left:right], offset, gain[i, left:right], hidden, shown, count)
+        box = boxes[n]
+        box[0], box[1] = max(0, int(u - reach)), max(0, int(v - reach))
+        box[2], box[3] = min(image.shape[1], int(u + reach) + 2), min(image.shape[0], int(v + reach) + 2)
+        _robot(
+            image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, eye, further[n], instants[:count],
+            poses[n], velocities[n], offsets[n], exposure, line_time, black[n], side, sigma, paper, body_radius,
+        )  # fmt: skip
+
+
+@infinite_kernel
+def centres(camera, poses, offsets, heights):  # type: ignore[no-untyped-def]
+    """Return the pixels (N, 2) of the centres of tags that sit off their robots' by ``offsets``: forward, left [m]."""
+    pixels = np.empty((len(poses), 2))
+    for n in range(len(poses)):
+        pixels[n, 0], pixels[n, 1] = _centre(camera, poses[n], offsets[n], heights[n])
+    return pixels
+
+
+@infinite_kernel
+def _centre(camera, pose, offset, height):  # type: ignore[no-untyped-def]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x, y = pose[0] + c * offset[0] - s * offset[1], pose[1] + s * offset[0] + c * offset[1]
+    return project(camera, x, y, height)
 
 
 @image_kernel
@@ -93,49 +124,85 @@ def _scale(plane_x, plane_y, u, v, further):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _look(  # type: ignore[no-untyped-def]
-    x, y, eye, further, instant, look, per_texel, ramp, paper, body_radius, at, cover, light
-):
-    """Add to ``cover`` (n,) how much of the floor a robot hides in a row, and its grey times that to ``light`` (n,).
-
-    x, y (n,): where the rays meet the map's plane [m]. ``at`` (3, n): how much is tag, and where on the texture.
-    """
-    one, zero = np.float32(1.0), np.float32(0.0)
-    to_tag, to_body = np.float32(further[0]), np.float32(further[1])
-    eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
-    middle = np.float32(0.5 * (look.shape[0] - 1))
-    tag, row, column = at[0], at[1], at[2]
-    for j in range(len(x)):
-        d_x = x[j] + (x[j] - eye_x) * to_tag - instant[0]
-        d_y = y[j] + (y[j] - eye_y) * to_tag - instant[1]
-        a, b = instant[2] * d_x + instant[3] * d_y, instant[2] * d_y - instant[3] * d_x
-        tag[j] = _step((paper - abs(a)) * ramp) * _step((paper - abs(b)) * ramp)
-        row[j], column[j] = middle - b * per_texel, middle + a * per_texel
-    for j in range(len(x)):
-        if tag[j] > zero:
-            light[j] += tag[j] * _bilinear(look, row[j], column[j])
-    if body_radius == zero:
-        for j in range(len(x)):
-            cover[j] += tag[j]
-        return
-    for j in range(len(x)):
-        d_x = x[j] + (x[j] - eye_x) * to_body - instant[4]
-        d_y = y[j] + (y[j] - eye_y) * to_body - instant[5]
-        body = (one - tag[j]) * _step((body_radius - np.sqrt(d_x * d_x + d_y * d_y)) * ramp)
-        light[j] += body * np.float32(_BODY)
-        cover[j] += tag[j] + body
+def _robot(  # type: ignore[no-untyped-def]
+    image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, eye, further, instants, pose, velocity, tag_offset,
+    exposure, line_time, black, side, sigma, paper, body_radius,
+):  # fmt: skip
+    """Blend a robot, the mean of its ``instants``, into the disc in ``box`` that it can reach."""
+    room = np.empty(5 * _CHUNK, np.float32)
+    for i in range(box[1], box[3]):
+        if line_time > 0.0:
+            _place(pose, velocity, tag_offset, (i - v) * line_time, exposure, instants)
+        width = math.sqrt(max(reach * reach - (i - v) ** 2, 0.0))
+        first, end = max(0, int(u - width)), min(image.shape[1], int(u + width) + 2)
+        for left in range(first, end, _CHUNK):
+            right = min(left + _CHUNK, end)
+            room[_COVER:] = 0.0
+            for k in range(len(instants)):
+                _shape(
+                    plane_x[i, left:right], plane_y[i, left:right], eye, further, instants[k], paper, body_radius,
+                    _RAMP * sigma, CELLS / side, room,
+                )  # fmt: skip
+                _print(black, side / (CELLS * sigma), right - left, room)
+            _blend(
+                image[i, left:right], noise[i, left:right], offset, gain[i, left:right], 1.0 / len(instants), room
+            )  # fmt: skip
 
 
 @image_kernel
-def _blend(image, noise, offset, gain, cover, light, count):  # type: ignore[no-untyped-def]
-    """Put a robot's row, of ``count`` instants, over background and noise."""
-    share, low, high = np.float32(1.0 / count), np.float32(0.0), np.float32(255.0)
+def _shape(  # type: ignore[no-untyped-def]
+    plane_x, plane_y, eye, further, instant, paper, body_radius, ramp, per_m, room
+):
+    """Fill how much of each pixel of a row is tag, and where on its print that is [cells, with the rim]; add tag and
+    body to the cover, and the body's grey to the light. The compiler does eight pixels at once."""
+    one, middle = np.float32(1.0), np.float32(0.5 * CELLS + _RIM)
+    to_tag, to_body = np.float32(further[0]), np.float32(further[1])
+    eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
+    tag_x, tag_y, c, s, body_x, body_y = instant[0], instant[1], instant[2], instant[3], instant[4], instant[5]
+    edge, radius, per_ramp = np.float32(paper), np.float32(body_radius), np.float32(1.0 / ramp)
+    per_cell, there = np.float32(per_m), one if body_radius > 0.0 else np.float32(0.0)
+    for j in range(len(plane_x)):
+        x, y = plane_x[j], plane_y[j]
+        from_x, from_y = x - eye_x, y - eye_y
+        d_x, d_y = x + from_x * to_tag - tag_x, y + from_y * to_tag - tag_y
+        a, b = c * d_x + s * d_y, c * d_y - s * d_x
+        tag = _step((edge - abs(a)) * per_ramp) * _step((edge - abs(b)) * per_ramp)
+        d_x, d_y = x + from_x * to_body - body_x, y + from_y * to_body - body_y
+        body = there * (one - tag) * _step((radius - np.sqrt(d_x * d_x + d_y * d_y)) * per_ramp)
+        room[j] = tag
+        room[_COLUMN + j], room[_ROW + j] = middle + a * per_cell, middle - b * per_cell
+        room[_COVER + j] += tag + body
+        room[_LIGHT + j] += body * np.float32(_BODY)
+
+
+@image_kernel
+def _print(black, per_blur, count, room):  # type: ignore[no-untyped-def]
+    """Add the print's grey to the light. What lies beyond the next cell is taken for that one's."""
+    one, zero, most = np.float32(1.0), np.float32(0.0), np.float32(len(black) - 1.001)
+    white, contrast, steep = np.float32(WHITE), np.float32(WHITE - BLACK), np.float32(per_blur)
+    for j in range(count):
+        if room[j] > zero:
+            column, row = min(max(room[_COLUMN + j], one), most), min(max(room[_ROW + j], one), most)
+            m, n = int(row), int(column)
+            left, right = _beyond(column - np.float32(n), steep)
+            above, below = _beyond(row - np.float32(m), steep)
+            here, level = one - left - right, one - above - below
+            dark = above * (left * black[m - 1, n - 1] + here * black[m - 1, n] + right * black[m - 1, n + 1])
+            dark += level * (left * black[m, n - 1] + here * black[m, n] + right * black[m, n + 1])
+            dark += below * (left * black[m + 1, n - 1] + here * black[m + 1, n] + right * black[m + 1, n + 1])
+            room[_LIGHT + j] += room[j] * (white - contrast * dark)
+
+
+@image_kernel
+def _blend(image, noise, offset, gain, share, room):  # type: ignore[no-untyped-def]
+    """Put a robot's row over floor and noise."""
+    part, low, high = np.float32(share), np.float32(0.0), np.float32(255.0)
     shift, rounding = np.float32(offset), np.float32(0.5)
     for j in range(len(image)):
-        hidden = cover[j] * share
-        gray = np.float32(image[j]) * (np.float32(1.0) - hidden) + light[j] * share * gain[j]
+        hidden = room[_COVER + j] * part
+        gray = np.float32(image[j]) * (np.float32(1.0) - hidden) + room[_LIGHT + j] * part * gain[j]
         gray += (np.float32(noise[j]) - shift) * hidden
-        image[j] = np.uint8(min(max(gray, low), high) + rounding) if hidden > low else image[j]
+        image[j] = np.uint8(np.int32(min(max(gray, low), high) + rounding))
 
 
 @image_kernel
@@ -146,15 +213,18 @@ def _step(d):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _bilinear(texture, row, column):  # type: ignore[no-untyped-def]
-    """Return the texture between its four texels; its rim goes on for ever."""
-    last = np.float32(texture.shape[0] - 1.001)
-    row, column = min(max(row, np.float32(0.0)), last), min(max(column, np.float32(0.0)), last)
-    i, j = int(row), int(column)
-    p, q = row - np.float32(i), column - np.float32(j)
-    upper = texture[i, j] + q * (texture[i, j + 1] - texture[i, j])
-    lower = texture[i + 1, j] + q * (texture[i + 1, j + 1] - texture[i + 1, j])
-    return upper + p * (lower - upper)
+def _beyond(at, per_blur):  # type: ignore[no-untyped-def]
+    """Return how much of a point ``at`` in a cell [cells], blurred, lies before the cell and behind it."""
+    fine, last, one = np.float32(_FINE), np.float32(len(_NORMAL) - 2), np.float32(1.0)
+    before, behind = min(at * per_blur * fine, last), min((one - at) * per_blur * fine, last)
+    i, j = int(before), int(behind)
+    p, q = before - np.float32(i), behind - np.float32(j)
+    return _NORMAL[i] + p * (_NORMAL[i + 1] - _NORMAL[i]), _NORMAL[j] + q * (_NORMAL[j + 1] - _NORMAL[j])
 
 
-KERNELS = (draw,)  # that are called from Python
+def cells(tag: int) -> Array32:
+    """Return a tag (12, 12) for ``draw``."""
+    return np.pad(1.0 - pattern(tag), _RIM).astype(np.float32)
+
+
+KERNELS = (renew, draw, centres)  # that are called from Python

@@ -6,14 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import CELLS, pattern
+from robofleet.tracking.photometric import CELLS
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory
-TEXEL = 0.4  # of a print's texture [standard deviations of the finest blur]
 _PIXEL_M = 0.002  # side of a pixel of the drawn floor
 WIDEST = 2.0  # that the floor is drawn out to [camera's heights]; its rim goes on for ever
 _AROUND_M = 0.3  # drawn beyond what is in view: a camera may be knocked
@@ -51,23 +50,6 @@ class Floor:
         at = ((points - self._low) / _PIXEL_M).astype(np.float32)
         grays = cv2.remap(self._grays, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(grays, np.float64)
-
-
-def textures(tag: int, side: float, sigmas: Array) -> Array32:
-    """Return the pattern (levels, S, S) on endless white paper, blurred by ``sigmas`` (levels,) [m].
-
-    The blur is exact (products of error functions), so that edges lie where they should.
-    """
-    texel = TEXEL * sigmas[0]
-    half = math.ceil((side / 2 + 4 * sigmas[-1]) / texel)
-    at = np.arange(-half, half + 1) * texel
-    edges = (np.arange(CELLS + 1) / CELLS - 0.5) * side
-    levels = []
-    for sigma in sigmas:
-        steps = np.vectorize(math.erf)((at[:, None] - edges) / (sigma * math.sqrt(2.0))) / 2.0
-        cells = steps[:, :-1] - steps[:, 1:]
-        levels.append(WHITE - (WHITE - BLACK) * cells @ (1.0 - pattern(tag)) @ cells.T)
-    return np.array(levels, dtype=np.float32)
 
 
 def _paste(floor: Image, cells: Image, side: float, rng: np.random.Generator) -> None:

@@ -12,7 +12,7 @@ from robofleet.comms.keys import TRUTH, key
 from robofleet.comms.messages import UNIT_TRUTH, TagPose
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.simulation.arena import TruthHistory
+from robofleet.simulation.arena import NOBODY, TruthHistory
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.simulation.trigger import Ticks, Trigger
@@ -20,7 +20,6 @@ from robofleet.tracking.sources import CameraContext, Frame, Observation
 
 Array = NDArray[np.float64]
 
-_NOWHERE = (math.nan, math.nan, math.nan)
 _HISTORY = 32  # true samples a robot, 10 ms apart
 _POLL_NS = S // 1000
 _BEYOND = 1e9  # any arena [m], any heading [rad]: a pose that is not a number is sent as one that is further away
@@ -32,33 +31,36 @@ class World:
     def __init__(self, config: Config, robots: Sequence[Robot], bus: Bus) -> None:
         self.tags = [robot.tag for robot in robots]
         rows = {robot.id: row for row, robot in enumerate(robots)}
-        self._streams: list[tuple[Stream, list[int | None]]] = [
-            (bus.stream(key(config.arena.name, TRUTH, unit), capacity=_HISTORY), [rows.get(robot) for robot in members])
+        self._streams: list[tuple[Stream, NDArray[np.intp]]] = [
+            (
+                bus.stream(key(config.arena.name, TRUTH, unit), capacity=_HISTORY),
+                np.array([rows.get(robot, NOBODY) for robot in members], np.intp),
+            )
             for unit, members in config.units.items()
             if not rows.keys().isdisjoint(members)
         ]
-        self._histories = [TruthHistory(_HISTORY) for _ in robots]
+        self._history = TruthHistory(len(robots), _HISTORY)
 
     def update(self) -> None:
         """Take what the drivers said since the last call."""
         for stream, rows in self._streams:
             for _, _, payload in stream.drain():
-                said = UNIT_TRUTH.decode(payload)
-                for place, x, y, psi, v, omega in () if said is None else said.robots:
-                    row = rows[place] if place < len(rows) else None
-                    if said and row is not None and abs(x) < _BEYOND and abs(y) < _BEYOND and abs(psi) < _BEYOND:
-                        self._histories[row].add(said.stamp_ns, x, y, psi, v, omega)
+                if (said := UNIT_TRUTH.arrays(payload)) is not None:
+                    self._history.take(rows, int(said[0]["stamp_ns"][0]), said[1])
 
-    def poses_at(self, instants_ns: Sequence[int]) -> list[tuple[float, float, float] | None]:
-        """Return x, y [m], psi [rad] of each robot at its own instant; None for one that has not spoken yet."""
-        return [history.pose_at(ns) for history, ns in zip(self._histories, instants_ns, strict=True)]
+    def moving(self, instants_ns: NDArray[np.int64], half_ns: int) -> tuple[Array, Array]:
+        """Return poses (N, 3) and velocities (N, 3) at instants (N,); NaN of a robot that has not spoken yet."""
+        return self._history.moving(instants_ns, half_ns)
 
-    def told_at(self, instant_ns: int) -> list[tuple[float, float, float] | None]:
-        """Return the same at one instant; None also for one whose driver has told nothing that can be used for long.
+    def told_at(self, instant_ns: int) -> Array:
+        """Return poses (N, 3) at one instant; NaN also of a robot whose driver has told nothing that can be used for
+        long.
 
         An image shows a robot wherever it stands; where there is none, only its own word tells where it is.
         """
-        return [history.pose_at(instant_ns) if history.told_at(instant_ns) else None for history in self._histories]
+        poses = self._history.poses_at(np.full(len(self.tags), instant_ns))
+        poses[~self._history.told_at(instant_ns)] = np.nan
+        return poses
 
 
 class SimulatedCamera:
@@ -118,29 +120,18 @@ class SimulatedCamera:
         if geometry is not None:
             self._renderer.moved(geometry)
         self._renderer.looks = self._play.looks(t)
-        after_ns = np.zeros(len(self._world.tags), np.int64)
+        instants_ns = np.full(len(self._world.tags), exposure_ns)
+        poses, velocities = self._world.moving(instants_ns, self._half_ns)
         if self._line_ns:
-            poses, _ = self._moving(exposure_ns, after_ns)
             rows = np.nan_to_num(self._renderer.rows(poses), nan=self._middle)
-            after_ns = np.rint((rows - self._middle) * self._line_ns).astype(np.int64)
-        poses, velocities = self._moving(exposure_ns, after_ns)
+            instants_ns += np.rint((rows - self._middle) * self._line_ns).astype(np.int64)
+            poses, velocities = self._world.moving(instants_ns, self._half_ns)
         image = self._renderer.render(poses, velocities)
+        if self._effects:
+            image = image.copy()
         for effect in self._effects:
             effect(image, t)
         return image
-
-    def _moving(self, exposure_ns: int, after_ns: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return where the robots are (N, 3), and their velocities (N, 3); NaN for one that has not spoken."""
-        early, late = (
-            np.array([pose or _NOWHERE for pose in self._world.poses_at((exposure_ns + after_ns + half).tolist())])
-            for half in (-self._half_ns, self._half_ns)
-        )
-        moved = late - early
-        moved[:, 2] = np.remainder(moved[:, 2] + math.pi, 2.0 * math.pi) - math.pi
-        middle, velocities = early + moved / 2.0, moved * (0.5 * S / self._half_ns)
-        # The middle of an arc lies beside that of its chord.
-        middle[:, :2] += moved[:, 2:] * moved[:, 1::-1] * (0.125, -0.125)
-        return middle, velocities
 
 
 class VirtualPoses:
@@ -153,15 +144,17 @@ class VirtualPoses:
 
     def at(self, exposure_ns: int) -> tuple[TagPose, ...]:
         """Return what an image of that instant would have told; nothing of a robot that does not say where it is."""
-        self._world.update()
         n = len(self._world.tags)
+        if not n:
+            return ()
+        self._world.update()
         noise = (self._sigma * self._rng.standard_normal((n, 3))).tolist()
         dropped = (self._rng.random(n) < self._dropout).tolist()
-        true = self._world.told_at(exposure_ns)
+        true = self._world.told_at(exposure_ns).tolist()
         return tuple(
             TagPose(tag, 0, 0, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2])
             for tag, pose, error, drop in zip(self._world.tags, true, noise, dropped, strict=True)
-            if pose is not None and not drop
+            if not (drop or math.isnan(pose[0]))
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robofleet.config.calibrated import CameraModel
+from robofleet.tracking.projection import flat
 
 Array = NDArray[np.float64]
 Lens = Literal["pinhole", "fisheye"]
@@ -31,6 +32,7 @@ class CameraGeometry:
         self._to_world = np.ascontiguousarray(self.T_world_camera[:3, :3])
         self._rotation = cv2.Rodrigues(self._to_world.T)[0]
         self._translation = -self._to_world.T @ self.position
+        self.flat = flat(lens, self.K, self.distortion, self._to_world.T, self._translation)  # for kernels
 
     @classmethod
     def from_model(cls, model: CameraModel) -> Self:

@@ -1,6 +1,7 @@
 """The fleet filter's algebra for one robot, an extended Kalman filter: certainty lost by moving, won by measuring.
 
-State: x, y [m], psi [rad], efficiency of the left and of the right wheel. P: its covariance (5, 5).
+State: x, y [m], psi [rad], efficiency of the left and of the right wheel. P: its covariance (5, 5). ``room`` is
+overwritten: to allocate it for each robot would take longer than to compute.
 """
 
 import math
@@ -37,57 +38,46 @@ def start_anew(x: Array, p: Array, measured: Array, variance: Array, wander: Arr
 
 @kernel
 def predict_covariance(
-    x: Array, p: Array, moved: Array, travel: Array, base: float, duration: float, drift: Array, wander: Array
-) -> None:
+    x: Array, p: Array, moved: Array, travel: Array, base: float, duration: float, drift: Array, wander: Array,
+    room: Array,
+) -> None:  # fmt: skip
     """P <- F P F' + Q, F the derivative of the motion: a wrong heading turns the way that was covered, a wrong
-    efficiency lengthens one wheel's part of it. Efficiencies forget towards 1.
+    efficiency lengthens one wheel's part of it. Efficiencies forget towards 1. ``room``: (8, 5).
     """
     heading = x[2] - moved[2] / 2.0
     kept = np.exp(-duration / wander[1])
-    f = np.zeros((5, 5))
-    for k in range(5):
-        f[k, k] = 1.0
-    f[0, 2], f[1, 2] = -moved[1], moved[0]
+    c, s = np.cos(heading), np.sin(heading)
+    f, product = room[:3], room[3:]  # f: what heading and efficiencies do to x, y and psi
+    f[0, 0], f[1, 0], f[2, 0] = -moved[1], moved[0], 0.0
     for side in range(2):
-        k = 3 + side
-        f[0, k], f[1, k] = travel[side] / 2.0 * np.cos(heading), travel[side] / 2.0 * np.sin(heading)
+        k = 1 + side
+        f[0, k], f[1, k] = travel[side] / 2.0 * c, travel[side] / 2.0 * s
         f[2, k] = travel[side] / base * (1.0 if side == 1 else -1.0)
-        f[k, k] = kept
-        x[k] = 1.0 + (x[k] - 1.0) * kept
-    _congruence(f, p)
-    for k in range(3):
-        p[k, k] += drift[k] * duration
-    for k in range(3, 5):
-        p[k, k] += wander[0] * (1.0 - kept * kept)
+        x[3 + side] = 1.0 + (x[3 + side] - 1.0) * kept
+    for i in range(3):
+        for j in range(5):
+            product[i, j] = p[i, j] + f[i, 0] * p[2, j] + f[i, 1] * p[3, j] + f[i, 2] * p[4, j]
+    for i in range(3, 5):
+        for j in range(5):
+            product[i, j] = kept * p[i, j]
+    for i in range(3):
+        for j in range(5):
+            p[i, j] = product[j, i] + f[i, 0] * product[j, 2] + f[i, 1] * product[j, 3] + f[i, 2] * product[j, 4]
+        p[i, i] += drift[i] * duration
+    for i in range(3, 5):
+        for j in range(5):
+            p[i, j] = kept * product[j, i]
+        p[i, i] += wander[0] * (1.0 - kept * kept)
 
 
 @kernel
-def _congruence(f: Array, p: Array) -> None:
-    """P <- F P F' for small square matrices: numba's own product needs scipy."""
-    n = len(f)
-    product = np.zeros((n, n))
-    for i in range(n):
-        for k in range(n):
-            if f[i, k] != 0.0:
-                for j in range(n):
-                    product[i, j] += f[i, k] * p[k, j]
-    for i in range(n):
-        for j in range(n):
-            p[i, j] = 0.0
-        for k in range(n):
-            if f[i, k] != 0.0:
-                for j in range(n):
-                    p[i, j] += f[i, k] * product[j, k]
-
-
-@kernel
-def held_up(p: Array, moved: Array) -> Array:
-    """The covariance of a robot that may have done all, none or twice of the motion since it was seen last.
+def held_up(p: Array, moved: Array, wide: Array) -> Array:
+    """Return ``wide`` (5, 5): the covariance of a robot that may have done all, none or twice of the motion since it
+    was seen last.
 
     Blocked motors and spinning wheels are no outliers: without this a robot that is held up would be refused for
     several images, and believed to drive on.
     """
-    wide = np.empty(p.shape)
     for i in range(len(p)):
         copy(wide[i], p[i])
     for i in range(3):
@@ -97,14 +87,15 @@ def held_up(p: Array, moved: Array) -> Array:
 
 
 @kernel
-def correct(x: Array, p: Array, prior: Array, innovation: Array, variance: Array, gate: float) -> bool:
+def correct(x: Array, p: Array, prior: Array, innovation: Array, variance: Array, gate: float, room: Array) -> bool:
     """Correct state and covariance ``p``, with ``prior`` in its place, unless the innovation is beyond the gate.
 
-    The three coordinates are independent measurements: they correct one after the other.
+    The three coordinates are independent measurements: they correct one after the other. ``room``: (7, 5).
     """
     n = len(x)
-    change, gain, trial = np.zeros(n), np.empty(n), np.empty(p.shape)
+    change, gain, trial = room[0], room[1], room[2:]
     for i in range(n):
+        change[i] = 0.0
         copy(trial[i], prior[i])
     distance = 0.0
     for k in range(3):

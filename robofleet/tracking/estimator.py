@@ -62,8 +62,10 @@ class FleetFilter:
         self._covariance = np.zeros((n, 5, 5))
         self._wheels = np.zeros((n, 2))  # as modelled, at the state's instant [rad/s]
         self._instants_ns = np.zeros(n, dtype=np.int64)  # of each robot's state; 0: never seen
-        self._ticks_ns = np.zeros(_HISTORY, dtype=np.int64)
-        self._commands = np.zeros((_HISTORY, n, 2))
+        self._twice_ticks_ns = np.zeros(2 * _HISTORY, dtype=np.int64)  # each is written twice, _HISTORY apart:
+        self._twice_commands = np.zeros((2 * _HISTORY, n, 2))  # so the newest ones always lie side by side
+        self._told = 0  # commands so far
+        self._ticks_ns, self._commands = self._twice_ticks_ns[:_HISTORY], self._twice_commands[:_HISTORY]
         self._moved = np.zeros((n, 3))  # as modelled, since the newest measurement used
         self._outliers = np.zeros(n, dtype=np.int64)
         self._outlier_pose = np.full((n, 3), np.nan)
@@ -71,10 +73,13 @@ class FleetFilter:
 
     def command(self, tick_ns: int, wheels: Array) -> None:
         """Remember a tick's commands (N, 2) [rad/s]; each acts when its robot's delay has passed."""
-        self._ticks_ns[:-1] = self._ticks_ns[1:]
-        self._commands[:-1] = self._commands[1:]
-        self._ticks_ns[-1] = tick_ns
-        self._commands[-1] = wheels
+        first = self._told % _HISTORY
+        for place in (first, first + _HISTORY):
+            self._twice_ticks_ns[place] = tick_ns
+            self._twice_commands[place] = wheels
+        self._told += 1
+        newest = slice(first + 1, first + 1 + _HISTORY)
+        self._ticks_ns, self._commands = self._twice_ticks_ns[newest], self._twice_commands[newest]
 
     def observe(self, instants_ns: Instants, poses: Array) -> NDArray[np.int64]:
         """Use an image: ``poses`` (N, 3), NaN where a robot was not seen, each at its own mid-exposure (N,).
@@ -109,7 +114,7 @@ def _observe(
     delays_ns: Instants, commands: Array, motion: Array, drift: Array, wander: Array, variance: Array, gate: float,
     measured: Array, moved: Array, outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
 ) -> None:  # fmt: skip
-    before, travel, step, innovation = np.empty(3), np.empty(2), np.empty(3), np.empty(3)
+    before, travel, step, innovation, room = np.empty(3), np.empty(2), np.empty(3), np.empty(3), np.empty((12, 5))
     for i in range(len(state)):
         seen = not np.isnan(measured[i, 0])
         if exposures_ns[i] <= instants_ns[i] or (instants_ns[i] == 0 and not seen):
@@ -127,7 +132,7 @@ def _observe(
         for k in range(3):
             step[k] = x[k] - before[k]
         step[2] = wrapped(step[2])
-        predict_covariance(x, p, step, travel, motion[i, 1], duration, drift, wander)
+        predict_covariance(x, p, step, travel, motion[i, 1], duration, drift, wander, room[:8])
         for k in range(3):
             moved[i, k] += step[k]
             innovation[k] = measured[i, k] - x[k]
@@ -136,8 +141,8 @@ def _observe(
         innovation[2] = wrapped(innovation[2])
         known = measured_ns[i] > 0
         if known and (
-            correct(x, p, p, innovation, variance, gate)
-            or correct(x, p, held_up(p, moved[i]), innovation, variance, gate)
+            correct(x, p, p, innovation, variance, gate, room[:7])
+            or correct(x, p, held_up(p, moved[i], room[7:]), innovation, variance, gate, room[:7])
         ):
             outliers[i] = 0
             used[i] = USED
@@ -158,4 +163,13 @@ def _observe(
             moved[i, k] = 0.0
 
 
-KERNELS = (_observe, reckoning.predict, reckoning.disturbance)  # that are called from Python
+@kernel
+def ages(measured_ns: Instants, now_ns: int) -> Array:
+    """Return how old each newest measurement is [s]; infinite for one that never was."""
+    found = np.empty(len(measured_ns))
+    for i in range(len(found)):
+        found[i] = (now_ns - measured_ns[i]) / 1e9 if measured_ns[i] > 0 else np.inf
+    return found
+
+
+KERNELS = (ages, _observe, reckoning.predict, reckoning.disturbance)  # that are called from Python

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import image_kernel
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.projection import project
 from robofleet.tracking.targets import Target
 
 Array = NDArray[np.float64]
@@ -65,9 +66,10 @@ class PhotometricFit:
         at = _samples(round(min(max(_SAMPLES_PX * 2.0 * _REACH * max(sizes), _FEWEST), _MOST)))
         self._templates = np.stack([_template(tag.tag, px, at) for tag, px in zip(targets, sizes, strict=True)])
         self._at = at[0].real.astype(np.float32)
-        self._nodes = np.stack([_NODES.real, _NODES.imag], axis=1)
         self._to_coefficients = np.linalg.inv(_monomials(_NODES))
-        self.fit(np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, complex), np.zeros(1))  # compiles, or loads
+        self.fit(
+            np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, np.complex128), np.zeros(1)
+        )  # compiles, or loads
 
     def fit(
         self,
@@ -82,18 +84,15 @@ class PhotometricFit:
 
         velocity (M,) [m/s; world] and omega (M,) [rad/s] are used under a rolling shutter alone.
         """
-        if not len(index):
-            return Fit(centre, psi, np.empty(0), np.empty(0))
-        turn = self._sides[index] * np.exp(1j * psi)
-        nodes = centre[:, None] + turn[:, None] * _NODES
-        pixels = self._project(nodes, index)
-        rows = pixels[:, len(_NODES) // 2, 1]
-        if self._line_time and velocity is not None and omega is not None:
-            flow = velocity[:, None] + 1j * omega[:, None] * (nodes - centre[:, None])
-            pixels = self._project(nodes + flow * (pixels[..., 1] - rows[:, None]) * self._line_time, index)
-        result = np.empty((len(index), 4))
-        _fit(image, pixels, self._nodes, self._to_coefficients, self._at, self._templates, index, result)
-        return Fit(centre + turn * (result[:, 0] + 1j * result[:, 1]), psi + result[:, 2], result[:, 3], rows)
+        m = len(index)
+        if velocity is None or omega is None:
+            velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
+        fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m))
+        _fit(
+            image, self.geometry.flat, self._line_time, self._sides, self.heights, self._to_coefficients, self._at,
+            self._templates, index, centre, psi, velocity, omega, *fit,
+        )  # fmt: skip
+        return fit
 
     def pixels(self, index: Indices, centre: Complex) -> Array:
         """Return where points (M,) on the targets' planes appear (M, 2) [px]."""
@@ -149,32 +148,52 @@ def _template(tag: int, side_px: float, at: Complex) -> NDArray[np.float32]:
 
 
 @image_kernel
-def _fit(image, pixels, nodes, to_coefficients, at, templates, index, result):  # type: ignore[no-untyped-def]
-    """Write forward, left [sides], turn [rad] from the guess, and the correlation, of each tag into ``result``.
-
-    pixels (M, 9, 2): of the nodes (9, 2) around the guess. A tag that is not whole in the image is not alike at all.
-    """
-    patch = np.empty(len(at) * len(at), np.float32)
+def _fit(  # type: ignore[no-untyped-def]
+    image, camera, line_time, sides, heights, to_coefficients, at, templates, index, centre, psi, velocity, omega,
+    fit_centre, fit_psi, fit_alike, fit_row,
+):  # fmt: skip
+    """Fill a ``Fit``. A tag that is not whole in the image is not alike at all."""
+    patch, pixels = np.empty(len(at) * len(at), np.float32), np.empty((len(_NODES), 2))
     for m in range(len(index)):
-        guessed = _product(to_coefficients, pixels[m])
-        x = y = turn = alike = 0.0
-        for _ in range(_STEPS):
-            local = _product(to_coefficients, _map(guessed, nodes, x, y, turn))
-            if not _sample(image, local, at, patch):
-                alike = 0.0
-                break
-            alike, forward, left, spin = _compare(patch, templates[index[m]])
-            length = math.hypot(forward, left)
-            if length > _LONGEST_STEP:
-                shorter = _LONGEST_STEP / length
-                forward, left, spin = shorter * forward, shorter * left, shorter * spin
-            c, s = math.cos(turn), math.sin(turn)
-            x, y, turn = x + c * forward - s * left, y + s * forward + c * left, turn + spin
-            if length < _CONVERGED and abs(spin) < _CONVERGED:
-                break
-        if math.hypot(x, y) > _FURTHEST or abs(turn) > _FURTHEST:
-            alike = 0.0
-        result[m, 0], result[m, 1], result[m, 2], result[m, 3] = x, y, turn, alike
+        side, height = sides[index[m]], heights[index[m]]
+        turned = side * complex(math.cos(psi[m]), math.sin(psi[m]))
+        _, fit_row[m] = project(camera, centre[m].real, centre[m].imag, height)
+        for n in range(len(_NODES)):
+            arm = turned * _NODES[n]
+            point = centre[m] + arm
+            u, v = project(camera, point.real, point.imag, height)
+            if line_time > 0.0:
+                point += (velocity[m] + 1j * omega[m] * arm) * ((v - fit_row[m]) * line_time)
+                u, v = project(camera, point.real, point.imag, height)
+            pixels[n, 0], pixels[n, 1] = u, v
+        guessed = _product(to_coefficients, pixels)
+        x, y, turn, alike = _settle(image, guessed, to_coefficients, at, templates[index[m]], patch)
+        fit_centre[m], fit_psi[m], fit_alike[m] = centre[m] + turned * complex(x, y), psi[m] + turn, alike
+
+
+@image_kernel
+def _settle(image, guessed, to_coefficients, at, template, patch):  # type: ignore[no-untyped-def]
+    """Return forward, left [sides] and turn [rad] from the guess, and the correlation.
+
+    guessed (9, 2): the map from the tag's frame to pixels, around the guess.
+    """
+    x = y = turn = alike = 0.0
+    for _ in range(_STEPS):
+        local = _product(to_coefficients, _map(guessed, x, y, turn))
+        if not _sample(image, local, at, patch):
+            return x, y, turn, 0.0
+        alike, forward, left, spin = _compare(patch, template)
+        length = math.hypot(forward, left)
+        if length > _LONGEST_STEP:
+            shorter = _LONGEST_STEP / length
+            forward, left, spin = shorter * forward, shorter * left, shorter * spin
+        c, s = math.cos(turn), math.sin(turn)
+        x, y, turn = x + c * forward - s * left, y + s * forward + c * left, turn + spin
+        if length < _CONVERGED and abs(spin) < _CONVERGED:
+            break
+    if math.hypot(x, y) > _FURTHEST or abs(turn) > _FURTHEST:
+        alike = 0.0
+    return x, y, turn, alike
 
 
 @image_kernel
@@ -189,12 +208,13 @@ def _product(matrix, pixels):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _map(coefficients, nodes, x, y, turn):  # type: ignore[no-untyped-def]
+def _map(coefficients, x, y, turn):  # type: ignore[no-untyped-def]
     """Return where the nodes (9, 2) of a tag appear that is off by x, y [sides] and turn [rad]."""
     c, s = math.cos(turn), math.sin(turn)
     pixels = np.empty((9, 2))
     for n in range(9):
-        a, b = x + c * nodes[n, 0] - s * nodes[n, 1], y + s * nodes[n, 0] + c * nodes[n, 1]
+        node = _NODES[n]
+        a, b = x + c * node.real - s * node.imag, y + s * node.real + c * node.imag
         for axis in range(2):
             k = coefficients[:, axis]
             pixels[n, axis] = (

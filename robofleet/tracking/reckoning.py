@@ -40,8 +40,9 @@ def advance(
         if newest + 1 < len(ticks_ns):
             until = min(until, max(ticks_ns[newest + 1] + delay_ns, now))
         duration = (until - now) * 1e-9
-        left, wheels[0] = _lagged(wheels[0], commands[newest, 0] if newest >= 0 else 0.0, lag, duration)
-        right, wheels[1] = _lagged(wheels[1], commands[newest, 1] if newest >= 0 else 0.0, lag, duration)
+        decay = np.exp(-duration / lag) if lag > 0.0 else 0.0
+        left, wheels[0] = _lagged(wheels[0], commands[newest, 0] if newest >= 0 else 0.0, lag, duration, decay)
+        right, wheels[1] = _lagged(wheels[1], commands[newest, 1] if newest >= 0 else 0.0, lag, duration, decay)
         travel[0] += radius * left * duration
         travel[1] += radius * right * duration
         v, omega = _body_from_wheels(x[3] * left, x[4] * right, radius, base)
@@ -89,10 +90,9 @@ def disturbance(state: Array, commands: Array, motion: Array, poses: Array, poin
 
 
 @kernel
-def _lagged(speed: float, command: float, lag: float, duration: float) -> tuple[float, float]:
-    """Return the mean speed over ``duration`` and the speed at its end, for a first-order lag."""
+def _lagged(speed: float, command: float, lag: float, duration: float, decay: float) -> tuple[float, float]:
+    """Return the mean speed over ``duration`` and the speed at its end, for a first-order lag; decay: over it."""
     if lag == 0.0 or duration == 0.0:
         return command, command if duration > 0.0 else speed
-    decay = np.exp(-duration / lag)
     ahead = speed - command
     return command + ahead * (1.0 - decay) * lag / duration, command + ahead * decay

@@ -238,7 +238,8 @@ class CameraPoller:
         if self._ended:
             return None
         camera = self._camera.camera
-        return camera.ready_ns() if isinstance(camera, ScheduledCamera) else self._again_ns
+        ready_ns = getattr(camera, "ready_ns", None)  # faster than to ask whether it is a ScheduledCamera
+        return self._again_ns if ready_ns is None else ready_ns()
 
     def take(self, now_ns: int) -> Frame | Lost | None:
         """Return the image that is there, or why there is none."""

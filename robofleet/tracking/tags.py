@@ -24,6 +24,8 @@ _SIZE = (0.8, 1.25)  # of a square on the plane, over the true one
 _SKEW = 0.1  # its corners' largest distance from a true square's [sides]
 _DARK = 110  # an image whose brightest parts are darker than this is brightened first [grey]
 _BRIGHT = 200.0  # so far [grey]
+_CHANGED = 0.04  # of its brightest part, by which one part of a tile must change: a tag's contrast is 0.8
+_SEARCHES, _ANYWAY = 3, 16  # visits in which a tile that changed is searched; of all visits, one in which any is
 
 # As detectMarkers orders them: the print's top left, top right, bottom right, bottom left.
 _CORNERS = np.array([-0.5 + 0.5j, 0.5 + 0.5j, 0.5 - 0.5j, -0.5 - 0.5j])
@@ -53,6 +55,13 @@ class Findings(NamedTuple):
     refused: int  # squares that read as a target and cannot be it: a wrong size, shape or look
 
 
+class Squares(NamedTuple):
+    """What reads as a target."""
+
+    corners: NDArray[np.float64]  # (M, 4, 2) [px]
+    found: NDArray[np.int64]  # (M,) targets
+
+
 class TagDetector:
     """Finds targets; other ids of the family are not in its dictionary."""
 
@@ -72,11 +81,14 @@ class TagDetector:
 
         known (N,): of all targets, NaN where it is not known [m].
         """
-        left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
-        corners, found = self._squares(image[top:bottom, left:right])
+        return self.place(image, self.squares(image, region), known)
+
+    def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
+        """Return what squares of an image are; see ``detect``."""
+        corners, found = squares
         if not len(found):
             return Findings((), 0)
-        centre, psi, plausible = self._place(corners + np.array([left, top]), found)
+        centre, psi, plausible = self._place(corners, found)
         if known is not None:
             new = ~(np.abs(centre - known[found]) < 0.5 * self._sides[found])
             found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
@@ -85,10 +97,14 @@ class TagDetector:
         rows = zip(found[good].tolist(), fit.centre[good].tolist(), fit.psi[good].tolist(), strict=True)
         return Findings(tuple(Found(*row) for row in rows), len(found) - int(good.sum()))
 
-    def _squares(self, image: Image) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return corners (M, 4, 2) [px] and targets (M,) of what reads as a target."""
-        half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        bright = float(cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).max())
+    def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
+        """Return what reads as a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""
+        left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
+        part = image[top:bottom, left:right]
+        corners, found = self._squares(part, float(thumbnail(part).max()) if bright is None else bright)
+        return Squares(corners + np.array([left, top]), found)
+
+    def _squares(self, image: Image, bright: float) -> Squares:
         if bright < _DARK:  # noise is brightened too, so it is smoothed first
             brightened = cv2.convertScaleAbs(cv2.blur(image, (3, 3)), alpha=_BRIGHT / max(bright, 1.0))
             image = np.asarray(brightened, np.uint8)
@@ -100,8 +116,8 @@ class TagDetector:
         self._detector.setDetectorParameters(self._parameters)
         corners, found, _ = self._detector.detectMarkers(image)
         if found is None or len(found) == 0:
-            return np.empty((0, 4, 2)), np.empty(0, np.int64)
-        return np.concatenate(corners, axis=0).astype(np.float64), found[:, 0].astype(np.int64)
+            return Squares(np.empty((0, 4, 2)), np.empty(0, np.int64))
+        return Squares(np.concatenate(corners, axis=0).astype(np.float64), found[:, 0].astype(np.int64))
 
     def _place(
         self, pixels: NDArray[np.float64], index: NDArray[np.int64]
@@ -115,6 +131,53 @@ class TagDetector:
         size = np.abs(turn)
         skew = np.abs(arms - turn[:, None] * _CORNERS).max(1)
         return centre, np.angle(turn), (size > _SIZE[0]) & (size < _SIZE[1]) & (skew < _SKEW)
+
+
+class _Searched(NamedTuple):
+    """A tile."""
+
+    shown: Image  # its thumbnail when it was searched last
+    squares: Squares  # that were found then
+    visits: int  # since it changed
+
+
+class Sweep:
+    """Searches an image tile by tile, another one each time. A tile that shows what it showed is not searched again.
+
+    What it shows is compared by the means of its parts, four pixels wide, with the newest of its searches: a tag that
+    comes or goes, or a light, changes them by more than noise does, and what creeps does in the end. A change is
+    followed by some searches more, and now and then there is one without any: noise may have hidden what is there.
+    """
+
+    def __init__(self, detector: TagDetector, tiles: Sequence[Region]) -> None:
+        self._detector, self._tiles = detector, tuple(tiles)
+        self._searched: list[_Searched | None] = [None] * len(self._tiles)
+
+    def __len__(self) -> int:
+        """Return how many tiles there are."""
+        return len(self._tiles)
+
+    def search(self, image: Image, turn: int, known: Complex) -> Findings:
+        """Return the targets in the tile whose turn it is; not those that stand where they are ``known``."""
+        k = turn % len(self._tiles)
+        left, top, right, bottom = region = self._tiles[k]
+        shown = thumbnail(image[top:bottom, left:right])
+        bright = float(shown.max())
+        before = self._searched[k]
+        same = before is not None and cv2.norm(shown, before.shown, cv2.NORM_INF) <= _CHANGED * bright
+        visits = before.visits + 1 if before is not None and same else 0
+        if before is None or visits < _SEARCHES or visits % _ANYWAY == 0:
+            squares = self._detector.squares(image, region, bright)
+        else:
+            shown, squares = before.shown, before.squares
+        self._searched[k] = _Searched(shown, squares, visits)
+        return self._detector.place(image, squares, known)
+
+
+def thumbnail(image: Image) -> Image:
+    """Return the means of an image's parts, four pixels wide."""
+    half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(half, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def tiles(size: tuple[int, int], count: tuple[int, int], overlap: float) -> list[Region]:

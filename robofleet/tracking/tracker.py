@@ -20,12 +20,16 @@ from numpy.typing import NDArray
 from robofleet.clock import S
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import News, Notice, TrackerEvent
+from robofleet.tracking.motion import measure, predict
 from robofleet.tracking.photometric import Fit, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
-from robofleet.tracking.tags import Found, Region, TagDetector, tiles, wrapped
+from robofleet.tracking.tags import Found, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Indices = NDArray[np.int64]
 
 _ALIKE = 0.8  # least correlation of a tag where it is expected: it may be partly hidden; another id reaches 0.65
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
@@ -68,7 +72,7 @@ class TagTracker:
     ) -> None:
         """Take the image's (width, height) and a rolling shutter's time from row to row [s]."""
         n = len(targets)
-        self._targets, self._size, self._line_time = tuple(targets), image_size, line_time
+        self._targets, self._size = tuple(targets), image_size
         self._fit = PhotometricFit(geometry, targets, line_time)
         self._detector = TagDetector(self._fit, targets)
         self._sides = np.array([target.side for target in targets])
@@ -80,10 +84,13 @@ class TagTracker:
         self._omega = np.zeros(n)  # [rad/s]
         self._row = np.zeros(n)  # of the image, where it was [px]
         self._measured_ns = np.zeros(n, np.int64)
+        self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
+        self._line_ns = np.array([(image_size[1] - 1) / 2.0, line_time * 1e9])  # middle row [px], from row to row
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
-        self._tiles = tiles(image_size, _TILES, 1.5 * max(side_px(geometry, target) for target in targets))
+        overlap = 1.5 * max(side_px(geometry, target) for target in targets)
+        self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
         self._images = 0
         self._news = News()
         self._refused = 0
@@ -104,52 +111,31 @@ class TagTracker:
         hidden = [int(i) for i in followed if i not in measured]
         measured |= self._search(image, exposure_ns, hidden, measured)
         measured |= self._scan(image, exposure_ns, measured)
-        poses = [self._sighting(i, exposure_ns) for i in sorted(measured)]
+        poses = self._sightings(sorted(measured), exposure_ns)
         poses += self._coast(exposure_ns, [i for i in hidden if i not in measured])
         return Sightings(tuple(poses), self._refused, self._news.take())
 
     # Tags that are expected
 
-    def _follow(self, image: Image, exposure_ns: int, index: NDArray[np.int64]) -> set[int]:
+    def _follow(self, image: Image, exposure_ns: int, index: Indices) -> set[int]:
         """Fit the followed tags where they are expected; returns those that are there."""
         if not len(index):
             return set()
-        centre, psi = self._predicted(index, exposure_ns + self._after_ns(self._row[index]))
-        world = self._velocity[index] * np.exp(1j * psi)
-        fit = self._fit.fit(image, index, centre, psi, world, self._omega[index])
+        centre, psi, velocity = self._predicted(index, exposure_ns)
+        fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
         there = np.flatnonzero(fit.alike > _ALIKE)
         self._measure(index[there], fit.of(there), exposure_ns)
         return set(index[there].tolist())
 
-    def _predicted(
-        self, index: NDArray[np.int64], instants_ns: NDArray[np.int64]
-    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """Return centre and heading at instants, on the arcs of the last motion."""
-        t = (instants_ns - self._measured_ns[index]) * 1e-9
-        turn = self._omega[index] * t
-        # The chord of the arc: v t (e^(i turn) - 1) / (i turn), which is v t where it does not turn.
-        chord = np.exp(0.5j * turn) * np.sinc(turn / (2.0 * math.pi))
-        moved = self._velocity[index] * t * chord * np.exp(1j * self._psi[index])
-        return self._centre[index] + moved, self._psi[index] + turn
+    def _predicted(self, index: Indices, exposure_ns: int) -> tuple[Complex, Array, Complex]:
+        """Return centre, heading and velocity [m/s; world] when the rows in which the tags were last are exposed."""
+        return predict(index, exposure_ns, self._line_ns, *self._motion)
 
-    def _measure(self, index: NDArray[np.int64], fit: Fit, exposure_ns: int) -> None:
+    def _measure(self, index: Indices, fit: Fit, exposure_ns: int) -> None:
         """Take measured poses, and the motion since the ones before."""
-        instants = exposure_ns + self._after_ns(fit.row)
-        t = np.maximum((instants - self._measured_ns[index]) * 1e-9, 1e-6)
-        turn = np.remainder(fit.psi - self._psi[index] + math.pi, 2.0 * math.pi) - math.pi
-        chord = np.exp(0.5j * turn) * np.sinc(turn / (2.0 * math.pi))
-        moving = self._followed[index] & ~self._lies_still[index]
-        self._velocity[index] = np.where(
-            moving, (fit.centre - self._centre[index]) * np.exp(-1j * self._psi[index]) / (t * chord), 0.0
-        )
-        self._omega[index] = np.where(moving, turn / t, 0.0)
-        self._centre[index], self._psi[index], self._row[index] = fit.centre, fit.psi, fit.row
-        self._measured_ns[index] = instants
+        moving = self._followed & ~self._lies_still
+        measure(index, exposure_ns, self._line_ns, moving, fit.centre, fit.psi, fit.row, *self._motion)
         self._followed[index] = True
-
-    def _after_ns(self, rows: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return how long after the middle row's exposure the rows were exposed [ns]."""
-        return np.rint((rows - (self._size[1] - 1) / 2.0) * self._line_time * 1e9).astype(np.int64)
 
     def _reach(self, i: int, exposure_ns: int) -> float:
         """Return how far a tag can be from where it was measured last [m]."""
@@ -205,7 +191,7 @@ class TagTracker:
                 self._followed[i] = False
                 self._say(TrackerEvent.TAG_LOST, i, coasted_ns * 1e-9, exposure_ns)
                 continue
-            centre, psi = self._predicted(np.array([i]), np.array([exposure_ns]))
+            centre, psi, _ = predict(np.array([i]), exposure_ns, np.zeros(2), *self._motion)
             pose = (float(centre[0].real), float(centre[0].imag), wrapped(float(psi[0])))
             poses.append(TagSighting(self._targets[i].tag, *pose, 0, max(1, coasted_ns)))
         return poses
@@ -216,15 +202,14 @@ class TagTracker:
         """Search a tile, or the whole image at first and while nothing is followed; returns those that are believed."""
         beginning = self._images < _BEGINNING and not self._measured_ns.all()
         whole = beginning or not self._followed.any()
-        region = None if whole else self._tiles[self._images % len(self._tiles)]
         known = np.full_like(self._centre, np.nan)
         known[list(measured)] = self._centre[list(measured)]
-        findings = self._detector.detect(image, region, known)
+        look = self._detector.detect(image, known=known) if whole else self._sweep.search(image, self._images, known)
         self._images += 1
-        self._refused += findings.refused
+        self._refused += look.refused
         believed: set[int] = set()
-        seconds = [tag for tag in findings.tags if self._suspects.is_second(tag, exposure_ns)]
-        others = [tag for tag in findings.tags if tag not in seconds]
+        seconds = [tag for tag in look.tags if self._suspects.is_second(tag, exposure_ns)]
+        others = [tag for tag in look.tags if tag not in seconds]
         for tag in seconds:
             self._refuse(TrackerEvent.TAG_TWICE, tag, complex(self._centre[tag.target]), exposure_ns)
         for tag in others:
@@ -257,7 +242,7 @@ class TagTracker:
             return True
         rival = self._suspects.rival(tag, exposure_ns)
         hidden_ns = exposure_ns - int(self._measured_ns[i]) if known else None
-        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._tiles), hidden_ns)
+        patient = self._suspects.sighted(tag, exposure_ns, self._images / len(self._sweep), hidden_ns)
         if rival is not None:
             self._refuse(TrackerEvent.TAG_TWICE, tag, rival, exposure_ns)
             self._doubt(i, exposure_ns)
@@ -283,7 +268,11 @@ class TagTracker:
     def _say(self, event: TrackerEvent, i: int, value: float, exposure_ns: int) -> None:
         self._news.say(event, self._targets[i].tag, value, exposure_ns)
 
-    def _sighting(self, i: int, exposure_ns: int) -> TagSighting:
-        after_ns = int(self._measured_ns[i]) - exposure_ns
-        z = complex(self._centre[i])
-        return TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(float(self._psi[i])), after_ns, 0)
+    def _sightings(self, index: list[int], exposure_ns: int) -> list[TagSighting]:
+        """Return what was measured in this image."""
+        centre, psi = self._centre[index].tolist(), self._psi[index].tolist()
+        after_ns = (self._measured_ns[index] - exposure_ns).tolist()
+        return [
+            TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0)
+            for i, z, angle, after in zip(index, centre, psi, after_ns, strict=True)
+        ]

@@ -160,7 +160,7 @@ def test_an_inbox_counts_and_drops_what_cannot_be_read(memory_bus: MakeBus, dama
     publish(damaged)
     assert inbox.take() is None
     assert inbox.rejected == 1
-    message = RunState(1, 2, 3, 4, 5, 0.5, 6, 7, 8, (RobotState(1, 0, 9),))
+    message = RunState(1, 2, 3, 4, 5, 0.5, 6, (RobotState(1, 0, 9),))
     publish(RUN_STATE.encode(message))
     assert inbox.take() == message
     assert inbox.rejected == 1

@@ -62,6 +62,7 @@ def test_not_a_number_in_any_float_is_refused(layout: AnyLayout, any_of: Message
             damaged = bytearray(payload)
             struct.pack_into("<d", damaged, at, bad)
             assert layout.decode(bytes(damaged)) is None
+            assert not isinstance(layout, ListLayout) or layout.view(bytes(damaged)) is None
     for one, other in pairwise(places(layout, message)):  # infinities do not cancel out
         damaged = bytearray(payload)
         struct.pack_into("<d", damaged, one, math.inf)
@@ -79,7 +80,8 @@ def places(layout: AnyLayout, message: Any) -> list[int]:
     if isinstance(layout, Layout):
         return of(layout.dtype, 0)
     head, item = layout.head_dtype, layout.item_dtype
-    return of(head, 0) + [at for k in range(len(message[-1])) for at in of(item, head.itemsize + k * item.itemsize)]
+    items = next(value for value in message if isinstance(value, tuple))
+    return of(head, 0) + [at for k in range(len(items)) for at in of(item, head.itemsize + k * item.itemsize)]
 
 
 WILD = st.one_of(
@@ -194,6 +196,25 @@ def test_flipped_bytes_never_raise(layout: AnyLayout, any_of: Messages, data: st
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     message = layout.decode(bytes(payload))
     assert message is None or layout.encode(message) == bytes(payload)
+
+
+@settings(EXACT, max_examples=100)
+@given(st.data())
+def test_a_view_is_what_is_decoded(listed: tuple[ListLayout[Any], Messages], data: st.DataObject) -> None:
+    layout, any_of = listed
+    payload = bytearray(layout.encode(data.draw(any_of)))
+    for _ in range(data.draw(st.integers(0, 2))):  # damaged, or not
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    cut = bytes(payload)[: data.draw(st.integers(len(payload) - 1, len(payload)))]
+    said, viewed = layout.decode(cut), layout.view(cut)
+    assert (said is None) == (viewed is None)
+    if said is not None and viewed is not None:
+        head, items = viewed
+        listing = next(k for k, value in enumerate(head) if isinstance(value, tuple))
+        assert head[:listing] == said[:listing]
+        assert items.tolist() == [tuple(item) for item in said[listing]]
+        assert items.dtype.names == type(said[listing][0])._fields if said[listing] else not len(items)
+        assert not items.flags.writeable
 
 
 @EXACT

@@ -77,9 +77,9 @@ def test_a_lease() -> None:
 
 
 def test_a_run_state() -> None:
-    message = RunState(2, 3, 4, 5, 6, 7.5, 8, 9, 10, (RobotState(1, 0, 11), RobotState(0, 1, 12)))
-    head = struct.pack("<BIQBHHdBHBH", 6, 2, 3, 4, 5, 6, 7.5, 8, 9, 10, 2)
-    assert RUN_STATE.encode(message) == head + struct.pack("<BBHBBH", 1, 0, 11, 0, 1, 12)
+    message = RunState(2, 3, 4, 5, 6, 7.5, 8, (RobotState(1, 0, 11, 1), RobotState(0, 1, 12, 2)))
+    head = struct.pack("<BIQBHHdBH", 6, 2, 3, 4, 5, 6, 7.5, 8, 2)
+    assert RUN_STATE.encode(message) == head + struct.pack("<BBHBBBHB", 1, 0, 11, 1, 0, 1, 12, 2)
 
 
 def test_a_busy_machine() -> None:

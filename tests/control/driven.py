@@ -45,4 +45,4 @@ class Platoon(PlatoonLaw):
             decided[:, :2].copy(), np.zeros(n, dtype=np.bool_), poses, self.settings.point_ahead,
             wheels.limits(self.vehicles), driving, u, commands, saturated, points,
         )  # fmt: skip
-        return np.column_stack([u, decided[:, 2:], points, commands, saturated])
+        return np.column_stack([u, decided[:, 2:6], points, commands, saturated])

@@ -52,9 +52,7 @@ class Stand:
         self.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
 
     def state(self, phase: Phase) -> None:
-        self.bench.say(
-            STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(1, 1, 0),) * 4)
-        )
+        self.bench.say(STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, (RobotState(1, 1, 0),) * 4))
 
     def status(self, robot: str, nonce: int, session: int | None = None) -> None:
         held = *(1, 1, 1), self.session if session is None else session, *(5, nonce), *(0,) * 9, *(-1, -1)

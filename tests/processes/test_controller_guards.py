@@ -35,6 +35,6 @@ def test_an_image_of_the_future_does_not_blind_the_filter(bench_of: Make, platoo
 def test_an_unknown_state_is_dropped(bench_of: Make, platoon_of: Make) -> None:
     bench = bench_of(platoon_of())
     node = Controller(bench.config, bench.bus, bench.clock, np.random.default_rng(1))
-    bench.say(STATE, RunState(1, 1, 99, 0, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(1, 1, 0),) * 4))
+    bench.say(STATE, RunState(1, 1, 99, 0, NOBODY, 0.0, 0, (RobotState(1, 1, 0),) * 4))
     bench.run(node, S // 10)
     assert bench.heard(TICK)[-1].phase == Phase.IDLE

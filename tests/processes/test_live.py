@@ -76,10 +76,10 @@ class View:
         self.recording.add(key(self.arena, STATUS, robot), ROBOT_STATUS.encode(status))
 
     def state(
-        self, phase: int, cause: int = Event.NOTHING, robot: int = NOBODY, stage: int = 0, probed: int = NOBODY,
-        stroke: int = 0, robots: tuple[RobotState, ...] = FOUR,
+        self, phase: int, cause: int = Event.NOTHING, robot: int = NOBODY, stage: int = 0,
+        robots: tuple[RobotState, ...] = FOUR,
     ) -> None:  # fmt: skip
-        message = RunState(1, 1, phase, cause, robot, 0.0, stage, probed, stroke, robots)
+        message = RunState(1, 1, phase, cause, robot, 0.0, stage, robots)
         self.recording.add(key(self.arena, STATE), RUN_STATE.encode(message))
 
     def shown(self, phase: str, width: int = 100) -> str:
@@ -104,8 +104,13 @@ def row(text: str, robot: str) -> str:
 def test_while_arming_it_says_what_is_tried(view: View) -> None:
     view.state(Phase.ARMED, stage=Stage.CHECKS)
     assert "does every robot answer, is it seen, and is it at rest?" in view.shown("arming")
-    view.state(Phase.ARMED, stage=Stage.WIGGLE, probed=1, stroke=1)
-    assert "trying r2" in view.shown("arming")
+    view.state(Phase.ARMED, stage=Stage.WIGGLE)
+    assert "trying the wheels" in view.shown("arming")
+    tried = WELL._replace(stroke=2)
+    view.state(Phase.ARMED, stage=Stage.WIGGLE, robots=(WELL, tried, WELL, tried))
+    assert "trying the wheels of r2, r4" in view.shown("arming")
+    view.state(Phase.ARMED, stage=Stage.WIGGLE, robots=(tried,) * 4)
+    assert "trying the wheels of r1, r2, r3 and 1 more" in view.shown("arming")
 
 
 def test_a_hold_is_seen_with_its_cause_and_what_to_do(view: View) -> None:
@@ -175,7 +180,7 @@ def test_a_narrow_terminal_cuts_nothing_and_is_told_what_is_left_out(view: View,
 def test_values_of_another_version_break_nothing(view: View) -> None:
     view.gate("r1", 77, 77)
     view.gate("r2", 77, 0)
-    view.state(77, 777, 7777, 77, 3, 77, robots=(WELL, RobotState(0, 0, 777)))
+    view.state(77, 777, 7777, 77, robots=(WELL, RobotState(0, 0, 777, 77)))
     for phase in ("arming", "running", "held"):
         shown = view.shown(phase)
         assert "unknown (77)" in row(shown, "r1")

@@ -77,7 +77,7 @@ def test_its_faults_begin_when_the_fleet_runs(config: Config) -> None:
     twins = Twins(config, FaultyBus(plain, schedule, "twins", clock), clock, LineWaker(), schedule)
     there = []
     for phase in (Phase.ARMED, Phase.RUNNING):
-        plain.publisher(STATE)(RUN_STATE.encode(RunState(1, 1, phase, 0, NOBODY, 0.0, 0, NOBODY, 0, ())))
+        plain.publisher(STATE)(RUN_STATE.encode(RunState(1, 1, phase, 0, NOBODY, 0.0, 0, ())))
         for _ in range(60):
             clock.advance_to(clock.now_ns() + 10 * MS)
             twins.step(clock.now_ns())

@@ -90,7 +90,7 @@ class WebStand:
     ) -> None:
         self._seq += 1
         robots = (RobotState(1, 0, halted), *[RobotState(1, 0, 0)] * (len(self.robots) - 1))
-        state = RunState(9, self._seq, phase, cause, robot, 0.0, 0, NOBODY, 0, robots)
+        state = RunState(9, self._seq, phase, cause, robot, 0.0, 0, robots)
         self._state(messages.RUN_STATE.encode(state))
 
     def say_status(

@@ -198,7 +198,7 @@ def add_state() -> Callable[..., None]:
         recording: Recording, phase: Phase, cause: Event, robot: int = NOBODY, halts: tuple[int, ...] = (0, 0, 0, 0)
     ) -> None:
         robots = tuple(RobotState(int(phase == Phase.RUNNING and not halt), 0, halt) for halt in halts)
-        message = RunState(1, 1, phase, cause, robot, 0.0, 0, NOBODY, 0, robots)
+        message = RunState(1, 1, phase, cause, robot, 0.0, 0, robots)
         recording.add(key(recording.config.arena.name, STATE), RUN_STATE.encode(message))
 
     return add

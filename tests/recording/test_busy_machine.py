@@ -22,7 +22,7 @@ Make = Callable[..., Any]
 ROBOTS = ("r1", "r2", "r3", "r4")
 LATE = (Late(TRACKER, 310 * MS, 250 * MS), Late(DRIVERS + 1, 120 * MS, 0), Late(SUPERVISOR, 70 * MS, 0))
 BUSY_NOW = BusyMachine(1, 9, Event.TRACKER_SILENT, 1, 3, 1, 2, 6.1, LATE)
-HELD = RunState(1, 1, Phase.HOLD, Event.TRACKER_SILENT, NOBODY, 0.0, 0, NOBODY, 0, (RobotState(0, 0, 0),) * 4)
+HELD = RunState(1, 1, Phase.HOLD, Event.TRACKER_SILENT, NOBODY, 0.0, 0, (RobotState(0, 0, 0),) * 4)
 VERDICT = (
     "This machine was busy: load 8.2 on 2 cores, the tracker was late by 310 ms, the driver of r2 was late by 120 ms, "
     "the supervisor was late by 70 ms. The checks before the start began anew once. "

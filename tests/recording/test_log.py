@@ -160,7 +160,7 @@ def test_what_came_a_quarter_of_a_second_ago_is_in_the_file(
 
 def state(**changes: int) -> bytes:
     """Return a word of the supervisor's."""
-    return RUN_STATE.encode(RunState(1, 1, Phase.RUNNING, 0, NOBODY, 0.0, 0, NOBODY, 0, ())._replace(**changes))
+    return RUN_STATE.encode(RunState(1, 1, Phase.RUNNING, 0, NOBODY, 0.0, 0, ())._replace(**changes))
 
 
 def status(**changes: int) -> bytes:
@@ -176,7 +176,7 @@ def news(seq: int) -> bytes:
     ("full", "before", "same", "changed"),
     [
         (key(ARENA, STATE), state(), state(seq=2, stage=3), state(phase=Phase.HOLD)),
-        (key(ARENA, STATE), state(), state(seq=2, probed=1), state(cause=7)),
+        (key(ARENA, STATE), state(), state(seq=2, robot=1), state(cause=7)),
         (key(ARENA, STATUS, "r3"), status(), status(seq=2, nonce=7, gate=1), status(latch=2)),
         (key(ARENA, STATUS, "r3"), status(latch_id=1), status(latch_id=1, seq=2), status(latch_id=2)),
         (key(ARENA, NEWS, CAMERA), news(1), None, news(2)),

@@ -4,7 +4,7 @@ What may be wrong with it is an attribute, or is done to the view before arming 
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import ModuleType
 from typing import ClassVar
@@ -31,28 +31,36 @@ Alter = Callable[[FleetView], FleetView]
 
 
 class Lab:
-    """Robots in a row, 0.3 m apart, heading every way."""
+    """Robots in a row, 0.3 m apart, or where they are put, heading every way."""
 
     program: ClassVar[ModuleType] = arming
 
     def __init__(
-        self, robots: int = 3, seed: int = 1, faults: Mapping[int, Mapping[str, object]] | None = None
+        self,
+        robots: int = 3,
+        seed: int = 1,
+        faults: Mapping[int, Mapping[str, object]] | None = None,
+        places: Sequence[tuple[float, float]] | None = None,
     ) -> None:
         rng = np.random.default_rng(seed)
         self.rng, self.now_ns, self.tick = rng, S, 0
         self.settings = ArmingSettings(
-            BUILD, (0.016,) * robots, (0.105,) * robots, (BODY_M,) * robots, (0.3 * robots + 0.3, 1.0)
-        )
+            BUILD, (0.016,) * robots, (0.105,) * robots, (BODY_M,) * robots,
+            (0.3 * robots + 0.3, 1.0) if places is None else (99.0, 99.0),
+        )  # fmt: skip
+        places = places or [(0.3 * (row - (robots - 1) / 2), 0.0) for row in range(robots)]
         self.plants = [
             Plant(
                 GTERNAL,
                 replace(WORN, **(faults or {}).get(row, {})),  # type: ignore[arg-type]
-                (0.3 * (row - (robots - 1) / 2), 0.0, float(rng.uniform(-math.pi, math.pi))),
+                (*place, float(rng.uniform(-math.pi, math.pi))),
                 rng,
             )
-            for row in range(robots)
+            for row, place in enumerate(places)
         ]
         self.tags = list(range(robots))  # whose body carries the tag of this row
+        self.bodies = list(range(robots))  # which body the driver of this row reaches
+        self.twins: dict[int, int] = {}  # body that also does what the driver of a row says
         self.encoders: dict[int, Callable[[float], float]] = {}  # what the left one makes of the truth
         self.silent_encoders = False
         self.stuck: set[int] = set()
@@ -68,7 +76,7 @@ class Lab:
         self.told: list[tuple[float, ...]] = [(0.0, 0.0)] * robots
         self.commands = [STOP] * robots
         self.state = self.program.begin(self.now_ns)
-        self.stages: list[tuple[Stage, int, int]] = []  # with the robot and the stroke, as they came
+        self.stages: list[tuple[Stage, tuple[int, ...]]] = []  # with the strokes, as they came
         self.view = FleetView(
             self.now_ns,
             (RobotView(build=BUILD, session=SESSION),) * robots,
@@ -92,7 +100,7 @@ class Lab:
             if self.now_ns % self.period_ns == 0:
                 seen = self.alter(self.view._replace(now_ns=self.now_ns))
                 self.state, happening = self.program.step(self.state, self.settings, seen, self.start)
-                now = self.state.stage, self.state.probed, self.state.stroke
+                now = self.state.stage, self.state.wiggle.strokes
                 if not self.stages or self.stages[-1] != now:
                     self.stages.append(now)
                 if happening is not None:
@@ -100,16 +108,20 @@ class Lab:
         return None
 
     def _move(self) -> None:
-        for row, plant in enumerate(self.plants):
-            command = self.commands[row]
+        for row, body in enumerate(self.bodies):
+            permitted = self.state.stroke(row) or row in self.runaway
+            command = self.commands[row] if permitted else STOP
             self.outputs[row] = WheelSpeeds(*(_ramp(a, b) for a, b in zip(self.outputs[row], command, strict=True)))
             self.told[row] = tuple(a + 0.01 * b for a, b in zip(self.told[row], self.outputs[row], strict=True))
-            plant.step(self.outputs[row], 0.01, blocked=row in self.stuck)
+            wheels = self.outputs[row]
+            if (other := self.twins.get(body)) is not None and self.outputs[other] != STOP:
+                wheels = self.outputs[other]
+            self.plants[body].step(wheels, 0.01, blocked=body in self.stuck)
 
     def _report(self) -> None:
         robots = []
-        for row, (plant, seen) in enumerate(zip(self.plants, self.view.robots, strict=True)):
-            r = plant.reading()
+        for row, (body, seen) in enumerate(zip(self.bodies, self.view.robots, strict=True)):
+            r = self.plants[body].reading()
             left = self.encoders.get(row, lambda angle: angle)(r.left_angle)
             moving = (r.left_angle, r.right_angle, r.left_speed, r.right_speed)
             moving = (0.0,) * 4 if self.silent_encoders else (left, *moving[1:])
@@ -130,8 +142,7 @@ class Lab:
         """The controller's tick, and an image that is taken and seen at it."""
         self.tick += 1
         for row in range(len(self.plants)):
-            probed = self.obeys and row == self.state.probed
-            wheels = STROKES[self.state.stroke] if probed else STOP
+            wheels = STROKES[self.state.stroke(row)] if self.obeys else STOP
             if wheels != STOP or row not in self.runaway:
                 self.commands[row] = WheelSpeeds(*(PROBE_RAD_S * wheel for wheel in wheels))
         bodies = [plant.truth()[:3] for plant in self.plants]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event
 from robofleet.safety.view import NEVER, FleetView
+from robofleet.safety.wiggle import BACK
 from robofleet.vehicles.interface import RobotFault
 from tests.safety.arming_lab import BODY_M, MS, SESSION, Alter, Lab, one
 
@@ -35,13 +36,20 @@ def settings(**fields: object) -> Callable[[Lab], None]:
     return lambda lab: setattr(lab, "settings", lab.settings._replace(**fields))
 
 
-def from_robot(lab: Lab, probed: int, alter: Alter) -> Alter:
-    """Return what alters the view while a robot is tried."""
-    return lambda view: alter(view) if lab.state.probed == probed and lab.state.wiggle.image else view
+def in_round(number: int, alter: Alter) -> Callable[[Lab], None]:
+    """Alter the view in a round of the wiggle; -1: while all are looked at first."""
+
+    def prepare(lab: Lab) -> None:
+        lab.alter = lambda view: alter(view) if lab.state.wiggle.round == number and lab.state.wiggle.image else view
+
+    return prepare
 
 
-def while_tried(probed: int, alter: Alter) -> Callable[[Lab], None]:
-    return lambda lab: setattr(lab, "alter", from_robot(lab, probed, alter))
+def while_tried(row: int, alter: Alter) -> Callable[[Lab], None]:
+    def prepare(lab: Lab) -> None:
+        lab.alter = lambda view: alter(view) if row in lab.state.wiggle.tried else view
+
+    return prepare
 
 
 def older(row: int, field: str, ns: int) -> Callable[[Lab], None]:
@@ -140,15 +148,19 @@ _MISSING = {
 
 def _no_rest(lab: Lab) -> None:
     still_turning = one(1, left_speed=1.0)
-    lab.alter = lambda view: still_turning(view) if lab.state.probed == 1 and not lab.state.stroke else view
+    lab.alter = lambda view: still_turning(view) if 1 in lab.state.wiggle.tried and not lab.state.stroke(1) else view
 
 
 def _stands_on_its_way_back(lab: Lab) -> None:
     def alter(view: FleetView) -> FleetView:
-        lab.stuck = {1} if lab.state.probed == 1 and lab.state.stroke == 2 else set()
+        lab.stuck = {1} if lab.state.stroke(1) == BACK else set()
         return view
 
     lab.alter = alter
+
+
+def _exchanged_runaway(lab: Lab) -> None:
+    lab.tags, lab.runaway = [1, 0, 2], {0}
 
 
 REFUSED = {
@@ -157,13 +169,17 @@ REFUSED = {
     "e-stop not answered": Scenario(lab_with(deaf={1}), Event.ESTOP_UNANSWERED, 1, between_s=(0.2, 0.3)),
     "drill not cleared": Scenario(lab_with(stubborn={1}), Event.GATE_LATCHED, 1, Latch.DRILL, (1.0, 1.2)),
     "latched in the wiggle": Scenario(while_tried(1, one(2, latch=3)), Event.GATE_LATCHED, 2, 3.0),
-    "moved by hand before": Scenario(while_tried(NOBODY, shifted(2, x=0.01)), Event.NOT_AT_REST, 2),
-    "turned by hand before": Scenario(while_tried(NOBODY, shifted(2, psi=0.1)), Event.NOT_AT_REST, 2),
+    "moved by hand before": Scenario(in_round(-1, shifted(2, x=0.01)), Event.NOT_AT_REST, 2),
+    "turned by hand before": Scenario(in_round(-1, shifted(2, psi=0.1)), Event.NOT_AT_REST, 2),
     "never in an image": Scenario(seen(one(2, image=-1)), Event.TAG_LOST, 2, between_s=(2.0, 2.3)),
     "images from before": Scenario(seen(lambda v: v._replace(image_tick=0)), Event.TAG_LOST, 0, between_s=(2.0, 2.3)),
-    "tags exchanged": Scenario(lab_with(tags=[1, 0, 2]), Event.WRONG_TAG_MOVED, 0, 1, (0.2, 0.7)),
-    "tags exchanged, the last two": Scenario(lab_with(tags=[0, 2, 1]), Event.WRONG_TAG_MOVED, 1, 2),
-    "another one turns": Scenario(while_tried(1, shifted(0, psi=0.1)), Event.WRONG_TAG_MOVED, 1, 0),
+    "tags exchanged": Scenario(lab_with(tags=[1, 0, 2]), Event.WRONG_TAG_MOVED, 0, 1, (0.2, 1.3)),
+    "tags exchanged, the last two": Scenario(lab_with(tags=[0, 2, 1]), Event.WRONG_TAG_MOVED, 2, 1),
+    "drivers exchanged": Scenario(lab_with(bodies=[1, 0, 2]), Event.WRONG_TAG_MOVED, 0, 1),
+    "tags exchanged, and wheels go on": Scenario(_exchanged_runaway, Event.WRONG_TAG_MOVED, 0, 1, (0.2, 1.1)),
+    "three tags in a ring are taken for two": Scenario(lab_with(tags=[1, 2, 0]), Event.WRONG_TAG_MOVED, 0, 1),
+    "another one turns": Scenario(in_round(0, shifted(1, psi=0.1)), Event.MOVED_UNASKED, 1),
+    "another one goes too": Scenario(lab_with(twins={1: 0}), Event.MOVED_UNASKED, 1),
     "motors stand": Scenario(lab_with(stuck={1}), Event.DID_NOT_MOVE, 1),
     "motors stand on the way back": Scenario(_stands_on_its_way_back, Event.DID_NOT_MOVE, 1),
     "encoder reversed": Scenario(lab_with(encoders={1: lambda angle: -angle}), Event.ENCODER_WRONG, 1, None),

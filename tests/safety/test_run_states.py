@@ -35,7 +35,7 @@ OF_MOTION = {  # mean something while the fleet drives
     Event.BEHAVIOUR_RAISED, Event.BEHAVIOUR_NOT_FINITE, Event.BEHAVIOUR_SHAPE, Event.BEHAVIOUR_LATE,
 }  # fmt: skip
 OF_CHECKS = {event for event in Event if 50 <= event < 60} | {  # the fifties are the checks'
-    Event.ARMED_TOO_LONG, Event.WRONG_ORDER, Event.WAYS_CROSS,
+    Event.ARMED_TOO_LONG, Event.WRONG_ORDER, Event.WAYS_CROSS, Event.MOVED_UNASKED,
 }  # fmt: skip
 WISHES = {
     (Phase.IDLE, Event.ARM_REQUESTED): Phase.ARMED,

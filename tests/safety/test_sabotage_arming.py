@@ -7,7 +7,7 @@ import pytest
 
 from robofleet.safety import arming, rolled, wiggle
 from tests.sabotage import notices, sabotaged
-from tests.safety import test_arming, test_rolled
+from tests.safety import test_arming, test_arming_faults, test_rolled
 from tests.safety.arming_lab import Lab
 from tests.safety.arming_scenarios import HEALTHY, REFUSED
 
@@ -46,14 +46,14 @@ ARMING: list[tuple[str, str, By]] = [
     ("r.session != view.robots[0].session", "False", "another controller's lease"),
     ("lambda r: r.latch != Latch.NONE", "lambda r: False", "drill never cleared"),
     ("not r.at_rest", "False", "wheel turns"),
-    ("if gap < 0.0:", "if False:", "outside, ahead"),
-    ("if gap < free[row]:", "if False:", "too close to the wall ahead"),
-    ("min(settings.arena[0] / 2.0 - abs(x), settings.arena[1] / 2.0 - abs(y))", "settings.arena[0] / 2.0 - abs(x)",
-     "too close to the wall beside"),
-    ("min(settings.arena[0] / 2.0 - abs(x), settings.arena[1] / 2.0 - abs(y))", "settings.arena[1] / 2.0 - abs(y)",
-     "too close to the wall ahead"),
-    (" - settings.body_radius[one] - settings.body_radius[other]", " - 2 * settings.body_radius[one]", "two too close"),
-    ("max(free[one], free[other])", "free[one]", "too close for the wider wheel of the other"),
+    ("if edges[row] < 0.0 else", "if False else", "outside, ahead"),
+    ("if beside.any():", "if False:", "too close to the wall ahead"),
+    ("np.abs(at)).min(axis=1)", "np.abs(at))[:, 0]", "too close to the wall beside"),
+    ("np.abs(at)).min(axis=1)", "np.abs(at))[:, 1]", "too close to the wall ahead"),
+    ("- bodies[pairs].sum(axis=1)", "- 2 * bodies[pairs[:, 0]]", "two too close"),
+    ("free[pairs].max(axis=1)", "free[pairs[:, 0]]", "too close for the wider wheel of the other"),
+    ("gaps < free[pairs].sum(axis=1)", "gaps < 0.0",
+     test_arming_faults.test_two_without_room_for_both_are_never_away_at_once),
     ("_MARGIN_M + wiggle", "wiggle", "too close to the wall ahead"),
     ("view.now_ns, Latch.DRILL)", "view.now_ns)", "e-stop not answered"),
     ("if all(latched):", "if any(latched):", "e-stop not answered"),
@@ -68,27 +68,30 @@ ARMING: list[tuple[str, str, By]] = [
 WIGGLE: list[tuple[str, str, By]] = [
     ("view.image != state.image", "True",
      test_arming.test_three_images_of_a_robot_at_rest_are_looked_at_before_the_next_stroke),
-    ("if bad is not None:", "if False:", "tags exchanged"),
+    ("if bad is not None:", "if False:", "wheels go on"),
+    ("_look(_watch(state, view, poses), view, poses)", "_look(state, view, poses)", "another one turns"),
     ("if travelled > room_m(wheel_radius[row]):", "if False:", "wheels go on"),
-    ("mean.images and _moved", "_moved", "nothing is wrong"),
-    ("if state.robot == NOBODY:\n                return", "if False:\n                return", "moved by hand before"),
-    ("after[1] - before[1]) > _MOVED_M", "after[1] - before[1]) > 9.0", "moved by hand before"),
-    ("math.tau)) > _MOVED_RAD", "math.tau)) > 9.0", "turned by hand before"),
-    ("view.image_tick > state.rest_tick", "True", "images from before"),
+    ("(self.images > 0) & away", "away", "nothing is wrong"),
+    ("if state.round < 0 and", "if False and", "moved by hand before"),
+    ("step[:, 1]) > _MOVED_M", "step[:, 1]) > 9.0", "moved by hand before"),
+    ("> _MOVED_RAD", "> 9.0", "turned by hand before"),
+    ("view.image_tick <= state.rest_tick", "False", "images from before"),
     ("robot.image == view.image", "True", "tried, and in no image"),
-    ("robot.left_told - state.told[0]", "robot.left_told", "no robot has encoders"),
-    ("and enough", "", "no command comes"),
+    ("robot.left_told - start.told[0]", "robot.left_told", "no robot has encoders"),
+    (">= 0.5 * PROBE_RAD_S", ">= -PROBE_RAD_S", "no command comes"),
     ("driven_ns >= _NO_START_NS", "False", "no command comes"),
     ("robot.at_rest and", "", "no rest"),
-    ("_SETTLE_NS if any(_counted(state, robot)) else _COAST_NS", "_SETTLE_NS",
+    ("_SETTLE_NS if any(_counted(start, robot)) else _COAST_NS", "_SETTLE_NS",
      test_arming.test_robots_that_cannot_tell_whether_they_rest_are_given_time),
-    ("waited_ns >= _NO_REST_NS", "False", "no rest"),
-    ("means=_fresh(state)", "means=state.means", "nothing is wrong"),
+    ("if waited_ns < _NO_REST_NS:", "if True:", "no rest"),
+    (", means=state.means.forget(list(stale))", "", "nothing is wrong"),
     ("view.now_ns - state.since_ns >= _NO_IMAGE_NS", "False", "never in an image"),
     ("view.now_ns - state.since_ns >= _NO_IMAGE_NS", "True", "nothing is wrong"),
     ("fault = wiring_fault(leg)", "fault = None", "motors stand on the way back"),
-    ("fault = fault or gain_fault(mean_of(state.forth, leg))", "pass",
+    ("fault = fault or gain_fault(mean_of(forth.pop(row), leg))", "forth.pop(row)",
      test_arming.test_a_wheel_radius_that_is_a_fifth_off_is_found),
+    ("_before(state, row) == before", "True", test_arming_faults.test_two_exchanges_are_told_apart_by_earlier_rounds),
+    ("if len(who) == 1:", "if who:", "another one turns"),
 ]  # fmt: skip
 
 ROLLED: list[tuple[str, str, By]] = [

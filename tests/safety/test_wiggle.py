@@ -3,14 +3,15 @@
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robofleet.safety import wiggle
-from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.supervisor import Event, Happening
 from robofleet.safety.view import FleetView, RobotView
-from robofleet.safety.wiggle import Mean, room_m, travel_m
+from robofleet.safety.wiggle import Means, room_m, travel_m
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
 
 MS, S = 1_000_000, 1_000_000_000
@@ -27,12 +28,12 @@ def _told(before: RobotView, after: RobotView, ns: int) -> RobotView:
 
 
 class Trial:
-    """Two robots that stand; what becomes of them is told from look to look."""
+    """Two robots that stand, and wiggle one after the other; what becomes of them is told from look to look."""
 
     def __init__(self) -> None:
         robots = RobotView(heard_ns=S), RobotView(heard_ns=S, pose=(0.0, 0.5, 0.0))
         self.view = FleetView(S, robots, tick=100)
-        self.state = wiggle.begin(self.view)
+        self.state = wiggle.begin(self.view, ((0, 1), (2, 3)))
 
     def look(self, after_ns: int, *, row: int = 0, image: bool = True, tick: int = 0, **robot: Any) -> Happening | None:
         """Look again: by default there is a new image of both, of the tick before; a robot may have changed."""
@@ -48,8 +49,13 @@ class Trial:
 
     @property
     def asked(self) -> tuple[float, float]:
-        robot = self.view.robots[0]
-        return robot.left_told - self.state.told[0], robot.right_told - self.state.told[1]
+        robot, (left, right) = self.view.robots[0], self.state.tried[0].told
+        return robot.left_told - left, robot.right_told - right
+
+    @property
+    def stroke(self) -> int:
+        """What the first robot must do."""
+        return self.state.strokes[0]
 
     def looked_at(self) -> "Trial":
         """Let three images pass: somebody begins a stroke."""
@@ -79,22 +85,23 @@ class Trial:
 def test_the_mean_of_poses_is_their_mean_also_across_the_cut_of_the_angle(
     poses: list[tuple[float, float, float]], heading: float
 ) -> None:
-    mean = Mean()
+    means = Means.none(2)
     for x, y, psi in poses:
-        mean = mean.add((x, y, math.remainder(heading + psi, math.tau)))
+        seen = np.array([(9.0, 9.0, 9.0), (x, y, math.remainder(heading + psi, math.tau))])
+        means = means.add(seen, np.array([False, True]))
     x, y, psi = (sum(values) / len(poses) for values in zip(*poses, strict=True))
-    assert mean.images == len(poses)
-    assert mean.pose[:2] == pytest.approx((x, y), abs=1e-12)
-    assert math.remainder(mean.pose[2] - heading - psi, math.tau) == pytest.approx(0.0, abs=1e-12)
+    assert means.images.tolist() == [0, len(poses)]
+    assert means.poses[1, :2] == pytest.approx((x, y), abs=1e-12)
+    assert math.remainder(means.poses[1, 2] - heading - psi, math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_stroke_begins_after_three_images_of_everybody() -> None:
     trial = Trial()
     trial.look(30 * MS)
     trial.look(30 * MS)
-    assert (trial.state.robot, trial.state.stroke) == (NOBODY, 0)
+    assert (trial.state.round, trial.state.strokes) == (-1, (0, 0))
     trial.look(30 * MS)
-    assert (trial.state.robot, trial.state.stroke) == (0, 1)
+    assert (trial.state.round, trial.state.strokes) == (0, (1, 0))
 
 
 def test_images_are_waited_for_two_seconds() -> None:
@@ -113,13 +120,31 @@ def test_a_robot_that_stands_may_seem_to_move_a_little(step: dict[str, Any]) -> 
 @pytest.mark.parametrize(
     "pose", [(0.0061, 0.5, 0.0), (0.0, 0.5061, 0.0), (0.0, 0.4939, 0.0), (0.0, 0.5, 0.0501), (0.0, 0.5, -0.0501)]
 )
-def test_another_one_that_moves_is_named(pose: tuple[float, float, float]) -> None:
-    assert Trial().looked_at().look(30 * MS, row=1, pose=pose) == Happening(Event.WRONG_TAG_MOVED, 0, 1)
+def test_a_tag_that_moves_unasked_stops_everybody_at_once(pose: tuple[float, float, float]) -> None:
+    """It is named when all rest: after 400 ms without encoders, and three images of that."""
+    trial = Trial().looked_at()
+    assert trial.look(30 * MS, row=1, pose=pose) is None
+    assert trial.state.strokes == (0, 0)
+    assert trial.look(400 * MS) is None
+    for _ in range(2):
+        assert trial.look(30 * MS) is None
+    assert trial.look(30 * MS) == Happening(Event.WRONG_TAG_MOVED, 0, 1)
+
+
+@pytest.mark.parametrize("images", [True, False])
+def test_who_moved_it_is_named_also_where_nobody_comes_to_rest_or_is_seen(images: bool) -> None:
+    trial = Trial().looked_at()
+    assert trial.look(30 * MS, row=1, pose=(0.01, 0.5, 0.0)) is None
+    if not images:
+        assert trial.look(400 * MS, image=False) is None
+    assert trial.look(2 * S - 1, image=images, left_speed=float(images)) is None
+    assert trial.look(1, image=images) == Happening(Event.WRONG_TAG_MOVED, 0, 1)
 
 
 def test_another_one_is_watched_also_when_the_tried_one_has_come_to_rest() -> None:
     trial = Trial().looked_at().driven().at_rest()
-    assert trial.look(30 * MS, row=1, pose=(0.01, 0.5, 0.0)) == Happening(Event.WRONG_TAG_MOVED, 0, 1)
+    assert trial.look(30 * MS, row=1, pose=(0.01, 0.5, 0.0)) is None
+    assert trial.state.strange == 1
 
 
 def test_who_gets_further_than_his_room_is_stopped_and_told_how_far_he_got() -> None:
@@ -138,12 +163,12 @@ def test_a_stroke_takes_its_time_and_half_of_its_travel(
     trial = Trial().looked_at()
     outputs = {"left_output": 6.0 * share * wheels[0], "right_output": 6.0 * share * wheels[1]}
     trial.look(STROKE_NS - 1, image=False)
-    assert trial.state.stroke == 1, "not before its time"
+    assert trial.stroke == 1, "not before its time"
     trial = Trial().looked_at()
     assert trial.look(STROKE_NS, image=False, **outputs) is None
-    assert (trial.state.stroke == 0) is enough
+    assert (trial.stroke == 0) is enough
     trial.look(20 * MS, image=False)
-    assert trial.state.stroke == 0, "what comes late gets more time"
+    assert trial.stroke == 0, "what comes late gets more time"
 
 
 def test_what_was_asked_in_the_first_stroke_does_not_count_in_the_second() -> None:
@@ -151,10 +176,10 @@ def test_what_was_asked_in_the_first_stroke_does_not_count_in_the_second() -> No
     assert trial.look(30 * MS, left_output=0.04) is None  # still at rest
     for _ in range(2):
         assert trial.look(30 * MS) is None
-    assert trial.state.stroke == 2
+    assert trial.stroke == 2
     assert trial.look(STROKE_NS, image=False, left_output=-5.99, right_output=-3.6) is None
     assert max(map(abs, trial.asked)) == pytest.approx(0.12 * (5.99 - 0.04))
-    assert trial.state.stroke == 2
+    assert trial.stroke == 2
 
 
 def test_a_command_is_waited_for_one_second() -> None:
@@ -195,7 +220,7 @@ def test_an_image_of_the_very_tick_at_which_a_robot_came_to_rest_does_not_count(
     assert rest_tick is not None
     for _ in range(6):
         assert trial.look(30 * MS, tick=rest_tick) is None
-    assert trial.state.stroke == 0
+    assert trial.stroke == 0
     for _ in range(3):
         assert trial.look(30 * MS, tick=rest_tick + 1) is None
-    assert trial.state.stroke == 2
+    assert trial.stroke == 2

@@ -1,12 +1,29 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from robofleet.simulation.arena import TruthHistory
 
 MS = 1_000_000
 Sample = tuple[int, float, float, float, float, float]
+
+
+class History:
+    """That of the second of two robots."""
+
+    def __init__(self, capacity: int) -> None:
+        self._both = TruthHistory(2, capacity)
+
+    def add(self, stamp_ns: int, *sample: float) -> None:
+        x, y, psi, v, omega = sample
+        self._both.add(1, stamp_ns, (x, y, psi, v, omega))
+
+    def pose_at(self, stamp_ns: int) -> tuple[float, ...] | None:
+        nobody, pose = self._both.poses_at(np.full(2, stamp_ns)).tolist()
+        assert all(map(math.isnan, nobody))
+        return None if math.isnan(pose[0]) else tuple(pose)
 
 
 def drive(duration_ms: int) -> Iterator[Sample]:
@@ -26,7 +43,7 @@ def drive(duration_ms: int) -> Iterator[Sample]:
 
 
 def test_between_samples_it_is_where_the_robot_was() -> None:
-    history, truth = TruthHistory(64), list(drive(600))
+    history, truth = History(64), list(drive(600))
     for sample in truth[::100]:
         history.add(*sample)
     for stamp_ns, x, y, psi, _, _ in truth[:-100]:
@@ -37,21 +54,21 @@ def test_between_samples_it_is_where_the_robot_was() -> None:
 
 
 def test_after_the_newest_it_goes_on_with_the_same_twist() -> None:
-    history = TruthHistory(4)
+    history = History(4)
     history.add(0, 0.0, 0.0, 0.0, 0.2, 2.0)
     pose = history.pose_at(100 * MS)
     assert pose == pytest.approx((0.1 * math.sin(0.2), 0.1 * (1 - math.cos(0.2)), 0.2))
 
 
 def test_before_the_first_it_is_the_first_and_without_any_nothing() -> None:
-    history = TruthHistory(4)
+    history = History(4)
     assert history.pose_at(0) is None
     history.add(10 * MS, 1.0, 2.0, 0.5, 0.2, 0.0)
     assert history.pose_at(0) == (1.0, 2.0, 0.5)
 
 
 def test_only_the_newest_are_kept_and_late_ones_ignored() -> None:
-    history = TruthHistory(2)
+    history = History(2)
     for k in (0, 10, 20):
         history.add(k * MS, float(k), 0.0, 0.0, 0.0, 0.0)
     assert history.pose_at(0) == (10.0, 0.0, 0.0)
@@ -60,7 +77,7 @@ def test_only_the_newest_are_kept_and_late_ones_ignored() -> None:
 
 
 def test_heading_turns_the_short_way_over_pi() -> None:
-    history = TruthHistory(4)
+    history = History(4)
     history.add(0, 0.0, 0.0, 3.14, 0.0, 0.4)
     history.add(10 * MS, 0.0, 0.0, -3.14, 0.0, 0.4)
     pose = history.pose_at(5 * MS)

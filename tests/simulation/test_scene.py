@@ -109,7 +109,7 @@ def test_in_the_dark_everything_is_dark() -> None:
 def test_the_noise_is_as_strong_in_the_dark() -> None:
     renderer = drawn(load("camera.simulated.light=0.15", "camera.noise_gray=2"))
     nobody = np.full((4, 3), np.nan)
-    images = np.array([renderer.render(nobody)[::4, ::4].astype(float) for _ in range(60)])
+    images = np.array([renderer.render(nobody)[::4, ::4].astype(float) for _ in range(150)])
     lit = images.mean(0) > 8.0
     assert lit.mean() > 0.5
     assert images.std(0)[lit].mean() == pytest.approx(2.0, abs=0.1)

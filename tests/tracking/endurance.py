@@ -150,7 +150,7 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
         after = (renderer.rows(poses) - (SIZE[1] - 1) / 2.0) * trouble.line_time
         poses += velocities * after[:, None]
         shown = np.where(covered[:, None], np.nan, poses)
-        image = (renderer if k >= LEAD_IN else bright).render(shown, velocities)
+        image = (renderer if k >= LEAD_IN else bright).render(shown, velocities).copy()
         for effect in chain if k >= LEAD_IN else []:
             effect(image, k * PERIOD)
         sightings = tracker.track(image, round((1.0 + k * PERIOD) * 1e9))

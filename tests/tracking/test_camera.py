@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robofleet.config.calibrated import CameraModel
-from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.camera import CameraGeometry, Lens
+from robofleet.tracking.projection import project
 
 ROOT = Path(__file__).parents[2]
 ARENA_M = (3.2, 2.0)
@@ -43,6 +44,17 @@ def test_project_is_the_pinhole_with_opencvs_distortion() -> None:
         b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
     )
     assert GEOMETRY.project(point[None]) == pytest.approx((GEOMETRY.K @ [a, b, 1.0])[None, :2])
+
+
+@pytest.mark.parametrize(("lens", "count"), [*(("pinhole", n) for n in (0, 4, 5, 8, 12, 14)), ("fisheye", 4)])
+def test_a_kernels_projection_is_opencvs(lens: Lens, count: int) -> None:
+    rng = np.random.default_rng(count)
+    camera = CameraGeometry(GEOMETRY.K, rng.normal(0.0, 0.02, count), GEOMETRY.T_world_camera, lens)
+    points = rng.uniform((-1.6, -1.0, 0.0), (1.6, 1.0, 0.5), (100, 3))
+    points[0] = *camera.position[:2], 0.0
+    assert np.array([project(camera.flat, *point) for point in points]) == pytest.approx(
+        camera.project(points), abs=1e-9
+    )
 
 
 def test_integer_coordinates_are_pixel_centres() -> None:

@@ -11,7 +11,7 @@ from robofleet.config.calibrated import CameraModel
 from robofleet.simulation.camera import SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.photometric import PhotometricFit
-from robofleet.tracking.tags import Findings, Region, TagDetector
+from robofleet.tracking.tags import Findings, Region, Sweep, TagDetector
 from robofleet.tracking.targets import Target
 
 ROOT = Path(__file__).parents[2]
@@ -168,6 +168,23 @@ def test_tag_over_the_image_edge_is_not_seen(renderer: SceneRenderer) -> None:
     corners = GEOMETRY.to_plane(np.array([[0.0, 0.0], [1279.0, 300.0], [640.0, 719.0]]), HEIGHT_M)
     poses = still([(x, y, 0.4) for x, y in corners] + [(9.0, -40.0, 0.0)])
     assert DETECTOR.detect(renderer.render(poses)).tags == ()
+
+
+def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
+    renderer: SceneRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[int] = []
+    squares = DETECTOR.squares
+    monkeypatch.setattr(DETECTOR, "squares", lambda *what: (searched.append(1), squares(*what))[1])
+    sweep, known = Sweep(DETECTOR, [Region(0, 0, MODEL.width, MODEL.height)]), np.full(4, np.nan, complex)
+    one = still([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
+    two = still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
+    for poses, expected in ((one, {0}), (two, {0, 1}), (one, {0})):
+        searched.clear()
+        for visit in range(40):
+            findings = sweep.search(renderer.render(poses), visit, known)
+            assert {tag.target for tag in findings.tags} == expected
+        assert 3 <= len(searched) <= 8
 
 
 def test_black_image_shows_nothing() -> None:

@@ -44,8 +44,9 @@ class States(NamedTuple):
 
     def free(self, row: int) -> Flags:
         """Return in which a robot's wheels may turn."""
-        probed = (self.heads["phase"] == Phase.ARMED) & (self.heads["probed"] == row)
-        return np.asarray(probed | (self.running() & (self.heads["items"]["permitted"][:, row] == 1)))
+        items = self.heads["items"]
+        tried = (self.heads["phase"] == Phase.ARMED) & (items["stroke"][:, row] > 0)
+        return np.asarray(tried | (self.running() & (items["permitted"][:, row] == 1)))
 
     def events(self) -> set[Event]:
         """Return every cause that was given, for the run or for a robot alone."""

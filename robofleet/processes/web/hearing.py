@@ -91,7 +91,7 @@ class Hearing:
         """Take what else came: the robots' words, the images', a picture; returns the tracker's news."""
         now_ns = self._clock.now_ns()
         for unit in self._statuses.take():
-            for row in self._statuses.units[unit].rows.tolist():
+            for row in self._statuses.units[unit].numbers.tolist():
                 self.heard_ns[row] = now_ns
                 self.statuses[row] = RobotStatus._make(self._statuses.robots[row].item())
         for *_, payload in self._frames.drain():

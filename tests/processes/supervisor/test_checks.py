@@ -5,25 +5,25 @@ from collections.abc import Callable
 from robofleet.clock import S
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.gate import Latch
-from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.supervisor import Event, Happening, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, Wiggle
 from tests.processes.stand import Stand
 
 
-def test_the_probed_robot_alone_may_move_while_armed(stand_of: Callable[..., Stand]) -> None:
-    probe = ArmingState(Stage.WIGGLE, wiggle=Wiggle(robot=2, stroke=1))
-    stand = stand_of(prove=lambda *_: (probe, None))
+def test_who_is_tried_alone_may_move_while_armed(stand_of: Callable[..., Stand]) -> None:
+    tried = ArmingState(Stage.WIGGLE, wiggle=Wiggle(strokes=(2, 0, 1, 0)))
+    stand = stand_of(prove=lambda *_: (tried, None))
     stand.run(S // 5)
     stand.ask("start")
     stand.run(S // 5)
-    assert (stand.state.stage, stand.state.probed, stand.state.stroke) == (Stage.WIGGLE, 2, 1)
-    assert stand.limits() == [0.0, 0.0, PROBE_RAD_S, 0.0]
-    assert [robot.permitted for robot in stand.state.robots] == [0, 0, 1, 0]
+    assert (stand.state.stage, [robot.stroke for robot in stand.state.robots]) == (Stage.WIGGLE, [2, 0, 1, 0])
+    assert stand.limits() == [PROBE_RAD_S, 0.0, PROBE_RAD_S, 0.0]
+    assert [robot.permitted for robot in stand.state.robots] == [1, 0, 1, 0]
     stand.hidden.add("r3")
     stand.run(S // 5)
-    assert stand.limits() == [0.0] * 4
+    assert stand.limits() == [PROBE_RAD_S, 0.0, 0.0, 0.0]
     stand.ask("stop")
-    assert (stand.state.stage, stand.state.probed, stand.state.stroke) == (Stage.CHECKS, NOBODY, 0)
+    assert (stand.state.stage, [robot.stroke for robot in stand.state.robots]) == (Stage.CHECKS, [0] * 4)
 
 
 def test_a_drill_latches_every_gate_and_clears_it_again(stand_of: Callable[..., Stand]) -> None:

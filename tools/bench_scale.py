@@ -1,0 +1,116 @@
+"""The rows ``scale`` of ``bench.py``: what grows with the number of robots."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench_tracker import Row, percentiles
+from numpy.typing import NDArray
+
+from robofleet.behaviours.platoon import Platoon
+from robofleet.clock import MS, S, SimulatedClock, processor_ns
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import CAMERA, POSES, STATE, TICK
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, FleetPoses, RobotState, RunState, TagPose
+from robofleet.config.groups import starts_of
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config, Group
+from robofleet.processes.controller import Controller, compile_kernels
+from robofleet.safety.supervisor import NOBODY, Phase
+
+Array = NDArray[np.float64]
+
+PLATOON = Path(__file__).resolve().parents[1] / "configs" / "platoon.yaml"
+_IN_A_PLATOON = 20
+_MAY_MS = {4: 0.1, 20: 0.15, 100: 0.5, 1000: 4.0}  # p99 of a tick
+_SEEN_BEFORE_NS, _DELAY_NS = 10 * MS, MS
+_NOISE = 3e-4, 3e-4, 4e-3  # of a pose [m, m, rad]
+
+
+def rows() -> list[Row]:
+    """Return the rows."""
+    return controller_ticks()
+
+
+def fleet(count: int) -> Config:
+    """Return so many robots: the shipped platoon, or platoons of 20 side by side, each on its own copy of the path."""
+    shipped = load_config(PLATOON, ["tracker.source=truth"])
+    if count == len(shipped.robots):
+        return shipped
+    path = Platoon.Settings.model_validate(shipped.groups[0].settings).path
+    width, height = shipped.arena.size_m
+    platoons = math.ceil(count / _IN_A_PLATOON)
+    columns = math.ceil(math.sqrt(platoons * height / width))
+    rows = math.ceil(platoons / columns)
+    groups = []
+    for k in range(platoons):
+        x, y = (k % columns - (columns - 1) / 2) * width, (k // columns - (rows - 1) / 2) * height
+        knots = [
+            {"at_m": [at[0] + x, at[1] + y], "derivative_m": list(along)}
+            for at, along in ((q.at_m, q.derivative_m) for q in path.knots)
+        ]
+        ids = [f"r{i + 1}" for i in range(_IN_A_PLATOON * k, min(count, _IN_A_PLATOON * (k + 1)))]
+        settings = shipped.groups[0].settings | {"path": {"knots": knots}}
+        groups.append({"name": f"platoon{k + 1}", "behaviour": "platoon", "robots": ids, "settings": settings})
+    one = shipped.robots[0]
+    robots = [one.model_copy(update={"id": f"r{i + 1}", "tag": i + 1, "start": None}) for i in range(count)]
+    arena = shipped.arena.model_copy(update={"size_m": (columns * width, rows * height)})
+    made = tuple(Group.model_validate(json.loads(json.dumps(group))) for group in groups)
+    return shipped.model_copy(update={"arena": arena, "robots": tuple(robots), "groups": made})
+
+
+def controller_ticks() -> list[Row]:
+    """A tick of the controller with filter, law, barrier and record, warm, with an image and a state to read.
+
+    CPU time, as other processes of a shared machine would else be in the 99th percentile. Its drivers are silent: what
+    they say and hear is not in these rows. The ratio is to what the tick's p99 may take.
+    """
+    found = []
+    for count, may_ms in _MAY_MS.items():
+        times = _tick_times(fleet(count), 2500 if count <= _IN_A_PLATOON else 600)
+        for row in percentiles(f"controller's tick, {count} robots, CPU", {"robofleet": times}):
+            found.append(row | {"ratio": row["value"] / may_ms})
+    return found
+
+
+def _tick_times(config: Config, ticks: int) -> list[float]:
+    """Return the CPU time of each tick [ms]; robots do exactly what the tick before said, and are seen with noise."""
+    compile_kernels(config)
+    clock, rng = SimulatedClock(), np.random.default_rng(1)
+    clock.advance_to(S)
+    bus = MemoryBus(config.arena.name, clock, _DELAY_NS)
+    controller = Controller(config, bus, clock, rng)
+    say_poses, say_state, said = bus.publisher(POSES, CAMERA), bus.publisher(STATE), bus.newest(TICK)
+    period_ns, starts = round(config.controller.tick_s * S), starts_of(config)
+    tags, poses = [robot.tag for robot in config.members], np.array([starts[robot.id] for robot in config.members])
+    vehicle = config.members[0].vehicle
+    permitted = (RobotState(1, 0, 0),) * len(poses)
+    times = []
+    for tick in range(1, ticks + 1):
+        now_ns = S + tick * period_ns
+        clock.advance_to(now_ns - 2 * _DELAY_NS)
+        seen = (poses + rng.normal(0.0, _NOISE, poses.shape)).tolist()
+        image = tuple(TagPose(tag, 0, 0, *pose) for tag, pose in zip(tags, seen, strict=True))
+        since_ns = period_ns - _SEEN_BEFORE_NS
+        say_poses(FLEET_POSES.encode(FleetPoses(1, tick, 0, S, S, tick - 1, since_ns, 0, 0, image)))
+        say_state(RUN_STATE.encode(RunState(1, tick, Phase.RUNNING, 0, NOBODY, 0.0, 0, NOBODY, 0, permitted)))
+        clock.advance_to(now_ns)
+        began_ns = processor_ns()
+        controller.step(now_ns)
+        times.append((processor_ns() - began_ns) / MS)
+        clock.advance_to(now_ns + _DELAY_NS)
+        poses = _driven(poses, said.take(), vehicle.wheel_radius_m, vehicle.wheel_base_m, period_ns / S)
+    return times[ticks // 5 :]
+
+
+def _driven(poses: Array, record: bytes | None, radius: float, base: float, duration: float) -> Array:
+    """Return where robots are that do at once what a tick's record says."""
+    told: Any = None if record is None else TICK_RECORD.view(record)
+    assert told is not None
+    left, right = told[1]["left_rad_s"], told[1]["right_rad_s"]
+    v, turn = radius * (right + left) / 2, radius * (right - left) / base * duration
+    heading = poses[:, 2] + turn / 2
+    way = np.column_stack([v * duration * np.cos(heading), v * duration * np.sin(heading), turn])
+    return np.asarray(poses + way)
