@@ -20,8 +20,7 @@ _NS = 1e-9
 _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
 NEVER_NS = (1 << 63) - 1
 _BLOCK = 512  # random numbers that are drawn at once
-_LONGEST_NS = S // 10  # that passes between two looks at how many of them are left
-_LONGEST_STEPS = 100  # of the plant in that time: each needs two
+_DRAWS = 2  # for a step of the plant
 _COMMANDS = 64  # that are under way to a robot without delay; more for each second of it
 _COMMANDS_HZ = 1000
 
@@ -92,8 +91,7 @@ class Bodies:
             longest_delay_ns = max(longest_delay_ns, int(self.plants[row]["delay_ns"]))
         capacity = _COMMANDS + _COMMANDS_HZ * longest_delay_ns // S
         self.coming = np.zeros((n, capacity), COMING)
-        self._ready_ns = now_ns  # when there were enough random numbers last
-        self._longest_ns = min(_LONGEST_NS, _LONGEST_STEPS * int(self.plants["longest_step_ns"].min()))
+        self._step_ns = int(self.plants["longest_step_ns"].min())
         self._noisy = bool(self.plants["slip"].any())
         self.noise = np.zeros((n, 2 * _BLOCK))  # two blocks a robot, each drawn at once and used from its end
         if self._noisy:
@@ -114,13 +112,8 @@ class Bodies:
         for row, sensors in self.sensors:
             told = sensors()
             self.bodies[row]["faults"], self.bodies[row]["low_charge"] = told
-        if not 0 <= now_ns - self._ready_ns <= self._longest_ns:
-            while now_ns - self._ready_ns > self._longest_ns:
-                self._ready_ns += self._longest_ns
-                self._refill()
-                advance_all(self.bodies, self.plants, self.coming, self.noise, self._ready_ns)
-            self._refill()
-            self._ready_ns = now_ns
+        if self._noisy:
+            self._supply(now_ns)
         return now_ns
 
     def truths(self) -> NDArray[np.float64]:
@@ -136,10 +129,19 @@ class Bodies:
         body["right_runs"] = math.nan if trouble.right is None else trouble.right
         body["pushed_x"], body["pushed_y"] = trouble.pushed
 
+    def _supply(self, now_ns: int) -> None:
+        """Let there be random numbers enough until an instant; robots that need more than fit are brought there."""
+        b = self.bodies
+        steps = (now_ns - int(b["reached_ns"].min())) // self._step_ns + int(b["coming"].max()) + 3
+        if int(b["drawn"].max()) + _DRAWS * steps <= 2 * _BLOCK:
+            return
+        self._refill()
+        while _DRAWS * steps > _BLOCK and (b["reached_ns"] < now_ns).any():
+            advance_all(b, self.plants, self.coming, self.noise, now_ns)
+            self._refill()
+
     def _refill(self) -> None:
         """Draw again the blocks of random numbers that were used up."""
-        if not self._noisy:
-            return
         drawn = self.bodies["drawn"]
         for row in np.flatnonzero(drawn >= _BLOCK).tolist():
             # The block that is under way comes first, a new one behind it.
@@ -176,6 +178,8 @@ def advance(b, p, coming, noise, now_ns):  # type: ignore[no-untyped-def]
     if now_ns >= b.off_ns:
         off_ns = b.off_ns
         _advance(b, p, coming, noise, off_ns)
+        if b.reached_ns < off_ns:
+            return
         _tell(b, p, coming, 0.0, 0.0)
         b.off_ns = NEVER_NS
     _advance(b, p, coming, noise, now_ns)
@@ -199,7 +203,7 @@ def _tell(b, p, coming, left, right):  # type: ignore[no-untyped-def]
 
 @kernel
 def _advance(b, p, coming, noise, now_ns):  # type: ignore[no-untyped-def]
-    while b.reached_ns < now_ns:
+    while b.reached_ns < now_ns and b.drawn + _DRAWS <= len(noise):  # else Bodies draws more, and it goes on
         while b.coming > 0 and coming[b.first].at_ns <= b.reached_ns:
             b.left_command, b.right_command = coming[b.first].left, coming[b.first].right
             b.first = (b.first + 1) % len(coming)
@@ -243,7 +247,7 @@ def _step(b, p, noise, duration):  # type: ignore[no-untyped-def]
         turning = p.slip * abs(_body_from_wheels(left, right, p.wheel_radius, p.wheel_base)[1])
         left *= 1.0 - turning * max(0.0, 1.0 + p.slip_noise * noise[b.drawn])
         right *= 1.0 - turning * max(0.0, 1.0 + p.slip_noise * noise[b.drawn + 1])
-        b.drawn += 2
+        b.drawn += _DRAWS
     left, right = (1.0 - b.slip) * left, (1.0 - b.slip) * right
     v, omega = _body_from_wheels(left, right, p.wheel_radius, p.wheel_base)
     b.v, b.omega = v, omega

@@ -88,6 +88,11 @@ class Alone(Generic[M]):
         self._make, self.layout, self._unit, self._item = make, layout, unit, item
         self._heads = unit._fields[:-1]
 
+    @property
+    def size(self) -> int:
+        """Bytes of the message of a unit of one robot."""
+        return self.layout.dtype(1).itemsize
+
     def part(self, message: M, place: int = 0) -> Any:
         """Return the robot's part of the unit's message; ``place``: in its unit."""
         own = {**dict.fromkeys(self._item._fields, place), **message._asdict()}

@@ -153,7 +153,7 @@ class BadLines:
             bus.listen(STATUS, "r1", lambda at_ns, payload: said.append((at_ns, payload)))
             wake, rng = (lambda _: None), np.random.default_rng(1)
             process = DriverProcess(
-                bench.config, ("r1",), bus, bench.clock, wake, rng, MemoryKeeping(),
+                bench.config, "r1", bus, bench.clock, wake, rng, MemoryKeeping(),
                 ConfiguredDrivers(bench.config, bench.clock.now_ns),
             )  # fmt: skip
             try:

@@ -131,7 +131,7 @@ def flood(endpoint: str, arena: str) -> None:
 def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]:
     """Return the time of every robot and try [ms]."""
     endpoint = own_endpoint()
-    config = load_config(PLATOON, ["tracker.source=truth", f"bus.endpoint={endpoint}"])
+    config = load_config(PLATOON, ["drivers.robots_per_process=1", "tracker.source=truth", f"bus.endpoint={endpoint}"])
     fleet = started(config, folder, _CLOCK)
     found: list[float] = []
     try:

@@ -54,7 +54,9 @@ class Fleet:
         self._folder = folder
         endpoint = own_endpoint()
         robots = f"groups.0.robots=[{', '.join(ROBOTS)}]"
-        config = load_config(PLATOON, [robots, f"bus.endpoint={endpoint}", "tracker.source=truth"])
+        config = load_config(
+            PLATOON, ["drivers.robots_per_process=1", robots, f"bus.endpoint={endpoint}", "tracker.source=truth"]
+        )
         self.config = config.model_copy(update={"robots": tuple(config.robot(robot) for robot in ROBOTS)})
         self._children = started(self.config, folder, CLOCK)
         self.bus = ZenohBus(config.arena.name, endpoint, "kills", CLOCK)

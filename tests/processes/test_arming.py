@@ -35,7 +35,11 @@ FAULTS = {
 
 def armed(*overrides: str) -> Lockstep:
     """Return a run of one tick without pixels, done."""
-    run = Lockstep(load_config(PLATOON, ["tracker.source=truth", "run.duration_s=0.033", *overrides]))
+    run = Lockstep(
+        load_config(
+            PLATOON, ["tracker.source=truth", "run.duration_s=0.033", "drivers.robots_per_process=1", *overrides]
+        )
+    )
     run.run()
     return run
 

@@ -32,7 +32,7 @@ A_TWIN = ("--set", "robots.0.driver=gternal", "--set", "robots.0.twin=gternal")
 @pytest.fixture
 def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return load_config(PLATOON, [f"robots.{row}.twin={FAKE}" for row in (0, 2)])
+    return load_config(PLATOON, ["drivers.robots_per_process=1"] + [f"robots.{row}.twin={FAKE}" for row in (0, 2)])
 
 
 def port_of(config: Config, robot: str) -> Path:
@@ -72,7 +72,7 @@ def test_it_tells_the_truth_about_each_a_hundred_times_a_second(config: Config) 
 def test_its_faults_begin_when_the_fleet_runs(config: Config) -> None:
     clock = SimulatedClock()
     fault = "{kind: unplugged, robot: r3, at_s: 0.5}"
-    config = load_config(PLATOON, [f"robots.2.twin={FAKE}", f"faults=[{fault}]"])
+    config = load_config(PLATOON, ["drivers.robots_per_process=1", f"robots.2.twin={FAKE}", f"faults=[{fault}]"])
     plain, schedule = MemoryBus(config.arena.name, clock, 0), Schedule(config, clock)
     twins = Twins(config, FaultyBus(plain, schedule, "twins", clock), clock, LineWaker(), schedule)
     there = []

@@ -25,7 +25,7 @@ from robofleet.config.tree import Config
 from robofleet.processes.web.server import Addresses, Served, serve
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
-from tests.comms.alone import RobotStatus
+from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
 from tests.processes.realrun import PLATOON, wait
 
@@ -102,7 +102,7 @@ class WebStand:
             1, self._seq, 0, 5, 11, now_ns, now_ns, now_ns - took_ns, now_ns, 0, gate, latch, 1, 0, 0, -1, -1,
             0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.5,
         )  # fmt: skip
-        self._status[robot](messages.ROBOT_STATUS.encode(status))
+        self._status[robot](ROBOT_STATUS.encode(status))
 
     def say_image(self, seq: int, exposure_ns: int, *poses: TagPose, jpeg: bytes = b"") -> None:
         self._poses(messages.FLEET_POSES.encode(FleetPoses(3, seq, 0, exposure_ns, exposure_ns, 1, 0, 0, 0, poses)))
@@ -175,7 +175,7 @@ def placed(x: float, y: float, **changes: float) -> RobotTick:
 @contextmanager
 def web_stand(folder: Path, *overrides: str, said: Callable[[], str] = str, file: Path = PLATOON) -> Iterator[WebStand]:
     """Start a router, the server and the stand; nothing is left of them."""
-    config = load_config(file, [f"bus.endpoint={own_endpoint()}", *overrides])
+    config = load_config(file, ["drivers.robots_per_process=1", f"bus.endpoint={own_endpoint()}", *overrides])
     router = open_router(config.bus.endpoint)
     roles = {"test": ("supervisor", "tracker"), "web": ()}  # what the test stands for
     buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]

@@ -158,7 +158,7 @@ def story() -> Callable[..., Story]:
     """Return a run of ten seconds of the shipped platoon."""
 
     def make(*overrides: str, ticks: int = 300) -> Story:
-        return Story(load_config(PLATOON, overrides), ticks)
+        return Story(load_config(PLATOON, ["drivers.robots_per_process=1", *overrides]), ticks)
 
     return make
 

@@ -13,6 +13,7 @@ import pytest
 
 from robofleet.behaviours import described
 from robofleet.comms.keys import CAMERA, NEWS, STATUS, TICK, TRUTH, key
+from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import TICK_RECORD, TRACKER_NEWS, RobotTick
 from robofleet.recording import comparison, report
 from robofleet.recording.run import Recording
@@ -121,7 +122,7 @@ def test_messages_of_any_bytes_end_no_report(
         add_status(recording, "r1", told.stamp(k), applied=(told.stamp(k) - 19_000_000, told.stamp(k)))
     for _ in range(50):
         data = bytearray(rng.bytes(layout.size))
-        data[0] = 3
+        data[0] = VERSION
         recording.add(key(told.config.arena.name, *topic), bytes(data))
     everything(recording, figures(recording), tmp_path)
 

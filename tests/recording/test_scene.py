@@ -197,7 +197,7 @@ def test_what_cannot_be_read_changes_nothing(story: Make) -> None:
     viewer = Viewer(recording.config).play(recording)
     viewer.tell("something/else", b"", 8 * S)
     before = {topic: len(messages) for topic, messages in viewer.said.items()}
-    names = {"robot/{}/status": "r1", "robot/{}/cmd": "r1", "sim/{}/truth": "r1"}
+    names = {"unit/{}/status": "r1", "unit/{}/cmd": "r1", "sim/{}/truth": "r1"}
     for topic in TOPICS:
         for payload in (b"", b"\x03", b"\xff" * 400, bytes(2000)):
             viewer.tell(key("platoon", topic, names.get(topic.key, CAMERA)), payload, 9 * S)

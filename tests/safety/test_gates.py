@@ -74,8 +74,8 @@ def a_state(rng: Random) -> GateState:
     at_ns, heard_ns, commanded_ns, enabled_ns, since_ns, moved_by = (instant(rng, NOW_NS) for _ in range(6))
     after_ns, lapsed_ns = rng.choices((UNKNOWN, 0, 5 * MS), k=2), NOW_NS - LAPSE_NS + rng.choice((-1, 0, 1))
     return GateState(
-        boot, epoch, rng.choice(LATCHES), latched, session, rng.choice((heard_ns, lapsed_ns)), seq, commanded_ns, wheels(rng),
-        (enabled_ns, enabled), permitted(rng), target, rng.choice((target, target, wheels(rng))), at_ns,
+        boot, epoch, rng.choice(LATCHES), latched, session, rng.choice((heard_ns, lapsed_ns)), seq, commanded_ns,
+        wheels(rng), (enabled_ns, enabled), permitted(rng), target, rng.choice((target, target, wheels(rng))), at_ns,
         rng.choice((since_ns, NEVER)), moved_by, *after_ns, rng.choice((0, 7)),
     )  # fmt: skip
 
@@ -95,8 +95,9 @@ def an_input(rng: Random, state: GateState, now_ns: int) -> Inputs:
     command = permission = lease = None
     if rng.random() < 0.6:
         given_ = rng.choice((wheels(rng),) * 9 + (WheelSpeeds(1e300, 1e300), WheelSpeeds(1e300, -1e300)))
+        seq = rng.choice((min(state.seq + 1, LAST), beside(rng, state.seq)))
         command = Command(
-            beside(rng, state.epoch), beside(rng, state.session), rng.choice((min(state.seq + 1, LAST), beside(rng, state.seq))),
+            beside(rng, state.epoch), beside(rng, state.session), seq,
             beside(rng, state.boot_id), nonce(), given_,
         )  # fmt: skip
     if rng.random() < 0.6:

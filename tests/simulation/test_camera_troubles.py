@@ -33,7 +33,9 @@ class Stage:
     """Robots that drive circles below a camera that runs freely at 20 Hz."""
 
     def __init__(self, *overrides: str) -> None:
-        self.config = load_config(PLATOON, ["camera.trigger=free", "camera.rate_hz=20", *overrides])
+        self.config = load_config(
+            PLATOON, ["camera.trigger=free", "camera.rate_hz=20", "drivers.robots_per_process=1", *overrides]
+        )
         self.clock = SimulatedClock()
         self.clock.advance_to(S)
         bus: Any = MemoryBus("platoon", self.clock, 0)

@@ -18,7 +18,7 @@ from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
-from tests.comms.alone import ROBOT_STATUS
+from tests.comms.alone import ROBOT_STATUS, Alone
 from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
@@ -48,8 +48,13 @@ class Drive:
     def rows(self, topic: Any, layout: Any, name: str = "") -> list[tuple[float, Any]]:
         """Return (time since the start of the run [s], message) of every message of a topic."""
         stamp = "sent_ns" if topic is POSES else "stamp_ns"
-        payloads = self.run.recording.messages[key("platoon", topic, name)]
-        messages = [layout.decode(payload) for payload in payloads]
+        units, unit_of = self.run.recording.config.units, self.run.recording.config.unit_of
+        payloads = self.run.recording.messages[key("platoon", topic, unit_of.get(name, name))]
+        if isinstance(layout, Alone):
+            place = units[unit_of[name]].index(name)
+            messages: list[Any] = [layout.of(payload, place) for payload in payloads]
+        else:
+            messages = [layout.decode(payload) for payload in payloads]
         return [((getattr(m, stamp) - self.began_ns) / S, m) for m in messages]
 
     @property
@@ -270,7 +275,7 @@ def delivered() -> Deliver:
     """Return what arrives of messages that are said every 10 ms for some seconds: (ms since they began, payload)."""
 
     def deliver(*faults: str, seconds: float = 2.0, size: int = 16) -> list[tuple[float, bytes]]:
-        config = load_config(PLATOON, [f"faults=[{', '.join(faults)}]"])
+        config = load_config(PLATOON, ["drivers.robots_per_process=1", f"faults=[{', '.join(faults)}]"])
         clock = SimulatedClock()
         clock.advance_to(S)
         bus = MemoryBus("platoon", clock, 0)
@@ -311,7 +316,8 @@ def test_bursts_are_no_longer_than_asked_and_as_frequent(delivered: Deliver) -> 
 
 
 def test_the_same_burst_takes_what_a_robot_says_and_what_it_is_told() -> None:
-    config = load_config(PLATOON, ["faults=[{kind: lost, topics: [cmd, status], share: 0.1, burst_s: 0.06}]"])
+    fault = "faults=[{kind: lost, topics: [cmd, status], share: 0.1, burst_s: 0.06}]"
+    config = load_config(PLATOON, ["drivers.robots_per_process=1", fault])
     clock = SimulatedClock()
     bus, schedule = MemoryBus("platoon", clock, 0), Schedule(config, clock)
     told = FaultyBus(bus, schedule, "driver-r1", clock).newest(COMMAND, "r1")
@@ -375,7 +381,9 @@ def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
 
 def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_often() -> None:
     lossy = PLATOON.parent / "faults" / "lossy.yaml"
-    run = Lockstep(load_config(PLATOON, ["tracker.source=truth", "run.duration_s=20"], lossy))
+    run = Lockstep(
+        load_config(PLATOON, ["tracker.source=truth", "run.duration_s=20", "drivers.robots_per_process=1"], lossy)
+    )
     assert run.run() == ("completed", None)
     assert run.faults is not None
     assert all(injection.effects > 100 for injection in run.faults.injections)
@@ -384,7 +392,9 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
         told = len(run.recording.messages[key("platoon", COMMAND, robot)])
         assert any(status is not None and status.hurry for status in statuses)
         assert told > 100 * 20
-    healthy = Lockstep(load_config(PLATOON, ["tracker.source=truth", "run.duration_s=2"]))
+    healthy = Lockstep(
+        load_config(PLATOON, ["tracker.source=truth", "run.duration_s=2", "drivers.robots_per_process=1"])
+    )
     healthy.run()
     statuses = [ROBOT_STATUS.decode(p) for p in healthy.recording.messages[key("platoon", STATUS, "r1")]]
     assert not any(status is not None and status.hurry for status in statuses)

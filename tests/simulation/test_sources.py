@@ -39,7 +39,9 @@ class Floor:
     """Robots that drive straight on, each at its own speed, on a bus without delay."""
 
     def __init__(self, *overrides: str) -> None:
-        self.config = load_config(PLATOON, [f"camera.trigger_lead_s={LEAD_NS / S}", *overrides])
+        self.config = load_config(
+            PLATOON, [f"camera.trigger_lead_s={LEAD_NS / S}", "drivers.robots_per_process=1", *overrides]
+        )
         self.clock = SimulatedClock()
         self.clock.advance_to(S)
         self.bus = MemoryBus("platoon", self.clock, 0)

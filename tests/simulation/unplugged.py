@@ -43,7 +43,9 @@ class Pulled:
     def __init__(self, config_file: Path, robot: str, seconds: float, folder: Path) -> None:
         fault = f"{{kind: unplugged, robot: {robot}, at_s: {_DRIVEN_S}, duration_s: {seconds}}}"
         endpoint = own_endpoint()
-        self.config = load_config(config_file, [f"bus.endpoint={endpoint}", f"faults=[{fault}]"])
+        self.config = load_config(
+            config_file, ["drivers.robots_per_process=1", f"bus.endpoint={endpoint}", f"faults=[{fault}]"]
+        )
         self.port = twin_port(self.config.arena.name, robot)
         self._children = started(self.config, folder, CLOCK)
         self.bus = ZenohBus(self.config.arena.name, endpoint, "unplugged", CLOCK)
