@@ -59,6 +59,7 @@ def test_no_boundary_is_nan() -> None:
     assert np.isnan(boundary(lambda T: 0.5, 1.0, 2.0))
 
 
+@pytest.mark.slow
 def test_the_experiment() -> None:
     p = load_parameters(StabilityParameters, SHIPPED / "stability.yaml").model_copy(update={"points": 4})
     result = run(p)
