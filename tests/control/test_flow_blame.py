@@ -31,7 +31,7 @@ BAD = _models()
         ("plant.h", "counts_bytes", "len(x.dumps())", "Unknown attribute 'dumps' of type array(float64, 1d, C)"),
         ("g", "fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
         ("plant.f", "multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype"),
-        ("plant.h", "asks_too_much", "np.full(", "it knows no full("),
+        ("g", "asks_too_much", "np.full(", "it knows no full("),
     ],
 )
 def test_function_line_and_cause_are_named(role: str, function: str, source: str, cause: str) -> None:
