@@ -14,6 +14,10 @@ from xdist.scheduler import LoadFileScheduling
 
 from tests.compiled_once import compiled_once
 
+# Else every process that a test starts compiles all sources anew, and every worker rewrites the assertions of all files.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 _SAME_PLANT = {
     "tests/control/test_flow_any_plant.py": "double integrator",
     "tests/experiments/test_stability.py": "double integrator",

@@ -37,6 +37,7 @@ def test_the_real_controller_has_the_exact_eigenvalues(
 
 @EXACT
 @given(st.floats(0.5, 200))
+@pytest.mark.slow
 def test_t_alpha_is_one_over_alpha(alpha: float) -> None:
     def radius(T: float) -> float:
         return spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(alpha, T, 0.002 / alpha), REST)
