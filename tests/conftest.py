@@ -14,7 +14,7 @@ from xdist.scheduler import LoadFileScheduling
 
 from tests.compiled_once import compiled_once
 
-# Else every process that a test starts compiles all sources anew, and every worker rewrites the assertions of all files.
+# Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 

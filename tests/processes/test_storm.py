@@ -30,7 +30,7 @@ def test_the_same_seed_plans_the_same_storm_and_another_seed_another_one(fleet: 
 
 
 def test_every_fault_heals_by_the_time_that_the_plan_names_and_every_kind_comes(fleet: Config) -> None:
-    plans = [plan(fleet, seed) for seed in range(1, 201)]
+    plans = [plan(fleet, seed) for seed in range(1, 81)]
     for storm in plans:
         ends = [fault.at_s + fault.duration_s for fault in storm.faults]
         assert max(ends) <= storm.healed_s <= WINDOW_S
