@@ -190,6 +190,7 @@ def test_functions_may_return_a_part_of_what_they_are_given() -> None:
     assert memoryless.update(np.array([0.6])) == pytest.approx([0.6 - 0.3 * math.exp(-0.2)], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_memoryless_without_jacobian_solves_g() -> None:
     def g(u: Array) -> Array:
         return np.array([u[0] ** 3 + u[0] + 0.5 * u[1], u[1] - 0.5 * np.sin(u[0])])

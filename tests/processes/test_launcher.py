@@ -109,6 +109,7 @@ def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
     assert "stopped: the operator interrupted" in run.said
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_for(run.children)

@@ -84,11 +84,11 @@ def _overlap(faults: Iterable[Any]) -> bool:
     return any(later[0] < earlier[1] for earlier, later in pairwise(times))
 
 
-def test_four_storms_leave_every_invariant_standing(fleet: Config) -> None:
-    tally = workers.storm(fleet, range(1, 5), lambda _tally, _episode: None)
+def test_two_storms_leave_every_invariant_standing(fleet: Config) -> None:
+    tally = workers.storm(fleet, range(1, 3), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
     assert list(tally.shortfalls()) == []
-    assert tally.seeds == 4
+    assert tally.seeds == 2
 
 
 def test_a_storm_that_never_brought_what_it_planned_proves_too_little(fleet: Config) -> None:

@@ -20,6 +20,7 @@ ATTENDED = (*ALONE, "--set", "run.attended=true")
 Start = Callable[..., RealRun]
 
 
+@pytest.mark.slow
 def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(real_run: Start) -> None:
     run = real_run(*of_robots("r1", "r2"), terminal=True)
     run.wait_until_running()
