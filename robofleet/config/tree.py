@@ -3,9 +3,9 @@
 Every key carries its unit. World frame: the arena's centre on the floor, x along the long side, y left, z up.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, JsonValue
 
@@ -202,6 +202,13 @@ class Config(Model):
     """Simulated times of bus and tracker in ``robofleet run CONFIG --lockstep``."""
     faults: Annotated[tuple[InjectedFault, ...], Field(max_length=MANY, strict=False)] = ()
     """Faults on purpose, and their times. ``--faults FILE`` replaces them."""
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values; what was found in the robots is found anew."""
+        copy = super().model_copy(update=update, deep=deep)
+        for found in ("units", "unit_of", "_by_id"):
+            copy.__dict__.pop(found, None)
+        return copy
 
     @property
     def twins(self) -> tuple[Robot, ...]:
