@@ -95,7 +95,7 @@ def _tick_times(config: Config, ticks: int) -> list[float]:
         image = tuple(TagPose(tag, 0, 0, *pose) for tag, pose in zip(tags, seen, strict=True))
         since_ns = period_ns - _SEEN_BEFORE_NS
         say_poses(FLEET_POSES.encode(FleetPoses(1, tick, 0, S, S, tick - 1, since_ns, 0, 0, image)))
-        say_state(RUN_STATE.encode(RunState(1, tick, Phase.RUNNING, 0, NOBODY, 0.0, 0, NOBODY, 0, permitted)))
+        say_state(RUN_STATE.encode(RunState(1, tick, Phase.RUNNING, 0, NOBODY, 0.0, 0, permitted)))
         clock.advance_to(now_ns)
         began_ns = processor_ns()
         controller.step(now_ns)
