@@ -32,6 +32,7 @@ from robofleet.processes.refusal import (
     new_folder,
     unkept,
 )
+from robofleet.studies import commands as studies
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,6 +55,7 @@ for _afterwards in run_commands.app.registered_commands:
     _afterwards.rich_help_panel = "A run afterwards, from the file that it left"
 app.add_typer(doctoring.app)
 app.add_typer(trials.app)
+app.add_typer(studies.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
 app.add_typer(laboratory.app)

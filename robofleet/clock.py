@@ -99,6 +99,11 @@ def processor_ns() -> int:
     return time.thread_time_ns()
 
 
+def cpu_ns() -> int:
+    """Return how long the processors have worked for this process [ns]."""
+    return time.process_time_ns()
+
+
 def epoch_ns() -> int:
     """Return what makes an instant of ``WallClock`` a date: add it, and it counts from 1970 [ns]."""
     return time.time_ns() - time.clock_gettime_ns(_CLOCK)

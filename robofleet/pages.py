@@ -19,6 +19,7 @@ from robofleet.files import write_text
 GOOD, BAD = COLOURS[2], COLOURS[1]
 
 _PRECISION = re.compile(r"(?<=\.\d\d)\d+")  # a hundredth of a point is finer than any screen
+_TAG = re.compile(r"<[^>]*>")
 _NAMES = re.compile(r' id="(?!C\d)[\w.]+_\d+"')  # nobody refers to them, and every plot has the same
 _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 _CSS = f"""
@@ -159,7 +160,7 @@ class Page:
         with mpl.rc_context({**STYLE, "svg.fonttype": "none"}):
             figure.savefig(buffer, format="svg", metadata=_NO_METADATA, transparent=True)
         _, start, rest = buffer.getvalue().partition("<svg")
-        svg = _NAMES.sub("", _PRECISION.sub("", rest))
+        svg = _NAMES.sub("", _TAG.sub(lambda tag: _PRECISION.sub("", tag[0]), rest))  # what is written stays as it is
         svg = f'{start} role="img" aria-label="{_text(title or caption)}"{svg}'
         chips = "".join(f'<span><i style="background:{colour}"></i>{_text(label)}</span>' for label, colour in legend)
         head = f"<h3>{_text(title)}</h3>" if title else ""

@@ -12,6 +12,12 @@ from typing import Any
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
+from tests.compiled_once import compiled_once
+
+# Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 _SAME_PLANT = {
     "tests/control/test_flow_any_plant.py": "double integrator",
     "tests/experiments/test_stability.py": "double integrator",
@@ -31,6 +37,18 @@ class _Scheduling(LoadFileScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
     return _Scheduling(config, log)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Two workers that both meet an empty cache of kernels do not both compile all of them."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    locks = tmp_path_factory.getbasetemp().parent / "kernels"  # the workers' common folder
+    locks.mkdir(exist_ok=True)
+    with compiled_once(locks):
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -27,12 +27,15 @@ from robofleet.config.load import load_config
 from robofleet.experiments.paper import EXPERIMENTS
 from robofleet.processes.check import load_checked
 from robofleet.processes.ending import Ending
+from robofleet.studies.progress import bar
+from robofleet.studies.sweep.load import load as load_sweep
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("configs", "drivers", "robofleet", "tests", "tools")
 GUIDES = [*ROOT.glob("*.md"), *(guide for folder in FOLDERS for guide in (ROOT / folder).rglob("*.md"))]
 PLACEHOLDERS = {
     "CONFIG": "configs/platoon.yaml", "RUN": "tests/recordings/platoon.mcap", "FILE": "configs/faults/lossy.yaml",
+    "SWEEP": "configs/sweeps/gains.yaml",
     "ARENA": "platoon", "DIR": "new", "NAME": "all", "N": "3", "S": "5", "SEED": "7", "KEY=VALUE": "run.seed=3",
     "CAMERA": "configs/cameras/overhead.yaml", "SURVEY": "survey.yaml", "IMAGES": "photos",
     "/etc/robofleet/lab.yaml": "configs/lab.yaml",  # where tools/deploy installs it
@@ -179,6 +182,8 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
                 load_checked(values["config"], changes, faults, lockstep=True)
             else:  # there may be no such camera, no such port here
                 load_config(values["config"], changes, faults)
+        if name == "sweep" and "sweep" in values:
+            load_sweep(values["sweep"], lambda of: bar("checks", of))
         if name == "paper":
             assert values["experiment"] in {"all", *EXPERIMENTS}
         if name != "web":  # its run is an arena, as a rule

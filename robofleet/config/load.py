@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, JsonValue, ValidationError
@@ -47,6 +47,7 @@ TABLES: dict[tuple[str, ...], tuple[str, ...]] = {
 }
 
 Loc = tuple[str | int, ...]
+Files = dict[Path, tuple[Node | None, list[Mistake]]]  # each file that was read: its tree, and its faults
 Kept = TypeVar("Kept")
 
 
@@ -73,6 +74,12 @@ def resolved_yaml(config: Config) -> str:
     return yaml.dump(config.model_dump(mode="json"), Dumper=_Dumper, sort_keys=False, width=110)
 
 
+def spelled(value: object) -> str:
+    """Return a value as it is written behind ``--set KEY=``: one line of YAML that is read back to an equal one."""
+    line = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, width=float("inf"), allow_unicode=True)
+    return line.removesuffix("\n").removesuffix("\n...")
+
+
 class Typed(str):
     """An override that is made of something else: faults in it name ``typed``."""
 
@@ -85,16 +92,32 @@ class Typed(str):
         return made
 
 
+class Change(NamedTuple):
+    """An override that is written in another file: faults in it name its place there."""
+
+    key: str
+    value: Node
+
+
 class ConfigFile:
     """A configuration that remembers where everything in it was written."""
 
     config: Config
 
-    def __init__(self, file: Path, overrides: Sequence[str] = (), faults_file: Path | None = None) -> None:
-        """Read and validate; ConfigError with everything that is wrong."""
+    def __init__(
+        self,
+        file: Path,
+        overrides: Sequence[str | Change] = (),
+        faults_file: Path | None = None,
+        files: Files | None = None,
+    ) -> None:
+        """Read and validate; ConfigError with everything that is wrong.
+
+        ``files``: what was read for another one; a file in it is not read again.
+        """
         self._folder = file.parent
         self._faults: list[Mistake] = []
-        self._files: dict[Path, Node | None] = {}
+        self._files: Files = {} if files is None else files
         self._sources: list[Source] = []
         root = self._opened(file)
         if root is not None and faults_file is not None:
@@ -225,11 +248,15 @@ class ConfigFile:
     def _read(self, file: Path) -> Node | None:
         """Return the tree of a file, read once; None after a fault that leaves none."""
         source = Source(str(file))
-        if file not in self._files:
+        again = source in self._sources
+        if not again:
             self._sources.append(source)
-            self._files[file], faults = read_yaml(file, source)
+        if file not in self._files:
+            self._files[file] = read_yaml(file, source)
+        node, faults = self._files[file]
+        if not again:
             self._faults += faults
-        return self._files[file]
+        return node
 
     def _with_faults(self, root: Node, file: Path) -> Node:
         node = self._opened(file)
@@ -244,7 +271,12 @@ class ConfigFile:
             node = node.value.get("faults", replace(node, value=None))
         return root if node is None else self._placed(root, ["faults"], (), node)
 
-    def _overridden(self, root: Node | None, override: str) -> Node | None:
+    def _overridden(self, root: Node | None, override: str | Change) -> Node | None:
+        if isinstance(override, Change):
+            if override.value.place.source not in self._sources:
+                self._sources.append(override.value.place.source)
+            new = _moved_to(override.key, override.value)
+            return root if root is None else self._placed(root, override.key.split("."), (), new)
         key, equals, value = override.partition("=")
         name = override.typed if isinstance(override, Typed) else f"--set {override}"
         source = Source(name, key or override)
@@ -369,6 +401,16 @@ def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Kept]) -> Kept | None:
         if len(pattern) == len(path) and all(one in ("*", part) for one, part in zip(pattern, path, strict=True)):
             return kept
     return None
+
+
+def _moved_to(path: str, node: Node) -> Node:
+    """Return a tree that stands elsewhere as the value of ``path``: its places keep their lines and columns."""
+    value = node.value
+    if isinstance(value, dict):
+        value = {part: _moved_to(f"{path}.{part}", child) for part, child in value.items()}
+    elif isinstance(value, list):
+        value = [_moved_to(f"{path}.{i}", child) for i, child in enumerate(value)]
+    return replace(node, value=value, place=replace(node.place, path=path), key=replace(node.key, path=path))
 
 
 def _by_id(items: list[Node], parts: list[str], where: str) -> str:

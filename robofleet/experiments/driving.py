@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
+from robofleet.config.parameters import Parameters
 from robofleet.control.flow import FlowSettings
 from robofleet.experiments.curves import Reference
-from robofleet.experiments.parameters import Parameters
 from robofleet.experiments.results import Array, Cell, Curve, Figure, Panel, Table
 from robofleet.experiments.simulate import Drive, Loop
 from robofleet.settings import Model, NonNegative, Positive

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
+from robofleet.config.parameters import Parameters
 from robofleet.control.flow import Integrator, MemorylessFlow
-from robofleet.experiments.parameters import Parameters
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Result, Table
 from robofleet.settings import Positive
 

@@ -10,8 +10,9 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from robofleet.config.faults import did_you_mean
+from robofleet.config.parameters import load_parameters
 from robofleet.control.flow import FlowError
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.results import Result, Table
 from robofleet.experiments.simulate import DivergedError
 from robofleet.valid_json import dumps

@@ -12,8 +12,9 @@ from pydantic import Field
 from robofleet.behaviours.paths import PathFile
 from robofleet.behaviours.platoon import Platoon
 from robofleet.config.load import load_config
+from robofleet.config.parameters import Parameters
 from robofleet.config.tree import Config
-from robofleet.experiments.parameters import SHIPPED, Parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains, settings_of
 from robofleet.experiments.platoon_views import (
     Drive,

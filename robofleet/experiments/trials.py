@@ -1,4 +1,4 @@
-"""The commands that need no laboratory: the paper's experiments, and storms of faults in simulation."""
+"""The command of the paper's experiments."""
 
 import sys
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from robofleet.clock import S, WallClock, utc_now
+from robofleet.clock import utc_now
 from robofleet.processes.refusal import RefusedError, bad_input, new_folder
 from robofleet.valid_json import dumps
 
@@ -48,31 +48,3 @@ def paper(
         print(dumps({"folder": str(folder), "experiments": contents}))
     else:
         print(folder)
-
-
-@app.command()
-def storm(
-    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A configuration of simulated robots.")],
-    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
-    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
-    pixels: Annotated[bool, typer.Option("--pixels", help="Render the camera's images: slower.")] = False,
-) -> None:
-    """Fuzz a simulated fleet with random faults, in lockstep, and check what must always hold.
-
-    $ robofleet storm configs/platoon.yaml --seeds 50
-
-    A failure is printed with the command that plays its seed again.
-    """
-    from robofleet.processes.check import load_checked  # noqa: PLC0415
-
-    source = "camera" if pixels else "truth"
-    with bad_input():
-        tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
-    from robofleet.processes.storm import report, workers  # noqa: PLC0415
-
-    replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
-    started_ns = WallClock().now_ns()
-    with report.progress(seeds, replay) as watch:
-        tally = workers.storm(tree, range(first, first + seeds), watch)
-    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
-        raise typer.Exit(1)

@@ -10,7 +10,7 @@ from robofleet.behaviours.interface import Behaviour, Bound, Refusal
 from robofleet.clock import S
 from robofleet.config import groups, slices, units
 from robofleet.config.faults import Complaint
-from robofleet.config.load import ConfigFile
+from robofleet.config.load import Change, ConfigFile, Files
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
 from robofleet.processes import check_drivers, check_faults, check_starts, reality
@@ -24,18 +24,19 @@ _LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come of
 
 def load_checked(
     file: FilePath,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Change] = (),
     faults_file: FilePath | None = None,
     *,
     lockstep: bool = False,
     change: Callable[[Config], Config] | None = None,
+    files: Files | None = None,
 ) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
     Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too. ``change``
-    makes another one of it before it is judged: its groups do something else, for example.
+    makes another one of it before it is judged: its groups do something else, for example. ``files``: as of ConfigFile.
     """
-    source = ConfigFile(file, overrides, faults_file)
+    source = ConfigFile(file, overrides, faults_file, files)
     config = source.config if change is None else change(source.config)
     complaints = refusals(config, lockstep=lockstep)
     if not any(path.startswith("robots.") for path, _ in complaints):

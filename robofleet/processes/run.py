@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robofleet.clock import WallClock, utc_now
 from robofleet.config import groups
@@ -15,8 +15,11 @@ from robofleet.processes.terminal import Terminal, hangup_interrupts
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import RecordingError, read
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Recording, Watch
 from robofleet.vehicles.interface import DriverError
+
+if TYPE_CHECKING:
+    from robofleet.processes.lockstep import Lockstep
 
 
 def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict[str, Any]:
@@ -30,14 +33,20 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
             run = Lockstep(config, log=log)
         except DriverError as error:
             raise RefusedError(str(error)) from error
-        try:
-            outcome, cause = run.run(view)
-        except* DriverError as raised:  # of a step, or of closing afterwards
-            outcome, cause = "fault", _first(raised)
-            run.recording.outcome, run.recording.cause = outcome, cause
+        outcome, cause = driven(run, view)
         log.end(run.recording.ending())
         run.recording.dropped = log.dropped
     return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
+
+
+def driven(run: "Lockstep", watch: Watch) -> tuple[str, str | None]:
+    """Run to the end and return (outcome, cause): a driver that fails is a fault of the run."""
+    try:
+        outcome, cause = run.run(watch)
+    except* DriverError as raised:  # of a step, or of closing afterwards
+        outcome, cause = "fault", _first(raised)
+        run.recording.outcome, run.recording.cause = outcome, cause
+    return outcome, cause
 
 
 def _now() -> str:

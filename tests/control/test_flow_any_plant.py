@@ -169,6 +169,7 @@ def test_a_diverging_prediction_names_its_step() -> None:
 @pytest.mark.parametrize(
     ("k", "limit", "fine"), [(1.0, 1e6, True), (1e-9, 1e6, True), (1.0, 3.9, False), (0.0, 1e6, False)]
 )
+@pytest.mark.slow
 def test_singular_is_refused_whatever_the_units(k: float, limit: float, fine: bool) -> None:
     flow = NewtonRaphsonFlow(SWITCHED, FlowSettings(30.0, 0.5, 0.01, max_condition=limit), np.zeros(2))
     x, r = np.array([0.1, 0.0, 1.0, 1.0, k]), np.array([0.2, 0.1])
@@ -180,6 +181,7 @@ def test_singular_is_refused_whatever_the_units(k: float, limit: float, fine: bo
         assert flow.u.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_functions_may_return_a_part_of_what_they_are_given() -> None:
     flow = NewtonRaphsonFlow(Plant(lambda x, u: u, lambda x: x, 1, 1), FlowSettings(20.0, 0.5, 0.01), [0.3])
     by_hand = point_update(0.3, 0.1, 0.6, 0.5, integrator_gain(20.0, 0.01, "exact"))
@@ -188,6 +190,7 @@ def test_functions_may_return_a_part_of_what_they_are_given() -> None:
     assert memoryless.update(np.array([0.6])) == pytest.approx([0.6 - 0.3 * math.exp(-0.2)], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_memoryless_without_jacobian_solves_g() -> None:
     def g(u: Array) -> Array:
         return np.array([u[0] ** 3 + u[0] + 0.5 * u[1], u[1] - 0.5 * np.sin(u[0])])

@@ -25,16 +25,15 @@ BAD = _models()
 
 
 @pytest.mark.parametrize(
-    ("function", "source", "cause"),
+    ("role", "function", "source", "cause"),
     [
-        ("formats", 'len(f"{x[0]:.3f}")', "format spec in f-strings not supported yet"),
-        ("counts_bytes", "len(x.dumps())", "Unknown attribute 'dumps' of type array(float64, 1d, C)"),
-        ("fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
-        ("multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype"),
-        ("asks_too_much", "np.full(", "it knows no full("),
+        ("plant.f", "formats", 'len(f"{x[0]:.3f}")', "format spec in f-strings not supported yet"),
+        ("plant.h", "counts_bytes", "len(x.dumps())", "Unknown attribute 'dumps' of type array(float64, 1d, C)"),
+        ("g", "fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
+        ("plant.f", "multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype"),
+        ("g", "asks_too_much", "np.full(", "it knows no full("),
     ],
 )
-@pytest.mark.parametrize("role", ["plant.f", "plant.h", "g"])
 def test_function_line_and_cause_are_named(role: str, function: str, source: str, cause: str) -> None:
     bad = getattr(BAD, function)
     line = next(k for k, text in enumerate(LINES, 1) if source in text)

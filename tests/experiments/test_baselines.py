@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from robofleet.config.load import ConfigError
+from robofleet.config.parameters import load_parameters
 from robofleet.experiments import comparison
 from robofleet.experiments.baselines import geometric
 from robofleet.experiments.baselines.choice import MissingLibraryError, build
 from robofleet.experiments.baselines.problem import Conditions, Problem, RollForward, drive
 from robofleet.experiments.curves import Reference
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.vehicles.bicycle import FALCONE_2007
 
 SHIPPED_FILE = SHIPPED / "comparison.yaml"

@@ -11,10 +11,11 @@ from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.config.load import ConfigError
+from robofleet.config.parameters import Parameters, load_parameters
 from robofleet.experiments import paper
 from robofleet.experiments.closed_curve import ClosedCurveParameters
 from robofleet.experiments.lane_change import LaneChangeParameters
-from robofleet.experiments.parameters import SHIPPED, Parameters, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +45,7 @@ def test_tables_on_the_terminal_figures_and_numbers_in_the_folder(folder: Path) 
         assert "<svg" in (folder / "new" / f"{stem}.svg").read_text()
 
 
+@pytest.mark.slow
 def test_json_is_one_object_and_nothing_else(folder: Path) -> None:
     result = robofleet("closed-curve", "--json")
     assert result.exit_code == 0, result.output

@@ -3,7 +3,8 @@
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.config.parameters import load_parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon import PlatoonParameters, run, scaled
 from robofleet.experiments.platoon_gain import robot_gains
 from robofleet.processes.check import refusals
@@ -36,6 +37,7 @@ def test_euler_amplifies_what_is_fast() -> None:
     assert euler[1] > 1.2 > exact[1]
 
 
+@pytest.mark.slow
 def test_noise_stays_small_along_sixteen_robots_with_exact_and_not_with_euler() -> None:
     small = PARAMETERS.model_copy(
         update={

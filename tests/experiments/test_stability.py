@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.config.load import ConfigError
+from robofleet.config.parameters import load_parameters
 from robofleet.control.flow import FlowSettings, Integrator
-from robofleet.experiments.parameters import SHIPPED, load_parameters
+from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.stability import (
     DOUBLE_INTEGRATOR,
     StabilityParameters,
@@ -37,6 +38,7 @@ def test_the_real_controller_has_the_exact_eigenvalues(
 
 @EXACT
 @given(st.floats(0.5, 200))
+@pytest.mark.slow
 def test_t_alpha_is_one_over_alpha(alpha: float) -> None:
     def radius(T: float) -> float:
         return spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(alpha, T, 0.002 / alpha), REST)
@@ -59,6 +61,7 @@ def test_no_boundary_is_nan() -> None:
     assert np.isnan(boundary(lambda T: 0.5, 1.0, 2.0))
 
 
+@pytest.mark.slow
 def test_the_experiment() -> None:
     p = load_parameters(StabilityParameters, SHIPPED / "stability.yaml").model_copy(update={"points": 4})
     result = run(p)

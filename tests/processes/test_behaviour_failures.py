@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.clock import MS
 from robofleet.config.load import load_config
+from robofleet.processes.deciding import Deciding, timed_by
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
@@ -103,6 +104,21 @@ def test_resume_asks_it_again() -> None:
     assert run.items["left_rad_s"][-1].all()
 
 
+def test_one_that_takes_longer_than_its_share_of_a_tick_is_named_and_its_group_stands(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    read_ns = iter([0, 17 * MS, 17 * MS, 18 * MS])  # the failing group's decision, and the other's
+    deciding = Deciding(load_config(SWIRL, two_groups("never")), timed_by(read_ns.__next__, 16.5 * MS))
+    everybody = np.full(3, fill_value=True)
+    deciding.tick(np.zeros((3, 3)), everybody, everybody, np.zeros((3, 2)), moving=True)
+    assert deciding.failed.tolist() == [Event.BEHAVIOUR_LATE, Event.BEHAVIOUR_STANDS, Event.NOTHING]
+    assert not deciding.wheels[:2].any()
+    assert deciding.wheels[2].all()
+    late = "group failing, r1: Broken returned its decision after its share of the tick was over"
+    assert capsys.readouterr().err.startswith(late)
+
+
+@pytest.mark.slow
 def test_one_that_is_late_is_named_and_everybody_stands(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*options("sleeps"), config=SWIRL)
     cause = "r1: the behaviour of its group failing took longer than its share of a tick"

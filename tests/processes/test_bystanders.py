@@ -56,8 +56,14 @@ def hand(config: Config, speed: float, at_s: float, duration_s: float) -> str:
     return f"faults=[{{kind: pushed, robot: p1, velocity_m_s: {velocity}, at_s: {at_s}, duration_s: {duration_s}}}]"
 
 
-@pytest.mark.parametrize("how", [(TRUTH,), (), ("reality",)], ids=["truth", "camera", "in no image"])
-@pytest.mark.parametrize("left_m", [0.0, -0.06, -0.15])
+@pytest.mark.parametrize(
+    ("left_m", "how"),
+    [
+        *[(left_m, (TRUTH,)) for left_m in (0.0, -0.06, -0.15)],
+        *[pytest.param(left_m, (), marks=pytest.mark.slow) for left_m in (0.0, -0.06, -0.15)],
+        *[pytest.param(left_m, ("reality",), marks=pytest.mark.slow) for left_m in (0.0, -0.06, -0.15)],
+    ],
+)
 def test_nobody_hits_a_robot_that_is_parked_on_the_path(platoon_of: Make, how: tuple[str, ...], left_m: float) -> None:
     place = beside(platoon_of(), 0.5, left_m)
     fields = {"reality": "simulated"} if how == ("reality",) else {}
@@ -69,7 +75,7 @@ def test_nobody_hits_a_robot_that_is_parked_on_the_path(platoon_of: Make, how: t
     assert s["min_centre_distance_mm"] < 210, "and it is counted"
 
 
-@pytest.mark.parametrize("source", [TRUTH, "tracker.source=camera"])
+@pytest.mark.parametrize("source", [TRUTH, pytest.param("tracker.source=camera", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("speed", "duration_s"), [(0.03, 10.0), (0.1, 3.0)])
 def test_nobody_hits_a_robot_that_a_hand_pushes_onto_the_path(
     platoon_of: Make, speed: float, duration_s: float, source: str

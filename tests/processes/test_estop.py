@@ -67,7 +67,13 @@ def flood(lockstep: Lockstep) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "duration_s"), [(None, 0.0), ("stopped", 0.2), ("stopped", 0.4), ("stopped", 2.0), ("killed", 2.0)]
+    ("kind", "duration_s"),
+    [
+        (None, 0.0),
+        ("stopped", 0.4),
+        ("killed", 2.0),
+        *[pytest.param("stopped", duration_s, marks=pytest.mark.slow) for duration_s in (0.2, 2.0)],
+    ],
 )
 def test_every_gate_latches_and_nothing_goes_on_until_a_reset(
     driving: Callable[..., Lockstep], kind: str | None, duration_s: float

@@ -10,6 +10,8 @@ import pytest
 from robofleet.safety.gate import Latch
 from tests.processes.realrun import ALONE, RealRun, own_folders, wait
 
+pytestmark = pytest.mark.slow  # a driver on a full disk: test_driver_keeping.py
+
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:

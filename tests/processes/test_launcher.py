@@ -20,7 +20,7 @@ def libraries(process: psutil.Process) -> str:
 
 
 def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) -> None:
-    run = real_run("--duration", "6")
+    run = real_run("--duration", "3")
     run.wait_until_running()
     assert len(run.children()) == 9
     for robot in ROBOTS:
@@ -36,7 +36,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     s = run.summary
     assert (s["outcome"], s["cause"], s["mode"]) == ("completed", None, "realtime")
     assert s["stops"] == [] or s["busy_machine"], "a machine that was too slow for the gates says so"
-    assert s["duration_s"] == pytest.approx(6, abs=0.2)
+    assert s["duration_s"] == pytest.approx(3, abs=0.2)
     assert s["real_time_factor"] == pytest.approx(1, abs=0.1)
     assert s["tracker"]["false_ids"] == 0
     if s["tick"]["overruns"] <= 5:  # the figures of a run that was kept from its ticks are the machine's
@@ -55,7 +55,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
         assert statuses["left_output_rad_s"].any()
         assert (statuses["gate"][-1] != GateStatus.OPEN) and not statuses["left_rad_s"][-1], "the stop is in the file"
 
-    replayed, asked = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=6"])
+    replayed, asked = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=3"])
     assert not replayed.bus.endpoint.endswith(":0")
     assert replayed.model_copy(update={"bus": asked.bus}) == asked
     for log in (run.folder / "log").iterdir():
@@ -66,8 +66,8 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     "victim",
     [
         ["driver", "r1"],
-        ["router"],
-        ["recorder"],
+        pytest.param(["router"], marks=pytest.mark.slow),
+        pytest.param(["recorder"], marks=pytest.mark.slow),
         pytest.param(["controller"], marks=pytest.mark.slow),
         pytest.param(["tracker"], marks=pytest.mark.slow),
         pytest.param(["supervisor"], marks=pytest.mark.slow),
@@ -86,6 +86,7 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
     assert run.summary["recording"]["messages"] > 500, "it is made from what was recorded until then"
 
 
+@pytest.mark.slow
 def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
@@ -95,6 +96,7 @@ def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., Rea
     assert run.ended(1) == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
@@ -106,6 +108,7 @@ def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
     assert "stopped: the operator interrupted" in run.said
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_for(run.children)

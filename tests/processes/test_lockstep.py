@@ -11,13 +11,13 @@ ROBOTS = ["r1", "r2", "r3", "r4"]
 
 
 def stall(robot: str) -> str:
-    return f"faults=[{{robot: {robot}, kind: motor_stuck, at_s: 20, duration_s: 5}}]"
+    return f"faults=[{{robot: {robot}, kind: motor_stuck, at_s: 12, duration_s: 5}}]"
 
 
 @pytest.fixture(scope="module")
 def with_camera(lockstep: RunOf) -> Summary:
     """Return a run with the camera image in the loop."""
-    return lockstep("run.duration_s=30")
+    return lockstep("run.duration_s=15")
 
 
 def test_a_run_with_the_camera_completes_without_a_stop(with_camera: Summary) -> None:
@@ -26,8 +26,8 @@ def test_a_run_with_the_camera_completes_without_a_stop(with_camera: Summary) ->
     assert s["robots"] == ROBOTS
     assert s["rejected"] == dict.fromkeys(ROBOTS, 0)
     assert s["tick"]["overruns"] == 0
-    assert s["ticks"] == round(30 / 0.033) + 1
-    assert s["duration_s"] == pytest.approx(30, abs=0.033)
+    assert s["ticks"] == round(15 / 0.033) + 1
+    assert s["duration_s"] == pytest.approx(15, abs=0.033)
     assert s["saturated_fraction"] < 0.02
     assert s["min_gap_mm"] > 50
 
@@ -60,7 +60,7 @@ def test_every_robot_is_seen_where_it_is(with_camera: Summary) -> None:
     assert s["pose_error"]["heading_rms_deg"] <= 0.4
     assert s["tracker"]["measured_fraction"] > 0.98
     assert s["tracker"]["false_ids"] == 0
-    assert s["tracker"]["frames"] == pytest.approx(s["ticks"], rel=0.05)
+    assert s["ticks"] < s["tracker"]["frames"] < s["ticks"] + 50, "also during the checks before the start"
 
 
 def test_a_locked_exposure_reaches_the_wheels_soon_after_its_tick(with_camera: Summary) -> None:
@@ -94,7 +94,7 @@ def test_the_camera_too_gives_the_same_bytes(lockstep: RunOf) -> None:
 
 def test_euler_amplifies_noise_from_robot_to_robot(truth: RunOf) -> None:
     def growth(integrator: str) -> float:
-        means = truth("run.duration_s=40", f"controller.integrator={integrator}")["control_error_mm"]["per_robot_mean"]
+        means = truth("run.duration_s=25", f"controller.integrator={integrator}")["control_error_mm"]["per_robot_mean"]
         return float(means[3] / means[0])
 
     assert growth("euler") >= 3
@@ -102,21 +102,21 @@ def test_euler_amplifies_noise_from_robot_to_robot(truth: RunOf) -> None:
 
 
 def test_a_tracked_centre_stays_on_the_path(truth: RunOf) -> None:
-    point, centre = (truth(f"groups.0.settings.track={track}") for track in ("point", "centre"))
+    point, centre = (truth("run.duration_s=25", f"groups.0.settings.track={track}") for track in ("point", "centre"))
     assert centre["centre_error_mm"]["mean"] <= point["centre_error_mm"]["mean"] / 2
     assert centre["path_error_mm"]["mean"] > point["path_error_mm"]["mean"]
 
 
-@pytest.mark.parametrize("robot", ["r1", "r2", "r3"])
+@pytest.mark.parametrize("robot", ["r1", *(pytest.param(robot, marks=pytest.mark.slow) for robot in ("r2", "r3"))])
 def test_nobody_drives_into_a_robot_that_stalls(truth: RunOf, robot: str) -> None:
-    s = truth("run.duration_s=40", stall(robot))
+    s = truth("run.duration_s=22", stall(robot))
     assert s["outcome"] == "completed"
     assert 110 <= s["min_centre_distance_mm"] < 185  # they did come nearer than at the start
     assert s["timed_error_mm"]["per_robot_mean"][ROBOTS.index(robot)] > 10
 
 
 def test_a_fifth_of_the_poses_may_be_missing(truth: RunOf) -> None:
-    s = truth("run.duration_s=30", "tracker.truth.dropout=0.2")
+    s = truth("run.duration_s=20", "tracker.truth.dropout=0.2")
     assert s["outcome"] == "completed"
     assert 0.7 < s["tracker"]["measured_fraction"] < 0.9
     assert s["control_error_mm"]["mean"] <= 2.0
@@ -151,7 +151,7 @@ def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
 
 
 def test_several_robots_to_a_driver_process_drive_as_well(truth: RunOf) -> None:
-    each, pairs = truth("run.duration_s=15"), truth("run.duration_s=15", "drivers.robots_per_process=2")
+    each, pairs = truth("run.duration_s=10"), truth("run.duration_s=10", "drivers.robots_per_process=2")
     assert (pairs["outcome"], pairs["stops"], pairs["trace_hash"] != each["trace_hash"]) == ("completed", [], True)
     for error in ("control_error_mm", "timed_error_mm", "path_error_mm"):
         assert pairs[error]["mean"] == pytest.approx(each[error]["mean"], abs=0.05)

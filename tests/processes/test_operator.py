@@ -2,23 +2,40 @@
 
 import json
 import signal
+import termios
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from robofleet.clock import S
-from robofleet.config.tree import Config
+from robofleet.comms.keys import TICK, key
 from robofleet.processes.keeping import FileKeeping, Kept
+from robofleet.processes.replay import replay
+from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
 from tests.processes.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, wait
 
 Start = Callable[..., RealRun]
-ConfigOf = Callable[..., Config]
 
 
-def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_it(real_run: Start) -> None:
-    run = real_run(*ALONE, terminal=True)
+def mode(run: RealRun) -> list[object]:
+    """Return the terminal's mode, but for its speeds and characters."""
+    assert run.keyboard is not None
+    return termios.tcgetattr(run.keyboard)[:4]
+
+
+def test_a_run_is_armed_started_held_and_resumed_by_keys_and_from_another_terminal_and_one_key_stops_it(
+    real_run: Start,
+) -> None:
+    run = real_run(*ALONE, "--set", "run.start=operator", terminal=True)
+    before = mode(run)
+    run.wait_for(lambda: "waiting: everything is there" in run.said)
+    assert mode(run) != before, "single keys, without Enter"
+    run.press(b"a")
+    run.wait_for(lambda: "armed: every check is passed" in run.said)
+    started = run.robofleet("start")
+    assert started.returncode == 0, started.stderr
     run.wait_until_running()
     run.press(b"h")
     run.wait_for(lambda: "\nheld: hold requested" in run.said)
@@ -48,6 +65,22 @@ def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_
     assert run.robofleet("resume").stdout == "ok\n"
     run.wait_for(lambda: run.said.count("\nrunning") == 3)
 
+    run.press(b"e")
+    assert run.ended() == 1
+    assert run.nothing_is_left()
+    assert mode(run) == before
+    assert run.latched() == {"r1": 2}
+    assert run.summary["outcome"] == "stopped"
+    assert run.summary["cause"].startswith("emergency stop (by key); every robot has latched its gate")
+    (stop,) = [stop for stop in run.summary["stops"] if stop["cause"] == "latched: emergency stop requested"]
+    assert stop["robot"] == "r1"
+    assert 0 <= stop["target_ms"] <= stop["output_ms"] <= 230
+
+
+@pytest.mark.slow
+def test_q_ends_a_run_and_what_it_leaves_is_replayed(real_run: Start) -> None:
+    run = real_run(*ALONE, terminal=True)
+    run.wait_until_running()
     run.press(b"q")
     assert run.ended() == 1
     assert run.nothing_is_left()
@@ -55,8 +88,13 @@ def test_a_run_is_held_and_resumed_by_keys_and_from_another_terminal_and_q_ends_
     assert run.summary["ticks"] > 0
     assert "stopped: the operator ended it" in run.said
     assert run.latched() == {"r1": 0}
+    recording = read(run.folder)
+    verdict = replay(recording, 0.0)
+    assert verdict.equal, verdict.lines()
+    assert verdict.ticks == len(recording.messages[key("platoon", TICK)]) > 60
 
 
+@pytest.mark.slow
 def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_again(
     real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -79,9 +117,14 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
 
 
-def test_with_a_frozen_supervisor_a_stop_latches_every_gate_and_the_next_run_waits_for_a_reset(real_run: Start) -> None:
-    run = real_run(*of_robots("r1", "r2"))
+def test_with_a_frozen_supervisor_a_stop_latches_every_gate(
+    real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    FileKeeping("platoon").save("r1", Kept(4, Latch.EMERGENCY_STOP, 7))
+    run = real_run(*of_robots("r1", "r2"), "--reset")
     run.wait_until_running()
+    assert run.latched() == {"r1": 0, "r2": 0}
     (supervisor,) = run.children("supervisor")
     supervisor.send_signal(signal.SIGSTOP)
     stopped = run.robofleet("stop")
@@ -91,12 +134,9 @@ def test_with_a_frozen_supervisor_a_stop_latches_every_gate_and_the_next_run_wai
     assert run.latched() == {"r1": 2, "r2": 2}
     assert run.summary["outcome"] == "stopped"
     assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent")
-    again = real_run(*of_robots("r1", "r2"), name="again")
-    assert again.ended() == 1
-    assert "fault: start was refused: r1, r2: the gate is latched: " in again.said
-    assert again.latched() == {"r1": 2, "r2": 2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frozen_s", [0.3, 1.2])
 def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, frozen_s: float) -> None:
     run = real_run(*ALONE)
@@ -116,6 +156,7 @@ def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, fr
     assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in (*causes, first)))
 
 
+@pytest.mark.slow
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()

@@ -23,7 +23,7 @@ from robofleet.safety.supervisor import Event, Phase
 from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.processes.browser import DESKTOP, LYING, PHONE, chromium, show_as
 from tests.processes.openpage import SOON_S, Seen, opened
-from tests.processes.realrun import RealRun, wait
+from tests.processes.realrun import ALONE, RealRun, wait
 from tests.processes.webstand import CLOCK, WebStand, web_stand
 
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
@@ -70,7 +70,7 @@ def test_the_page_shows_the_fleet_within_a_second_and_fetches_nothing_from_outsi
         page.becomes(lambda: page.run("return window.robofleet?.state.drawn"))
         return float(page.run("return performance.getEntriesByName('first-tick-drawn')[0].startTime"))
 
-    assert min(first_picture_ms() for _ in range(5)) < 1000.0
+    assert min(first_picture_ms() for _ in range(2)) < 1000.0
     page.becomes(lambda: page.run("return document.querySelectorAll('tbody tr').length") == 4)
     assert page.text("arena-name") == "platoon"
     fetched = page.run("return performance.getEntriesByType('resource').map(entry => entry.name)")
@@ -289,10 +289,10 @@ SMALL = 700, 900  # the fewer pixels, the more is left of two cores for the robo
 MOVED = """return robofleet.state.robots.map(robot => [robot.x_m, robot.y_m])"""
 
 
-def test_four_robots_drive_on_the_page_until_its_emergency_stop_stops_their_wheels(
+def test_a_robot_drives_on_the_page_until_its_emergency_stop_stops_its_wheels(
     browser: Chrome, real_run: Callable[..., RealRun]
 ) -> None:
-    run = real_run("--web", "--set", "tracker.source=truth")
+    run = real_run(*ALONE, "--web")
     run.wait_for(lambda: ADDRESS.search(run.said))
     show_as(browser, SMALL)
     browser.get(ADDRESS.search(run.said)[0])  # type: ignore[index]
@@ -302,7 +302,7 @@ def test_four_robots_drive_on_the_page_until_its_emergency_stop_stops_their_whee
         lambda: running(browser) and np.linalg.norm(browser.execute_script(MOVED) - before, axis=1).min() > 0.05
     )
     with listening(run) as newest:
-        run.wait_for(lambda: running(browser) and len(newest()) == 4 and all(map(moving, newest().values())))
+        run.wait_for(lambda: running(browser) and newest() and all(map(moving, newest().values())))
         browser.find_element(By.ID, "estop-button").click()
         assert wait(lambda: not any(map(moving, newest().values())), SOON_S)
         assert {status.latch for status in newest().values()} == {Latch.EMERGENCY_STOP}

@@ -163,6 +163,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_really_full_holds_the_run_until_there_is_room(
     real_run: Callable[..., RealRun], small_disk: Path
 ) -> None:

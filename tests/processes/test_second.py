@@ -4,9 +4,12 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import pytest
 import zenoh
 
 from tests.processes.realrun import ALONE, RealRun, wait
+
+pytestmark = pytest.mark.slow
 
 Start = Callable[..., RealRun]
 

@@ -6,11 +6,12 @@ import pty
 import signal
 import subprocess
 import sys
-import termios
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from tests.processes.realrun import ALONE, PLATOON, RealRun, of_robots, own_folders, take_terminal, wait
 
@@ -19,32 +20,9 @@ ATTENDED = (*ALONE, "--set", "run.attended=true")
 Start = Callable[..., RealRun]
 
 
-def mode(run: RealRun) -> list[object]:
-    """Return the terminal's mode, but for its speeds and characters."""
-    assert run.keyboard is not None
-    return termios.tcgetattr(run.keyboard)[:4]
-
-
-def test_one_key_is_the_emergency_stop(real_run: Start) -> None:
-    run = real_run(*ALONE, terminal=True)
-    before = mode(run)
-    run.wait_until_running()
-    assert mode(run) != before, "single keys, without Enter"
-    run.press(b"e")
-    assert run.ended() == 1
-    assert run.children() == []
-    assert mode(run) == before
-    assert run.latched() == {"r1": 2}
-    assert run.summary["outcome"] == "stopped"
-    assert run.summary["cause"].startswith("emergency stop (by key); every robot has latched its gate")
-    (stop,) = [stop for stop in run.summary["stops"] if stop["cause"] == "latched: emergency stop requested"]
-    assert stop["robot"] == "r1"
-    assert 0 <= stop["target_ms"] <= stop["output_ms"] <= 230
-
-
+@pytest.mark.slow
 def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(real_run: Start) -> None:
     run = real_run(*of_robots("r1", "r2"), terminal=True)
-    before = mode(run)
     run.wait_until_running()
     (driver,) = run.children("driver", "r2")
     driver.send_signal(signal.SIGSTOP)
@@ -56,9 +34,9 @@ def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(rea
     assert run.summary["cause"] == f"emergency stop (interrupted twice); {silent}"
     assert run.latched() == {"r1": 2, "r2": 0}
     assert run.nothing_is_left()
-    assert mode(run) == before
 
 
+@pytest.mark.slow
 def test_an_attended_run_stops_at_once_when_its_terminal_is_closed(real_run: Start) -> None:
     run = real_run(*ATTENDED, terminal=True)
     run.wait_until_running()
@@ -68,7 +46,8 @@ def test_an_attended_run_stops_at_once_when_its_terminal_is_closed(real_run: Sta
     assert run.latched() == {"r1": 2}
 
 
-def test_an_attended_run_stops_when_its_launcher_is_frozen(real_run: Start) -> None:
+@pytest.mark.slow
+def test_an_attended_run_whose_launcher_wakes_says_why_it_stopped(real_run: Start) -> None:
     run = real_run(*ATTENDED, terminal=True)
     run.wait_until_running()
     run.launcher.send_signal(signal.SIGSTOP)
@@ -76,6 +55,19 @@ def test_an_attended_run_stops_when_its_launcher_is_frozen(real_run: Start) -> N
     run.launcher.send_signal(signal.SIGCONT)
     assert run.ended() == 1
     assert run.summary["cause"].startswith("emergency stop (the operator's terminal is gone); every robot")
+
+
+def test_an_attended_run_stops_when_its_launcher_is_frozen_and_nothing_is_left_when_it_is_killed(
+    real_run: Start,
+) -> None:
+    run = real_run(*ATTENDED, terminal=True)
+    run.wait_until_running()
+    assert len(run.children()) == 6
+    run.launcher.send_signal(signal.SIGSTOP)
+    run.wait_for(lambda: run.latched() == {"r1": 2})
+    run.launcher.kill()
+    assert run.nothing_is_left()
+    assert run.ended(1) == -signal.SIGKILL
 
 
 def test_an_attended_run_without_a_terminal_is_refused(real_run: Start) -> None:
@@ -199,6 +191,7 @@ def test_the_emergency_key_is_heard_whatever_keeps_the_main_thread() -> None:
         assert process.wait(10) == 0
 
 
+@pytest.mark.slow
 def test_the_emergency_key_stops_the_robots_whatever_keeps_the_run_itself(alone: None, tmp_path: Path) -> None:
     environment, folder = own_folders(tmp_path), tmp_path / "run"
     folder.mkdir()

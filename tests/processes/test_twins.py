@@ -135,6 +135,7 @@ def test_a_configuration_without_twins_has_none_to_start(tmp_path: Path) -> None
     assert "no robot has a twin" in said.output
 
 
+@pytest.mark.slow
 def test_twins_that_are_killed_end_the_run_and_leave_no_port(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*of_robots("r1"), *A_TWIN)
     run.wait_until_running()

@@ -230,7 +230,7 @@ def noise(k: int) -> bytes:
     return hashlib.shake_256(str(k).encode()).digest(1000)
 
 
-@pytest.mark.parametrize("room", [0, 1, 500, 2500])
+@pytest.mark.parametrize("room", [1, 2500])
 def test_a_full_disk_leaves_a_valid_beginning_and_writing_goes_on_when_there_is_room(
     room: int, log: RunLog, tmp_path: Path
 ) -> None:

@@ -1,10 +1,14 @@
 """robofleet's commands one after the other in this process, which may take only so much more memory.
 
-``python -m tests.recording.within``: a JSON list of command lines on stdin; a line of JSON for what came of each.
+``python -m tests.recording.within``: a command line as a JSON list in each line of stdin; a line of JSON for what came
+of each.
 """
 
+import atexit
+import functools
 import json
 import resource
+import select
 import subprocess
 import sys
 import traceback
@@ -29,15 +33,34 @@ class Came(NamedTuple):
 
 
 def commands(lines: Sequence[Sequence[object]]) -> list[Came]:
-    """Run each in a child; fewer than were asked for where the child died."""
-    asked = json.dumps([[*map(str, line)] for line in lines])
-    ran = subprocess.run(
-        [sys.executable, "-m", __name__], input=asked, capture_output=True, text=True, check=False,
-        timeout=60 + PATIENCE_S * len(lines),
-    )  # fmt: skip
-    came = [Came(*json.loads(line)) for line in ran.stdout.splitlines() if line.startswith("[")]
-    assert len(came) == len(lines), f"{lines[len(came)]} ended the process: {ran.returncode} {ran.stderr[-2000:]}"
-    return came
+    """Run each in a child, the same one for all who ask: its modules take longer to load than most commands."""
+    return [_asked([*map(str, line)]) for line in lines]
+
+
+def _asked(line: list[str]) -> Came:
+    child = _child()
+    assert child.stdin is not None and child.stdout is not None
+    child.stdin.write(json.dumps(line).encode() + b"\n")
+    answers, _, _ = select.select([child.stdout], [], [], 60 + PATIENCE_S)
+    said = child.stdout.readline() if answers else b""
+    if not said:
+        _child.cache_clear()
+        _end(child)
+    assert said, f"{line} ended the process, or never ended: {child.returncode}"
+    return Came(*json.loads(said))
+
+
+@functools.cache
+def _child() -> "subprocess.Popen[bytes]":
+    command = [sys.executable, "-m", __name__]
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+    atexit.register(_end, child)
+    return child
+
+
+def _end(child: "subprocess.Popen[bytes]") -> None:
+    child.kill()
+    child.communicate()
 
 
 def _main() -> None:
@@ -53,9 +76,9 @@ def _main() -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     most = pages * resource.getpagesize() + ROOM
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    for line in json.load(sys.stdin):
+    for line in sys.stdin:
         began_ns = stopwatch_ns()
-        result = CliRunner().invoke(app, line)
+        result = CliRunner().invoke(app, json.loads(line))
         error: Any = result.exception
         raised = "" if error is None or isinstance(error, SystemExit) else "".join(traceback.format_exception(error))
         took_s = (stopwatch_ns() - began_ns) / S

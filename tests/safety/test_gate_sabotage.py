@@ -1,4 +1,4 @@
-"""With any one of its checks removed the gate's tests go red; as it is they do not."""
+"""With any one of its constants changed the gate's tests go red; as it is they do not."""
 
 import pytest
 
@@ -12,5 +12,5 @@ def test_the_gate_as_it_is_passes_all_of_its_tests() -> None:
 
 
 @pytest.mark.parametrize("what", list(SABOTAGES))
-def test_a_gate_without_this_check_is_noticed(what: str) -> None:
+def test_a_gate_with_another_constant_is_noticed(what: str) -> None:
     assert noticed_by(sabotaged(*SABOTAGES[what])) is not None

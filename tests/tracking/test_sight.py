@@ -18,7 +18,7 @@ CORNERS = [(-1.45, -0.85), (1.45, -0.85), (1.45, 0.85), (-1.45, 0.85)]
 STANDING = np.array([(-0.6, 0.3, 0.4), (0.5, -0.3, 2.0), (0.7, 0.4, -1.0), (-0.4, -0.4, 0.1)])
 
 
-@pytest.mark.parametrize("tilt_deg", [0.2, 0.8])
+@pytest.mark.parametrize("tilt_deg", [pytest.param(0.2, marks=pytest.mark.slow), 0.8])
 def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt_deg: float) -> None:
     floor_tags = [{"tag": 100 + i, "side_m": 0.1, "x_m": x, "y_m": y} for i, (x, y) in enumerate(CORNERS)]
     knocks = [{"at_s": (KNOCKED - 0.5) * PERIOD_S, "rotation_deg": [tilt_deg, 0.0, 0.0]}]

@@ -232,6 +232,7 @@ def scripted(photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
     return make
 
 
+@pytest.mark.slow
 def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     config = scripted()
     said = calibrate("ceiling", "--live", config, "--report", "out/page.html")

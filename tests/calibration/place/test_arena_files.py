@@ -303,6 +303,7 @@ def test_strangers_twins_and_the_missing_are_named(lab: Lab) -> None:
     assert yaml.safe_load(lab.camera.read_text())["arena"]["figures"]["marks_used"] == 6
 
 
+@pytest.mark.slow
 def test_live_images_come_from_the_configured_camera(lab: Lab) -> None:
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(9))})
     code, said = lab.run("verify", ROOT / "configs/cameras/overhead.yaml", lab.survey, "--survey-mm", 0.5, "--live",

@@ -130,6 +130,7 @@ def _unlimited(config: Config) -> Config:
     return config.model_copy(update={"robots": tuple(robots)})
 
 
+@pytest.mark.slow
 def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: Path, kept: Path) -> None:
     """The delay that was found is the one that the filter predicts with."""
 

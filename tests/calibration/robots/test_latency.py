@@ -14,7 +14,13 @@ from .conftest import LATE, Make
 from .test_offsets import part
 
 
-@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0, 0.0), (0.002, 0.08), (0.043, 0.06), (0.12, 0.2)])
+@pytest.mark.parametrize(
+    ("delay_s", "lag_s"),
+    [
+        (0.043, 0.06),
+        *[pytest.param(*known, marks=pytest.mark.slow) for known in ((0.0, 0.0), (0.002, 0.08), (0.12, 0.2))],
+    ],
+)
 def test_delay_and_lag_are_found_to_a_millisecond(driven: Make, delay_s: float, lag_s: float) -> None:
     found = latency.find(driven(replace(LATE, actuation_delay=delay_s, motor_lag=lag_s)))
     assert found.delay_s == pytest.approx(delay_s, abs=0.001)
@@ -22,6 +28,7 @@ def test_delay_and_lag_are_found_to_a_millisecond(driven: Make, delay_s: float, 
     assert found.sigma[0] < 0.0005
 
 
+@pytest.mark.slow
 def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     rng, found = np.random.default_rng(7), []
     for _ in range(4):

@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import REQUEST, STATE, STATUS, TICK, key
+from robofleet.comms.keys import REQUEST, STATE, STATUS, key
 from robofleet.comms.messages import RUN_STATE
 from robofleet.config.tree import Config
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.replay import replay
-from robofleet.recording.reading import read
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.supervisor import Event, Happening, Phase
-from tests.processes.realrun import ALONE, RealRun
 from tests.processes.stand import Stand, proved
 
 Make = Callable[..., Any]
@@ -146,18 +143,3 @@ def test_a_whole_fleet_is_armed_waits_at_rest_and_is_started(platoon_of: Callabl
     statuses = run.recording.of_robot(STATUS, "r1")
     assert statuses["left_output_rad_s"][-1] > 0.0
     run.close()
-
-
-def test_a_run_waits_for_its_operator_and_what_it_leaves_is_replayed(real_run: Callable[..., RealRun]) -> None:
-    run = real_run("--duration", "1", "--set", "run.start=operator", *ALONE, terminal=True)
-    run.wait_for(lambda: "waiting: everything is there" in run.said)
-    run.press(b"a")
-    run.wait_for(lambda: "armed: every check is passed" in run.said)
-    started = run.robofleet("start")
-    assert started.returncode == 0, started.stderr
-    assert run.ended() == 0
-    assert (run.summary["outcome"], run.summary["duration_s"]) == ("completed", pytest.approx(1.0, abs=0.1))
-    recording = read(run.folder)
-    verdict = replay(recording, 0.0)
-    assert verdict.equal, verdict.lines()
-    assert verdict.ticks == len(recording.messages[key("platoon", TICK)]) > 60

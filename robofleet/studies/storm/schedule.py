@@ -11,7 +11,7 @@ from robofleet.config.robots import Robot
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
-from robofleet.processes.storm.parking import Parking
+from robofleet.studies.storm.parking import Parking
 
 WINDOW_S = 10.0  # of faults, from the first moment of running; with the checks before and the new start after it, 20 s
 _SHORTEST_S, _LONGEST_S = 0.05, 5.0

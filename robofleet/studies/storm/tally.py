@@ -3,9 +3,9 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from robofleet.processes.storm.episode import Episode
-from robofleet.processes.storm.schedule import KINDS
 from robofleet.safety.supervisor import Event
+from robofleet.studies.storm.episode import Episode
+from robofleet.studies.storm.schedule import KINDS
 
 MANY = 200  # seeds after which every kind of fault must have come, and every reaction been seen
 REACTIONS = (
@@ -29,6 +29,7 @@ class Tally:
         self.injected: Counter[str] = Counter()  # their effects
         self.events: Counter[Event] = Counter()  # seeds in which each was a recorded cause
         self.failed: list[Episode] = []
+        self.unplayed: list[str] = []  # seeds of which nothing is known, and why
 
     def add(self, episode: Episode) -> None:
         """Count a seed."""

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S
-from robofleet.processes.storm.ledger import GateDecision, Outage
-from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.gate import Command, GateState, Latch, LeaseAction, Permission
+from robofleet.studies.storm.ledger import GateDecision, Outage
+from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import STOP
 

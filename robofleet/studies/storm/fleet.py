@@ -10,9 +10,9 @@ from robofleet.clock import MS, S
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import RUN_STATE
 from robofleet.config.troubles import InjectedFault
-from robofleet.processes.storm.gates import intervals
-from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.supervisor import CAUSES, Event, Phase
+from robofleet.studies.storm.gates import intervals
+from robofleet.studies.storm.verdict import Violation
 
 # After how long such a fault has to have stopped a robot, or all of them.
 _STOPS_WITHIN_S = {

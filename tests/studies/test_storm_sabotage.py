@@ -12,12 +12,12 @@ from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.keeping import MemoryKeeping
-from robofleet.processes.storm import episode
-from robofleet.processes.storm.episode import play
-from robofleet.processes.storm.schedule import Act, Plan, plan
 from robofleet.safety import gate, monitor, runaway, supervisor
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
+from robofleet.studies.storm import episode
+from robofleet.studies.storm.episode import play
+from robofleet.studies.storm.schedule import Act, Plan, plan
 from robofleet.vehicles.interface import WheelSpeeds
 
 pytestmark = pytest.mark.slow

@@ -8,11 +8,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from robofleet.processes.storm.episode import Episode
-from robofleet.processes.storm.schedule import KINDS
-from robofleet.processes.storm.tally import REACTIONS, Tally
-from robofleet.processes.storm.workers import Watch
 from robofleet.safety.supervisor import Event
+from robofleet.studies.storm.episode import Episode
+from robofleet.studies.storm.schedule import KINDS
+from robofleet.studies.storm.tally import REACTIONS, Tally
+from robofleet.studies.storm.workers import Watch
 
 _SHOWN = 5  # violations of one seed
 
@@ -69,4 +69,6 @@ def summarise(tally: Tally, elapsed_s: float) -> bool:
     shortfalls = list(tally.shortfalls())
     for shortfall in shortfalls:
         print(f"the storm proves too little: {shortfall}", file=sys.stderr)
-    return not tally.failed and not shortfalls
+    for unplayed in tally.unplayed:
+        print(unplayed, file=sys.stderr)
+    return not tally.failed and not shortfalls and not tally.unplayed

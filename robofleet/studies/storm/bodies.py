@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from robofleet.clock import S
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.processes.storm.gates import intervals
-from robofleet.processes.storm.ledger import GateDecision, Outage
-from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.gate import Latch
+from robofleet.studies.storm.gates import intervals
+from robofleet.studies.storm.ledger import GateDecision, Outage
+from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.interface import STOP
 
 _GRID_NS = 10_000_000  # a robot goes 2 mm in it

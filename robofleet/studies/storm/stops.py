@@ -12,12 +12,12 @@ import numpy as np
 
 from robofleet.clock import MS, S
 from robofleet.patterns import driver_role
-from robofleet.processes.storm.fleet import States
-from robofleet.processes.storm.ledger import GateDecision, Outage
-from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule
+from robofleet.studies.storm.fleet import States
+from robofleet.studies.storm.ledger import GateDecision, Outage
+from robofleet.studies.storm.verdict import Violation
 
 _WITHIN_NS = 100 * MS
 _STANDS_WITHIN_NS = 300 * MS  # of a supervisor that is awake

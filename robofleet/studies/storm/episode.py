@@ -20,16 +20,16 @@ from robofleet.config.troubles import InjectedFault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.log_lines import Unfailing
-from robofleet.processes.storm.bodies import apart, rolling_on, unnamed
-from robofleet.processes.storm.fleet import States, moved_unasked, unanswered, without_cause
-from robofleet.processes.storm.forger import Forger
-from robofleet.processes.storm.gates import GateAudit
-from robofleet.processes.storm.ledger import Ledger, Outage
-from robofleet.processes.storm.schedule import Plan, plan
-from robofleet.processes.storm.stops import going_on, out_of_reach, stops, unlatched
-from robofleet.processes.storm.verdict import Violation
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faulty_disk import FaultyLog
+from robofleet.studies.storm.bodies import apart, rolling_on, unnamed
+from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, without_cause
+from robofleet.studies.storm.forger import Forger
+from robofleet.studies.storm.gates import GateAudit
+from robofleet.studies.storm.ledger import Ledger, Outage
+from robofleet.studies.storm.schedule import Plan, plan
+from robofleet.studies.storm.stops import going_on, out_of_reach, stops, unlatched
+from robofleet.studies.storm.verdict import Violation
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
 _AGAIN_S = 5.0  # after healing, beside what the checks took at first

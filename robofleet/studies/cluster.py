@@ -1,0 +1,96 @@
+"""Ray as the engine: one on this machine for this command alone, or a cluster that is there. Its scheduler decides."""
+
+import logging
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from robofleet.processes.refusal import RefusedError, need_extra
+from robofleet.studies.engine import WORKER_DIED, Finished, Results, attempt
+
+_PATIENCE_S = 5.0  # for the address to be reached
+_AGAIN = 1  # tries of a unit whose worker died
+_AHEAD = 2  # tasks under way for each processor of the cluster
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Cluster:
+    """Tasks of Ray Core."""
+
+    def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
+
+    def each(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Results[Result]:
+        """See ``Engine``."""
+        import ray  # noqa: PLC0415 - an extra
+
+        task: Any = ray.remote(num_cpus=1, max_retries=_AGAIN)(attempt)
+        kept = ray.put(work)
+        left = iter(enumerate(items))
+        under_way: dict[Any, int] = {}
+        try:
+            while True:
+                while len(under_way) < _AHEAD * self.jobs and (unit := next(left, None)) is not None:
+                    under_way[task.remote(kept, unit[1])] = unit[0]
+                if not under_way:
+                    return
+                done, _ = ray.wait(list(under_way))
+                for reference in done:
+                    place = under_way.pop(reference)
+                    try:
+                        yield Finished(place, *ray.get(reference))
+                    except ray.exceptions.RayError as lost:
+                        yield Finished(place, None, _why(lost))
+        finally:
+            for reference in under_way:
+                ray.cancel(reference, force=True)
+
+
+@contextmanager
+def cluster(address: str, jobs: int | None) -> Iterator[Cluster]:
+    """Connect to the cluster at ``HOST:PORT``; to a new one on this machine where that is empty."""
+    need_extra("ray", "ray")
+    if address:
+        _reach(address)
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a laboratory's runs are nobody else's business
+    import ray  # noqa: PLC0415
+
+    quiet: Any = {"log_to_driver": False, "logging_level": logging.ERROR}
+    try:
+        if address:
+            ray.init(f"ray://{address}", **quiet)
+        else:
+            cores = jobs or len(os.sched_getaffinity(0))
+            ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
+        cores = round(ray.cluster_resources().get("CPU", 1))  # type: ignore[no-untyped-call]
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        where = f"ray://{address}" if address else "ray"
+        raise RefusedError(f"--on: {where} cannot be used: {' '.join(str(error).split())}") from error
+    try:
+        yield Cluster(min(jobs or cores, cores))
+    finally:
+        ray.shutdown()
+
+
+def _reach(address: str) -> None:
+    """Refuse at once what Ray would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise RefusedError(f"--on: ray://{address} is no address: write ray://HOST:PORT, as ray://10.0.0.5:10001")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
+    except OSError as error:
+        why = error.strerror or str(error)
+        start = f"`ray start --head --ray-client-server-port={port}` starts one there"
+        raise RefusedError(f"--on: ray://{address} cannot be reached: {why}: {start}") from error
+
+
+def _why(lost: Exception) -> str:
+    """Return in one line why Ray has no result of a task."""
+    name = type(lost).__name__
+    known = ("WorkerCrashedError", "OutOfMemoryError", "NodeDiedError", "LocalRayletDiedError")
+    return WORKER_DIED if name in known else f"Ray: {name}: {' '.join(str(lost).split())}"

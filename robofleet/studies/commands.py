@@ -1,0 +1,107 @@
+"""The commands of many runs: ``storm`` and ``sweep``."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robofleet.clock import S, WallClock, utc_now
+from robofleet.processes.refusal import bad_input, how_to_install
+from robofleet.valid_json import dumps
+
+app = typer.Typer()
+
+On = Annotated[
+    str,
+    typer.Option(
+        "--on", metavar="ENGINE", help="Where the runs are played: local, ray (this machine), or ray://HOST:PORT."
+    ),
+]
+Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="How many at once; default: one a processor.")]
+
+
+@app.command()
+def storm(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A configuration of simulated robots.")],
+    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
+    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
+    pixels: Annotated[bool, typer.Option("--pixels", help="Render the camera's images: slower.")] = False,
+    on: On = "local",
+    jobs: Jobs = None,
+) -> None:
+    """Fuzz a simulated fleet with random faults, in lockstep, and check what must always hold.
+
+    $ robofleet storm configs/platoon.yaml --seeds 50
+
+    A failure is printed with the command that plays its seed again.
+    """
+    from robofleet.processes.check import load_checked  # noqa: PLC0415
+    from robofleet.processes.terminal import hangup_interrupts  # noqa: PLC0415
+    from robofleet.studies import engine  # noqa: PLC0415
+
+    source = "camera" if pixels else "truth"
+    with bad_input():
+        tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
+        from robofleet.studies.storm import report, workers  # noqa: PLC0415
+
+        replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
+        with hangup_interrupts(), engine.opened(on, jobs) as where:
+            started_ns = WallClock().now_ns()
+            with report.progress(seeds, replay) as watch:
+                tally = workers.storm(tree, range(first, first + seeds), where, watch)
+    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
+        raise typer.Exit(1)
+
+
+@app.command()
+def sweep(
+    sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="What varies: robofleet/studies describes the file.")],
+    on: On = "local",
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<sweep name>. The same again goes on.")
+    ] = None,
+    jobs: Jobs = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> None:
+    """Run a configuration many times in lockstep, with keys, seeds and faults varied: a table and a page in DIR.
+
+    $ robofleet sweep configs/sweeps/gains.yaml --out gains
+
+    Every run is checked before the first one starts. Ctrl-C keeps what is finished; the same command with the same
+    --out goes on from there. Exit 1: some run did not complete, and is named with the command that replays it.
+    """
+    from robofleet.processes.terminal import hangup_interrupts  # noqa: PLC0415
+    from robofleet.studies import engine  # noqa: PLC0415
+    from robofleet.studies.progress import bar  # noqa: PLC0415
+    from robofleet.studies.sweep import journal, page, report, running, table  # noqa: PLC0415
+    from robofleet.studies.sweep.load import load  # noqa: PLC0415
+
+    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
+    with bad_input(), hangup_interrupts():
+        study = load(sweep, lambda of: bar("checks", of))
+        with engine.opened(on, jobs) as where, journal.opened(folder, study) as kept:
+            try:
+                with bar("sweep", len(study.runs), len(kept.played)) as shown:
+
+                    def watch(ran: table.Ran) -> None:
+                        shown.say(*report.lines(ran, shown.failed))
+                        shown.add(failed=ran.outcome != "completed")
+
+                    runs = running.run(study, where, kept, watch)
+            except KeyboardInterrupt:
+                again = shlex.join(["robofleet", "sweep", str(sweep), "--on", on, "--out", str(folder)])
+                done = f"{len(kept.played):,} of {len(study.runs):,} runs are kept"
+                print(f"interrupted: {done}; to go on: {again}", file=sys.stderr)
+                raise typer.Exit(1) from None
+    files = table.write(study, runs, folder)
+    if not any(file.name == table.PARQUET for file in files):
+        print(f"there is no {table.PARQUET}, it needs pyarrow: {how_to_install('sweep')}", file=sys.stderr)
+    files.append(page.write(study, runs, folder, files))
+    if as_json:
+        print(dumps(report.told(study, runs, folder)))
+    else:
+        report.summarise(study, runs, files)
+    if any(ran.outcome != "completed" for ran in runs):
+        raise typer.Exit(1)

@@ -1,0 +1,184 @@
+"""From a sweep's file to its runs, every one's configuration checked before any is run."""
+
+import os
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from hashlib import blake2b
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from robofleet.config.faults import counted
+from robofleet.config.load import Change, ConfigError, Files, spelled
+from robofleet.config.parameters import Loc, load_placed, mistake_at
+from robofleet.config.tree import Config
+from robofleet.config.yamlfile import Mistake, Node, printable
+from robofleet.processes.check import load_checked
+from robofleet.studies.progress import Bar
+from robofleet.studies.sweep.plan import Setting, Sweep, settings
+
+_SEED = "run.seed"
+
+Told = Callable[[int], AbstractContextManager[Bar]]  # shows how many of so many settings were checked
+
+
+class Planned(NamedTuple):
+    """One run."""
+
+    number: int  # from 1
+    values: dict[str, Any]  # of the keys that vary
+    faults: str | None  # the file's name, as the user wrote it
+    seed: int
+    config: Config
+    replay: str  # the command that runs it again
+
+
+class Study(NamedTuple):
+    """A sweep that can be run."""
+
+    name: str
+    file: Path
+    config: Path
+    keys: tuple[str, ...]
+    spans: dict[str, bool]  # the keys that were drawn from a continuum, and whether their logarithms were
+    runs: tuple[Planned, ...]
+    digest: str  # of everything that decides its results but the machine
+
+
+def load(file: Path, told: Told) -> Study:
+    """Read a sweep and check each of its runs; ConfigError with everything that is wrong, where it stands."""
+    sweep, root = load_placed(Sweep, file)
+    if wrong := list(_complaints(sweep, root)):
+        raise ConfigError(map(str, wrong))
+    config = _beside(file, sweep.config)
+    files: Files = {}
+    changes = [Change(key, _written(root, ("set", key), value)) for key, value in sweep.set.items()]
+    plans: list[Planned] = []
+    broken = _Broken()
+    of = sweep.total // len(sweep.every_seed)
+    for done, setting in enumerate(_each(sweep, told(of))):
+        own = [Change(key, _written(root, place, setting.values[key])) for key, place in setting.places.items()]
+        name = sweep.faults[setting.faults]
+        faults = None if name is None else _beside(file, name)
+        try:
+            tree = load_checked(config, [*changes, *own], faults, lockstep=True, files=files)
+        except ConfigError as error:
+            broken.add(error, 1 + done * len(sweep.every_seed), setting)
+            continue
+        words = _words(config, {**sweep.set, **setting.values}, faults)
+        for seed in sweep.every_seed:
+            seeded = tree if seed is None else _seeded(tree, seed)
+            replay = f"{words} --seed {seeded.run.seed}"
+            plans.append(Planned(len(plans) + 1, setting.values, name, seeded.run.seed, seeded, replay))
+    if broken.lines:
+        raise ConfigError(broken.said(of))
+    random = sweep.random.keys.items() if sweep.random else ()
+    spans = {key: one.log_uniform is not None for key, one in random if one.span is not None}
+    return Study(file.stem, file, config, sweep.keys, spans, tuple(plans), _digest(plans))
+
+
+def _complaints(sweep: Sweep, root: Node) -> Iterator[Mistake]:
+    """What is wrong with the file itself."""
+    if not sweep.keys:
+        message = "names no key to vary: add `grid: {controller.alpha: [30, 45]}`, or `random`"
+        yield mistake_at(root, (), message)
+    for key, one in sweep.random.keys.items() if sweep.random else ():
+        if (message := one.complaint() or "") != "":
+            yield mistake_at(root, ("random", "keys", key), message)
+    parts: dict[str, tuple[str, ...]] = {}
+    for part in (("set",), ("grid",), ("random", "keys")):
+        node = _at(root, part)
+        for key in node.value if node is not None and isinstance(node.value, dict) else ():
+            if key in parts:
+                yield mistake_at(root, (*part, key), f"stands under {'.'.join(parts[key])} already", at_key=True)
+            elif key == _SEED:
+                yield mistake_at(root, (*part, key), "seeds stand under `seeds`: move it there", at_key=True)
+            elif "" in key.split("."):
+                yield mistake_at(root, (*part, key), "write a dotted key, for example robots.0.tag", at_key=True)
+            parts.setdefault(key, part)
+    for i, faults in enumerate(sweep.faults):
+        if faults == "none":
+            yield mistake_at(root, ("faults", i), "write null for runs without faults")
+    if sweep.total > sweep.runs:
+        many = " x ".join(f"{number:,} {what}" for what, number in sweep.factors.items() if number > 1)
+        message = f"these are {sweep.total:,} runs ({many}): at most {sweep.runs:,} are asked for"
+        at = ("runs",) if root.child("runs") else ()
+        yield mistake_at(root, at, f"{message}: leave some out, or write `runs: {sweep.total}`")
+
+
+def _each(sweep: Sweep, shown: AbstractContextManager[Bar]) -> Iterator[Setting]:
+    with shown as bar:
+        for setting in settings(sweep):
+            yield setting
+            bar.add()
+
+
+class _Broken:
+    """What is wrong with runs: one line for each place and its first run, however many others have the like."""
+
+    def __init__(self) -> None:
+        self.lines: dict[tuple[str, ...], tuple[str, str]] = {}
+        self._times: dict[tuple[str, ...], int] = {}
+
+    def add(self, error: ConfigError, number: int, setting: Setting) -> None:
+        """Take what is wrong with a setting."""
+        values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.values.items())
+        for line in error.faults:
+            place = tuple(line.split(": ")[:2])
+            self.lines.setdefault(place, (line, f"run {number}: {values}"))
+            self._times[place] = self._times.get(place, 0) + 1
+
+    def said(self, of: int) -> Iterator[str]:
+        """Yield the lines; what is wrong with every setting needs no example."""
+        for place, (line, example) in self.lines.items():
+            times = self._times[place]
+            if times == of:
+                yield line
+            else:
+                yield printable(f"{line} ({example}; so in {counted(times, 'setting')} of {of})")
+
+
+def _beside(file: Path, name: str) -> Path:
+    return Path(os.path.normpath(file.parent / name))
+
+
+def _at(root: Node, loc: Loc) -> Node | None:
+    node: Node | None = root
+    for part in loc:
+        node = None if node is None else node.child(part)
+    return node
+
+
+def _written(root: Node, loc: Loc, value: Any) -> Node:
+    """Return a value with the places of what stands at ``loc``; a drawn one stands nowhere else."""
+    node, named = _at(root, loc), _at(root, loc[:2] if loc[0] == "grid" else loc)
+    assert node is not None and named is not None
+    return _drawn(node, value) if loc[0] == "random" else replace(node, key=named.key)
+
+
+def _drawn(at: Node, value: Any) -> Node:
+    if isinstance(value, dict):
+        value = {key: _drawn(at, child) for key, child in value.items()}
+    elif isinstance(value, list):
+        value = [_drawn(at, child) for child in value]
+    return Node(value, at.place, at.key)
+
+
+def _seeded(config: Config, seed: int) -> Config:
+    return config.model_copy(update={"run": config.run.model_copy(update={"seed": seed})})
+
+
+def _words(config: Path, values: dict[str, Any], faults: Path | None) -> str:
+    """Return the command of a run, but for its seed."""
+    words = ["robofleet", "run", str(config), "--lockstep"]
+    words += [word for key, value in values.items() for word in ("--set", f"{key}={spelled(value)}")]
+    return shlex.join([*words, *(("--faults", str(faults)) if faults is not None else ())])
+
+
+def _digest(plans: list[Planned]) -> str:
+    said = blake2b(version("robofleet").encode(), digest_size=16)
+    for plan in plans:
+        said.update(f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.config.model_dump_json()}\n".encode())
+    return said.hexdigest()

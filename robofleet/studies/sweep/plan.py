@@ -1,0 +1,161 @@
+"""What a sweep's file says, and which runs that makes: every one with its number, before any is run."""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field, JsonValue
+
+from robofleet.config.parameters import Parameters
+from robofleet.config.slices import generator
+from robofleet.settings import MANY, Model, Named, within
+
+_DIGITS = 6  # of a drawn number: it can be read, and typed again
+_MOST_RUNS = 1_000_000
+
+Key = Annotated[str, Field(min_length=1, max_length=4096)]
+Bound = Annotated[float, within(-1e12, 1e12)]
+Bounds = Annotated[tuple[Bound, Bound], Field(strict=False)]
+Whole = Annotated[int, within(-(10**12), 10**12)]
+Wholes = Annotated[tuple[Whole, Whole], Field(strict=False)]
+Values = Annotated[tuple[JsonValue, ...], Field(min_length=1, max_length=MANY, strict=False)]
+Seed = Annotated[int, within(0, 2**63 - 1)]
+
+
+class Distribution(Model):
+    """How a key's value is drawn: one of these."""
+
+    uniform: Bounds | None = None
+    """Between two numbers."""
+    log_uniform: Bounds | None = None
+    """Between two positive numbers; their logarithms are drawn uniformly."""
+    integers: Wholes | None = None
+    """A whole number between two, both included."""
+    choice: Values | None = None
+    """One of these values."""
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Between which numbers it draws; None: one of a choice."""
+        return self.uniform or self.log_uniform or self.integers
+
+    def complaint(self) -> str | None:
+        """Return what is wrong with it, if anything."""
+        said = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(said) != 1:
+            return "say one of uniform, log_uniform, integers, choice, as {uniform: [0.2, 0.4]}"
+        if self.span is not None and not self.span[0] < self.span[1]:
+            return f"{said[0]} must rise: write [{self.span[1]:g}, {self.span[0]:g}]"
+        if self.log_uniform is not None and self.log_uniform[0] <= 0:
+            return "log_uniform needs positive numbers: make the first greater than 0"
+        return None
+
+    def draw(self, seed: int, key: str, count: int) -> list[Any]:
+        """Return so many values; each key has randomness of its own, so another key changes none of them."""
+        rng = generator(seed, "sweep", key)
+        if self.choice is not None:
+            return [self.choice[i] for i in rng.integers(len(self.choice), size=count)]
+        if self.integers is not None:
+            return [int(value) for value in rng.integers(*self.integers, size=count, endpoint=True)]
+        if self.log_uniform is not None:
+            low, high = self.log_uniform
+            drawn = [math.exp(value) for value in rng.uniform(math.log(low), math.log(high), size=count)]
+        else:
+            assert self.uniform is not None
+            low, high = self.uniform
+            drawn = rng.uniform(low, high, size=count).tolist()
+        return [min(max(float(f"{value:.{_DIGITS}g}"), low), high) for value in drawn]
+
+
+class Random(Model):
+    """Keys whose values are drawn together."""
+
+    count: Annotated[int, within(1, _MOST_RUNS)]
+    """How many draws."""
+    seed: Seed = 1
+    """Seed of the draws. The same seed draws the same values."""
+    keys: Annotated[dict[Key, Distribution], Field(min_length=1, max_length=MANY)]
+    """Each key's distribution."""
+
+
+class Seeds(Model):
+    """Seeds one after the other."""
+
+    first: Seed = 1
+    """The first seed."""
+    count: Annotated[int, within(1, _MOST_RUNS)]
+    """How many."""
+
+
+class Sweep(Parameters):
+    """A sweep's file."""
+
+    config: Named
+    """The configuration; a path from this file's folder."""
+    set: dict[Key, JsonValue] = Field(default_factory=dict)
+    """Keys that every run changes."""
+    grid: dict[Key, Values] = Field(default_factory=dict)
+    """Keys and their values: every combination is run."""
+    random: Random | None = None
+    """Keys whose values are drawn; every draw is run with every combination of the grid."""
+    seeds: Seeds | None = None
+    """Seeds (run.seed) of every setting; null: the configuration's."""
+    faults: Annotated[tuple[Named | None, ...], Field(min_length=1, max_length=MANY, strict=False)] = (None,)
+    """Files of faults, paths from this file's folder; null among them is a run without."""
+    runs: Annotated[int, within(1, _MOST_RUNS)] = 1000
+    """How many runs may come of it, at most."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that vary."""
+        return (*self.grid, *(self.random.keys if self.random else ()))
+
+    @property
+    def every_seed(self) -> Sequence[int | None]:
+        """The seeds; None: the configuration's."""
+        return (None,) if self.seeds is None else range(self.seeds.first, self.seeds.first + self.seeds.count)
+
+    @property
+    def factors(self) -> dict[str, int]:
+        """How many there are of whatever makes the number of runs."""
+        return {
+            "combinations of the grid": math.prod(len(values) for values in self.grid.values()),
+            "draws": self.random.count if self.random else 1,
+            "files of faults": len(self.faults),
+            "seeds": len(self.every_seed),
+        }
+
+    @property
+    def total(self) -> int:
+        """How many runs it makes."""
+        return math.prod(self.factors.values())
+
+
+class Setting(NamedTuple):
+    """What one run, or several with seeds of their own, has for the keys that vary, and for faults."""
+
+    values: dict[str, Any]
+    places: dict[str, tuple[str | int, ...]]  # where in the sweep's file each value, or its distribution, stands
+    faults: int  # of Sweep.faults
+
+
+def settings(sweep: Sweep) -> Iterator[Setting]:
+    """Yield every setting, in the order of the runs: the grid's last key, then the draws, then faults turn fastest."""
+    draws: dict[str, list[Any]] = {}
+    drawn_at: dict[str, tuple[str | int, ...]] = {}
+    count = 1
+    if sweep.random is not None:
+        count = sweep.random.count
+        for key, distribution in sweep.random.keys.items():
+            draws[key] = distribution.draw(sweep.random.seed, key, count)
+            drawn_at[key] = ("random", "keys", key)
+    for chosen in itertools.product(*(range(len(values)) for values in sweep.grid.values())):
+        grid = {key: sweep.grid[key][i] for key, i in zip(sweep.grid, chosen, strict=True)}
+        grid_at: dict[str, tuple[str | int, ...]] = {
+            key: ("grid", key, i) for key, i in zip(sweep.grid, chosen, strict=True)
+        }
+        for draw in range(count):
+            drawn = {key: values[draw] for key, values in draws.items()}
+            for faults in range(len(sweep.faults)):
+                yield Setting(grid | drawn, grid_at | drawn_at, faults)

@@ -1,0 +1,53 @@
+"""One run of a sweep: from its configuration to its summary. Nothing else goes in, and no file is left."""
+
+import gc
+from contextlib import redirect_stderr
+from io import StringIO
+from typing import Any, NamedTuple
+
+from robofleet.clock import S, cpu_ns
+from robofleet.config.tree import Config
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.run import driven
+from robofleet.recording.metrics import summary
+
+_COLLECT_EVERY = 20  # runs: what a run leaves is small, and to look for it takes a tenth of a second
+
+_runs = 0  # of this worker
+
+
+class Job(NamedTuple):
+    """What a run is made of."""
+
+    name: str  # of the configuration
+    config: Config
+
+
+class Played(NamedTuple):
+    """What a run left."""
+
+    summary: dict[str, Any]
+    cpu_s: float  # of this process: all of it
+    lockstep_s: float  # of these: lockstep's steps
+
+
+def play(job: Job) -> Played:
+    """Run in lockstep."""
+    began_ns = cpu_ns()
+    with redirect_stderr(StringIO()):  # processes complain as they should: the summary says what matters
+        run = Lockstep(job.config)
+        built_ns = cpu_ns()
+        outcome, cause = driven(run, lambda _recording, _phase: None)
+        ended_ns = cpu_ns()
+    figures = summary(run.recording, name=job.name, mode="lockstep", outcome=outcome, cause=cause)
+    run.recording.messages.clear()  # most of the memory, which the collector need not come for
+    _collect()
+    return Played(figures, (cpu_ns() - began_ns) / S, (ended_ns - built_ns) / S)
+
+
+def _collect() -> None:
+    """Free what refers to itself, from time to time."""
+    global _runs  # noqa: PLW0603 - a worker counts its runs
+    _runs += 1
+    if _runs % _COLLECT_EVERY == 0:
+        gc.collect()
