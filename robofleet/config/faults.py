@@ -279,9 +279,9 @@ def _simulated(config: Config) -> Iterator[Complaint]:
 
 def _units(config: Config) -> Iterator[Complaint]:
     """Units of one name, and tags that no camera can see."""
-    taken = {robots[0]: unit for unit, robots in config.units.items() if unit == robots[0]}
+    taken = {crew[0].id for crew in config.crews}
     for i, robot in enumerate(config.robots):
-        if robot.unit in taken and config.robot(robot.unit).unit is None:
+        if robot.unit in taken:
             yield (
                 f"robots.{i}.unit",
                 f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name",

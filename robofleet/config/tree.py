@@ -3,7 +3,7 @@
 Every key carries its unit. World frame: the arena's centre on the floor, x along the long side, y left, z up.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
@@ -235,20 +235,18 @@ class Config(Model):
     def units(self) -> dict[str, tuple[str, ...]]:
         """The units by name, each with its robots' ids: what one driver process drives."""
         named: dict[str, list[str]] = {}
-        free: list[Robot] = []
         for robot in self.robots:
-            if robot.unit is None:
-                free.append(robot)
-            else:
+            if robot.unit is not None:
                 named.setdefault(robot.unit, []).append(robot.id)
-        crews = [[robot.id for robot in crew] for crew in self._crews(free)]
-        found = {**{crew[0]: tuple(crew) for crew in crews}, **{name: tuple(ids) for name, ids in named.items()}}
+        crews = {crew[0].id: [robot.id for robot in crew] for crew in self.crews}
+        found = {name: tuple(ids) for name, ids in {**crews, **named}.items()}
         places = {robot.id: place for place, robot in enumerate(self.robots)}
         return dict(sorted(found.items(), key=lambda unit: places[unit[1][0]]))
 
-    def _crews(self, free: list[Robot]) -> Iterable[Sequence[Robot]]:
-        """The robots that no unit names, by the processes that they share."""
-        most = self.drivers.robots_per_process
+    @property
+    def crews(self) -> Sequence[Sequence[Robot]]:
+        """The robots without ``unit``, by the processes that they share: each is a unit named after its first robot."""
+        free, most = [robot for robot in self.robots if robot.unit is None], self.drivers.robots_per_process
         if most is not None:
             return [free[k : k + most] for k in range(0, len(free), most)]
         simulated = [robot for robot in free if robot.driver == "simulated"]

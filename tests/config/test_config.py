@@ -208,7 +208,7 @@ MISTAKES = [
     ((ALPHA, "alpha: «true "), "controller.alpha", "must be a number, not True"),
     ((ALPHA, "alpha: «[45] "), "controller.alpha", "must be a number"),
     (("tag: 2", "tag: «2.0"), "robots.1.tag", "must be a whole number, not 2.0"),
-    (("tag: 2", "tag: «587"), "robots.1.tag", "must be at most 586, not 587"),
+    (("tag: 2", "tag: «65536"), "robots.1.tag", "must be at most 65535, not 65536"),
     (("id: r2", "id: «R2"), "robots.1.id", "must be a small letter"),
     (("id: r2", "id: «2"), "robots.1.id", "must be text, not 2: quote it"),
     (("trigger: tick", "trigger: «tik"), "camera.trigger", "must be 'free' or 'tick', not 'tik'"),

@@ -58,7 +58,7 @@ def test_a_driver_goes_on_and_latches_near_the_end_of_its_numbers(stand: Any, dr
     keeping.save("r1", Kept(near, Latch.NONE, near))
     stand.node = driver_of(stand.bench, "r1", "r2", keeping=keeping, seed=5)
     stand._seq = near
-    stand.node._robots[0]._seq = near
+    stand.node._seq = near
     stand.run(S // 5)
     assert stand.newest("r1").epoch == near + 1
     stand.bench.run(stand.node, S // 5, (40 * MS, lambda: stand.enable("r1", latch=Latch.EMERGENCY_STOP)))

@@ -62,7 +62,7 @@ def test_the_epoch_is_on_disk_before_the_answer_is_out(stand: Any, disk: Disk, m
     monkeypatch.setattr(disk, "save", lambda *what: (answers.append(answer.take()), save(*what)))
     answer = stand.bench.bus.ask(LEASE, "r1", LEASE_REQUEST.encode(LeaseRequest(99, LeaseAction.ACQUIRE)))
     stand.node.step(stand.bench.now_ns)
-    assert answers == [None]
+    assert answers == [None, None]
     assert disk.load("r1").epoch == 1
     assert answer.take() is not None
 
@@ -125,7 +125,8 @@ def test_a_full_disk_refuses_the_lease_and_says_so_once(
     stand.bench.run(stand.node, 25 * MS)
     assert stand.newest("r1").gate == GateStatus.NO_LEASE
     assert capsys.readouterr().err.splitlines() == [
-        "r1: its lease and its latch cannot be written to disk: [Errno 28] No space left on device"
+        f"{robot}: its lease and its latch cannot be written to disk: [Errno 28] No space left on device"
+        for robot in ("r1", "r2")
     ]
     disk.full = False
     answer = stand.ask("r1")
@@ -169,8 +170,7 @@ def test_the_disk_is_slow_and_no_other_robot_waits_for_it(
     assert stand.made["r2"].target == FORWARD
     told: list[Any] = []
     monkeypatch.setattr(disk, "save", lambda robot, _: told.append((robot, stand.made["r2"].target)))
-    for robot in ("r1", "r2"):
-        stand.enable(robot, latch=Latch.EMERGENCY_STOP)
+    stand.enable("r1", "r2", latch=Latch.EMERGENCY_STOP)
     stand.bench.wait(5 * MS)
     stand.node.step(stand.bench.now_ns)
     assert [robot for robot, _ in told] == ["r1", "r2"]
@@ -244,7 +244,7 @@ def test_a_memory_that_is_no_file_latches(folder: Path) -> None:
 def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path, stand: Any, driver_of: Make) -> None:
     folder.mkdir(parents=True)
     (folder / "r1.json").write_text("rubbish")
-    stand.node = driver_of(stand.bench, "r1", keeping=FileKeeping("lab"), seed=7)
+    stand.node = driver_of(stand.bench, "r1", "r2", keeping=FileKeeping("lab"), seed=7)
     stand.run(S // 5)
     assert stand.newest("r1").latch == Latch.MEMORY_LOST
     assert stand.made["r1"].target == STOP

@@ -14,7 +14,7 @@ from tests.endpoints import own_endpoint
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 
 
-@pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1"]])
+@pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]])
 def test_a_port_that_nobody_else_can_know_is_refused(command: list[str], tmp_path: Path) -> None:
     config = tmp_path / "any.yaml"
     config.write_text(f"bus: {{endpoint: 'tcp/127.0.0.1:0', insecure: loopback}}\n{PLATOON.read_text()}")

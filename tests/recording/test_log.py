@@ -29,7 +29,7 @@ from tests.recording import recorded
 from tests.recording.recorded import in_order, room_for
 
 README = Path(__file__).parent.parent.parent / "robofleet" / "recording" / "README.md"
-CONFIG = recorded.config("drivers.robots_per_process=1")
+CONFIG = recorded.config()
 ARENA = CONFIG.arena.name
 TRUTH_KEY = key(ARENA, TRUTH, "r1")
 

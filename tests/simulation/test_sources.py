@@ -141,7 +141,7 @@ def test_a_robot_that_never_spoke_is_not_seen() -> None:
     floor.silent.add("r3")
     seen = floor.observe(floor.source(), 3)
     assert [pose[0] for pose in seen[-1].poses] == [1, 2, 4]
-    world = World(floor.config.arena.name, floor.config.robots, floor.bus)
+    world = World(floor.config, floor.config.robots, floor.bus)
     assert np.isnan(world.told_at(floor.clock.now_ns())).all()
 
 
