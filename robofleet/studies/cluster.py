@@ -12,6 +12,7 @@ from robofleet.studies.engine import WORKER_DIED, Finished, Results, attempt
 
 _PATIENCE_S = 5.0  # for the address to be reached
 _AGAIN = 1  # tries of a unit whose worker died
+_TOKEN = "it may ask for a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN to the cluster's, in both places"
 _AHEAD = 2  # tasks under way for each processor of the cluster
 
 Item = TypeVar("Item")
@@ -68,8 +69,8 @@ def cluster(address: str, jobs: int | None) -> Iterator[Cluster]:
             ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
         cores = round(ray.cluster_resources().get("CPU", 1))  # type: ignore[no-untyped-call]
     except (ConnectionError, RuntimeError, ValueError) as error:
-        where = f"ray://{address}" if address else "ray"
-        raise RefusedError(f"--on: {where} cannot be used: {' '.join(str(error).split())}") from error
+        where, mend = (f"ray://{address}", _TOKEN) if address else ("ray", "try --on local")
+        raise RefusedError(f"--on: {where} cannot be used: {' '.join(str(error).split())}: {mend}") from error
     try:
         yield Cluster(min(jobs or cores, cores))
     finally:

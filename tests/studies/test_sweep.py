@@ -103,7 +103,9 @@ def _same_in_parquet(folder: Path, found: list[dict[str, str]]) -> None:
 def test_ray_leaves_the_same_bytes(file: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     for on in ("local", "ray"):
-        assert sweep(str(file), "--out", str(tmp_path / on), "--on", on)[0] == 1
+        command = [sys.executable, "-m", "robofleet", "sweep", str(file), "--out", str(tmp_path / on), "--on", on]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (done.returncode, (tmp_path / on / "runs.csv").exists()) == (1, True), done.stderr
     for name in ("runs.csv", "runs.parquet"):
         assert (tmp_path / "local" / name).read_bytes() == (tmp_path / "ray" / name).read_bytes()
 
