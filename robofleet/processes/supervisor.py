@@ -1,13 +1,15 @@
 """The supervisor: it owns the run's state and says every 40 ms to every driver whether its wheels may move."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Request, Wake
 from robofleet.comms.keys import BUSY, ENABLE, REQUEST, STATE
-from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, RobotState, RunState, UnitEnable
+from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, RunState, UnitEnable
 from robofleet.comms.statuses import HURRY_NS
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
@@ -74,7 +76,8 @@ class Supervisor:
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = tuple(robot.id for robot in robots)
         # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
-        self._limits = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
+        fastest = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
+        self._limits = np.array(fastest, dtype=np.float64)
         self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
         self._scan = Scan(self._monitoring)
         self._arming = ArmingSettings(
@@ -109,7 +112,7 @@ class Supervisor:
         self._standing: tuple[Happening, ...] = ()  # of the newest view
         self._checks: ArmingState | None = None  # while ARMED
         self._start = False  # is asked for, while ARMED
-        self._robots = tuple(RobotState(0, 0, Event.NOTHING) for _ in robots)  # as published last
+        self._states = np.zeros(len(robots), RUN_STATE.item_dtype)  # as published last
         self._permitted = np.zeros(len(robots))  # fastest wheel [rad/s]
         self._operator_ns = NEVER
         self._naming_ns: int | None = None  # when who has not answered the emergency stop will be named
@@ -130,7 +133,7 @@ class Supervisor:
             for unit in hurried:
                 self._enable(unit)
             return self._wakes_ns(now_ns)
-        before = (self._status, self._checks, self._robots, self._clear.tobytes())
+        before = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
         self._view = self._listener.look(now_ns, self._operator_ns)
         suspects = self._scan.suspects(self._memory, self._status.phase, self._view)
         self._memory, self._standing = monitor.watch(
@@ -148,7 +151,8 @@ class Supervisor:
         self._go_on()
         self._finish_resets()
         self._judge_robots()
-        if now_ns >= self._next_ns or (self._status, self._checks, self._robots, self._clear.tobytes()) != before:
+        after = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
+        if now_ns >= self._next_ns or after != before:
             self._tell_busy()
             self._publish()
         self._speak()
@@ -278,42 +282,40 @@ class Supervisor:
         """Return who has not acknowledged the emergency stop."""
         if self._status.phase is not Phase.ESTOP:
             return []
-        return [robot for robot, state in zip(self._ids, self._robots, strict=True) if not state.acknowledged]
+        known = self._states["acknowledged"].tolist()
+        return [robot for robot, acknowledges in zip(self._ids, known, strict=True) if not acknowledges]
 
     def _judge_robots(self) -> None:
         """Find out who may move; say who must stand, and who keeps its gate open in an emergency stop."""
         causes: dict[int, Happening] = {}
         for happening in self._standing:
             causes.setdefault(happening.robot, happening)
-        emergency = self._status.phase is Phase.ESTOP
-        self._permitted = np.array([0.0 if row in causes else self._limit(row) for row in range(len(self._ids))])
-        before = self._robots
-        self._robots = tuple(
-            RobotState(
-                int(self._permitted[row] > 0.0),
-                int(emergency and acknowledged(seen)),
-                causes[row].event if row in causes else Event.NOTHING,
-                self._stroke(row),
-            )
-            for row, seen in enumerate(self._view.robots)
-        )
-        for row, (old, new) in enumerate(zip(before, self._robots, strict=True)):
-            if new.cause not in (old.cause, Event.NOTHING) and self._status.phase in MOVING:
-                self._lines.append(f"stands: {describe(causes[row], self._ids)}")
+        before, states = self._states, np.zeros_like(self._states)
+        if self._checks is not None:
+            states["stroke"] = [self._checks.stroke(row) for row in range(len(self._ids))]
+        self._permitted = self._fastest(states["stroke"])
+        for row, happening in causes.items():
+            if row < len(states):
+                self._permitted[row], states["cause"][row] = 0.0, happening.event
+        states["permitted"] = self._permitted > 0.0
+        if self._status.phase is Phase.ESTOP:
+            states["acknowledged"] = [acknowledged(seen) for seen in self._view.robots]
+        self._states = states
+        if causes and self._status.phase in MOVING:
+            new = (states["cause"] != before["cause"]) & (states["cause"] != Event.NOTHING)
+            self._lines += [f"stands: {describe(causes[row], self._ids)}" for row in np.flatnonzero(new).tolist()]
         if self._naming_ns is not None and self._view.now_ns >= self._naming_ns:
             self._naming_ns = None
             if unanswered := self._unanswered():
                 self._lines.append(f"the emergency stop is not acknowledged by {', '.join(unanswered)}")
 
-    def _limit(self, row: int) -> float:
-        """Return the fastest wheel of a robot that nothing is wrong with [rad/s]."""
+    def _fastest(self, strokes: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the fastest wheel of each robot, if nothing is wrong with it [rad/s]; ``strokes``: that it must do."""
         if self._status.phase in MOVING:
-            return self._limits[row]
-        return min(PROBE_RAD_S, self._limits[row]) if self._stroke(row) else 0.0
-
-    def _stroke(self, row: int) -> int:
-        """Return what a robot must do whose wheels are tried; 0: stand."""
-        return 0 if self._checks is None else self._checks.stroke(row)
+            return self._limits.copy()
+        if self._checks is None:
+            return np.zeros(len(self._limits))
+        return np.where(strokes > 0, np.minimum(PROBE_RAD_S, self._limits), 0.0)
 
     def _publish(self) -> None:
         self._seq += 1
@@ -327,9 +329,9 @@ class Supervisor:
             robot,
             detail,
             checks.stage,
-            self._robots,
+            (),
         )
-        self._publish_state(RUN_STATE.encode(state))
+        self._publish_state(RUN_STATE.encode_view(state, self._states))
         for unit in range(len(self._enables)):
             self._enable(unit)
 
