@@ -20,7 +20,7 @@ from robofleet.config.tree import Config
 from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, keys, schema
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.robot_ticks import RobotTicks
+from robofleet.recording.robot_ticks import BATCH, LARGE_BATCH, RobotTicks
 from robofleet.recording.scene import Scene
 from robofleet.valid_json import dumps
 
@@ -66,7 +66,7 @@ class RunLog:
         self._scene = Scene(config, said, epoch_ns=epoch_ns) if drawn else None
         for topic, name, descriptor in self._scene.channels if self._scene else ():
             self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
-        self._robot_ticks = RobotTicks(config, said) if drawn else None
+        self._robot_ticks = RobotTicks(config, said, BATCH if epoch_ns else LARGE_BATCH) if drawn else None
         for topic, of in self._robot_ticks.channels if self._robot_ticks else ():
             self._channels[topic] = self._channel(topic, "protobuf", of.name, "protobuf", of.descriptor)
         self._flushed_ns = 0

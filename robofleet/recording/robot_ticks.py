@@ -18,7 +18,8 @@ from robofleet.recording.run import Recording, Run
 from robofleet.recording.scalars import Scalar, Scalars
 from robofleet.recording.series import series
 
-_BATCH = 64  # ticks
+BATCH = 64  # ticks: in real time some seconds, which is what a kill may lose of them
+LARGE_BATCH = 1024  # in lockstep: what a batch costs by itself is shared by more
 _HELD = 10  # ticks that wait until every robot's truth of that instant must have come
 PACKAGE, MESSAGE = "robofleet", "RobotTick"
 
@@ -50,7 +51,9 @@ def _described(gauges: Sequence[Gauge], gauge: Gauge) -> Scalars:
 class RobotTicks:
     """Told every message of the bus in order, it returns each robot's ticks."""
 
-    def __init__(self, config: Config, said: tuple[described.Group, ...]) -> None:
+    def __init__(self, config: Config, said: tuple[described.Group, ...], batch: int = BATCH) -> None:
+        """Take how many ticks are told at once."""
+        self._batch = batch
         arena, robots = config.arena.name, config.members
         self._tick_key = key(arena, TICK)
         self._size = TICK_RECORD.dtype(len(robots), described.size(said)).itemsize
@@ -78,8 +81,8 @@ class RobotTicks:
             self._statuses.clear()
             self._window.add(full, payload)
             self._came.append(log_ns)
-            if len(self._came) == _BATCH + _HELD:
-                return self._take(_BATCH)
+            if len(self._came) == self._batch + _HELD:
+                return self._take(self._batch)
         return ()
 
     def rest(self) -> Sequence[tuple[str, int, bytes]]:
