@@ -16,7 +16,9 @@ Said = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
 
 
 def config(*overrides: str) -> Config:
-    return load_config(PLATOON, ["tracker.source=truth", "run.duration_s=2", "drivers.robots_per_process=1", *overrides])
+    return load_config(
+        PLATOON, ["tracker.source=truth", "run.duration_s=2", "drivers.robots_per_process=1", *overrides]
+    )
 
 
 def said_in(run_config: Config) -> Said:

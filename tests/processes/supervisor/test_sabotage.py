@@ -92,7 +92,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_status_that_was_overtaken_says_nothing"),
     (statuses, "known.boot_id == status.boot_id and ", "",
      "test_a_driver_whose_clock_began_anew_is_heard"),
-    (fleet_view, "if record[\"epoch\"] == self._fleet.controller_epoch and record[\"tick\"] <= self._fleet.tick:", "if False:",
+    (fleet_view, "record[\"tick\"] <= self._fleet.tick:", "False:",
      "test_a_tick_that_was_overtaken_says_nothing"),
     (fleet_view, "record[\"epoch\"] == self._fleet.controller_epoch and ", "",
      "test_a_restarted_controller_ends_the_run"),
