@@ -3,8 +3,9 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
+from robofleet.simulation.bodies import Bodies, Sensors
 from robofleet.simulation.faults import Schedule, struck
 from robofleet.vehicles.interface import (
     WIRED_STOP,
@@ -15,9 +16,6 @@ from robofleet.vehicles.interface import (
     WheelSpeeds,
 )
 
-if TYPE_CHECKING:
-    from robofleet.simulation.bodies import Bodies, Sensors
-
 _LOW_CHARGE = 0.05
 
 
@@ -26,7 +24,7 @@ class _Drivers(Protocol):
 
     def driver(self, context: DriverContext) -> Driver: ...
 
-    def bodies(self, contexts: Sequence[DriverContext]) -> "Bodies | None": ...
+    def bodies(self, contexts: Sequence[DriverContext]) -> Bodies | None: ...
 
 
 class FaultyDrivers:
@@ -51,7 +49,7 @@ class FaultyDrivers:
         faulty = FaultySimulatedDriver if isinstance(drivers[robot], SimulatedDriver) else FaultyDriver
         return faulty(drivers[robot], self._schedule, robot)
 
-    def bodies(self, contexts: Sequence[DriverContext]) -> "Bodies | None":
+    def bodies(self, contexts: Sequence[DriverContext]) -> Bodies | None:
         """Return the bodies of a unit; those that were made before, if there are some."""
         bodies, robots = self._schedule.bodies, tuple(context.robot for context in contexts)
         if robots not in bodies:
@@ -62,10 +60,8 @@ class FaultyDrivers:
             bodies[robots] = made
         return bodies[robots]
 
-    def _sensors(self, robot: str) -> "Callable[[], Sensors] | None":
+    def _sensors(self, robot: str) -> Callable[[], Sensors] | None:
         """Return what tells what a robot's sensors say wrongly; None if they never do."""
-        from robofleet.simulation.bodies import Sensors  # noqa: PLC0415 - it needs numba
-
         schedule = self._schedule
         low, pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
 
