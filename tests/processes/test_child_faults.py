@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 def test_what_was_to_be_killed_or_stopped_is_what_the_supervisor_names(
     real_run: Callable[..., RealRun], fault: str, cause: str
 ) -> None:
-    run = real_run(*of_robots("r1", "r2"), "--set", f"faults=[{fault}]")
+    run = real_run(*of_robots("r1", "r2"), "--set", "drivers.robots_per_process=1", "--set", f"faults=[{fault}]")
     run.wait_until_running()
     assert run.ended() == 1
     assert run.nothing_is_left()

@@ -262,8 +262,10 @@ def listening(run: RealRun) -> Iterator[Callable[[], dict[str, RobotStatus]]]:
 
     def heard() -> dict[str, RobotStatus]:
         for _, full, payload in said.drain():
-            if (status := ROBOT_STATUS.decode(payload)) is not None:
-                newest[full] = status
+            unit = config.units[full.split("/")[-2]]
+            for place, robot in enumerate(unit):
+                if (status := ROBOT_STATUS.of(payload, place)) is not None:
+                    newest[robot] = status
         return newest
 
     try:

@@ -22,7 +22,7 @@ Start = Callable[..., RealRun]
 
 @pytest.mark.slow
 def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(real_run: Start) -> None:
-    run = real_run(*of_robots("r1", "r2"), terminal=True)
+    run = real_run(*of_robots("r1", "r2"), "--set", "drivers.robots_per_process=1", terminal=True)
     run.wait_until_running()
     (driver,) = run.children("driver", "r2")
     driver.send_signal(signal.SIGSTOP)
