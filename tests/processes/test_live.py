@@ -202,7 +202,7 @@ def test_it_shows_what_the_behaviour_tells_and_what_every_robot_has(view: View) 
 
 
 def test_each_group_has_a_table_with_its_own_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    view = View(load_config(TWO))
+    view = View(load_config(TWO, ["drivers.robots_per_process=1"]))
     view.tick(run_tick=3, figures={"control_error": [0.001] * 5, "radius_error": [0.002] * 5, "turned": [0.5] * 5})
     above, below = view.shown("running", 120).split("inner")
     assert "platoon" in above and "control error" in above and "radius error" not in above
