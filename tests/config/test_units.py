@@ -37,6 +37,14 @@ def test_who_shares_a_process(overrides: tuple[str, ...], units: dict[str, str])
             assert (config.unit_of[robot], config.driver_of(robot)) == (name, f"driver-{name}")
 
 
+def test_a_copy_with_other_robots_has_other_units() -> None:
+    config = load_config(PLATOON, [TRUTH])
+    assert (config.units, config.unit_of["r1"], config.robot("r1").tag) == ({"r1": config.ids}, "r1", 1)
+    robots = tuple(robot.model_copy(update={"unit": "a", "tag": 9}) for robot in config.robots[:2])
+    changed = config.model_copy(update={"robots": robots})
+    assert (changed.units, changed.unit_of["r1"], changed.robot("r1").tag) == ({"a": ("r1", "r2")}, "a", 9)
+
+
 @settings(deadline=None, derandomize=True, max_examples=30)
 @given(st.lists(st.sampled_from([None, "a", "b", "r3", "r4"]), min_size=4, max_size=4), st.sampled_from(["null", 1, 2]))
 def test_every_robot_is_in_one_unit(names: list[str | None], together: str | int) -> None:

@@ -24,7 +24,11 @@ def test_a_run_starts_what_its_configuration_needs_and_nothing_else(platoon_of: 
     drivers = ["driver-r1", "driver-r2", "driver-r3", "driver-r4"]
     plain = ["router", "recorder", "supervisor", "tracker", "controller", *drivers]
     assert names(table.started_by("run", platoon_of())) == plain
-    assert names(table.processes(load_config(MIXED))) == [*plain[:2], "twins", *plain[2:]]
+    assert names(table.processes(load_config(MIXED, ["drivers.robots_per_process=1"]))) == [
+        *plain[:2],
+        "twins",
+        *plain[2:],
+    ]
     shared = table.processes(platoon_of("drivers.robots_per_process=3"))
     assert [one.command for one in shared[-2:]] == [("driver", "--robots", "r1,r2,r3"), ("driver", "--robots", "r4")]
 

@@ -48,7 +48,7 @@ def test_there_are_ports_from_the_beginning_to_the_end(config: Config) -> None:
     assert not any(port_of(config, robot.id).is_symlink() for robot in config.robots)
 
 
-def test_it_tells_the_truth_about_each_a_hundred_times_a_second(config: Config) -> None:
+def test_it_tells_the_truth_about_each_fifty_times_a_second(config: Config) -> None:
     clock = SimulatedClock()
     bus = MemoryBus(config.arena.name, clock, 0)
     told: dict[str, list[Truth]] = {robot.id: [] for robot in config.robots}
@@ -65,7 +65,7 @@ def test_it_tells_the_truth_about_each_a_hundred_times_a_second(config: Config) 
     twins.close()
     for robot in config.robots:
         stamps = [truth.stamp_ns for truth in told[robot.id]]
-        assert stamps == ([10 * MS * k for k in range(100)] if robot.twin else [])
+        assert stamps == ([20 * MS * k for k in range(50)] if robot.twin else [])
     assert (told["r3"][-1].x_m, told["r3"][-1].y_m) == (config.robots[2].start.x_m, config.robots[2].start.y_m)
 
 

@@ -18,7 +18,7 @@ from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
-from tests.comms.alone import ROBOT_STATUS, Alone
+from tests.comms.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
 from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
@@ -130,9 +130,9 @@ def test_noise_is_as_large_as_asked_and_of_one_robot() -> None:
         truths = drive.rows(TRUTH, TRUTH_LAYOUT, robot.id)
         at = np.array([m.stamp_ns for _, m in truths])
         for fleet in during(drive.rows(POSES, FLEET_POSES, "overhead")):
-            (pose,) = [pose for pose in fleet.poses if pose.tag == robot.tag]
             truth = truths[int(np.abs(at - fleet.exposure_ns).argmin())][1]
-            off[robot.id].append(math.dist((pose.x_m, pose.y_m), (truth.x_m, truth.y_m)))
+            for pose in (pose for pose in fleet.poses if pose.tag == robot.tag):  # the source loses some by itself
+                off[robot.id].append(math.dist((pose.x_m, pose.y_m), (truth.x_m, truth.y_m)))
     assert max(off["r1"]) < 0.003
     assert 0.01 < float(np.mean(off["r2"])) < 0.05
 
@@ -199,7 +199,7 @@ def test_every_robot_of_a_process_that_is_struck_stands_and_is_seen_on(what: str
     assert drive.causes[0] is Event.DRIVER_SILENT
     for robot in ("r1", "r2"):
         instants = [t for t, _ in drive.rows(TRUTH, TRUTH_LAYOUT, robot)]
-        assert max(np.diff(instants)) < 0.02
+        assert max(np.diff(instants)) < 0.03
         said = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, robot) if t > 0.0]
         assert max(np.diff(said)) > END - BEGIN - 0.1
     said = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, "r3") if t > 0.0]
@@ -274,7 +274,7 @@ Deliver = Callable[..., list[tuple[float, bytes]]]
 def delivered() -> Deliver:
     """Return what arrives of messages that are said every 10 ms for some seconds: (ms since they began, payload)."""
 
-    def deliver(*faults: str, seconds: float = 2.0, size: int = 16) -> list[tuple[float, bytes]]:
+    def deliver(*faults: str, seconds: float = 2.0, message: bytes = b"") -> list[tuple[float, bytes]]:
         config = load_config(PLATOON, ["drivers.robots_per_process=1", f"faults=[{', '.join(faults)}]"])
         clock = SimulatedClock()
         clock.advance_to(S)
@@ -285,7 +285,7 @@ def delivered() -> Deliver:
         for ms in range(round(seconds * 1000)):
             clock.advance_to(S + ms * S // 1000)
             if ms % 10 == 0:
-                publish(ms.to_bytes(4, "little") + bytes(size - 4))
+                publish(message or ms.to_bytes(4, "little") + bytes(12))
             if (payload := subscription.take()) is not None:
                 arrived.append((ms, payload))
         return arrived
@@ -354,7 +354,9 @@ def test_a_message_is_overtaken_by_the_next_one(delivered: Deliver) -> None:
 
 
 def test_a_nan_stands_where_the_last_number_was(delivered: Deliver) -> None:
-    for _, payload in delivered("{kind: not_a_number, topics: [cmd]}"):
+    command = WHEEL_COMMAND.encode(WheelCommand(1, 2, 3, 4, 5, 6, 7.5, 8.5))
+    for _, payload in delivered("{kind: not_a_number, topics: [cmd]}", message=command):
+        assert payload[:-8] == command[:-8]
         assert math.isnan(np.frombuffer(payload[-8:], "<f8")[0])
 
 

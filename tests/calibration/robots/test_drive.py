@@ -162,7 +162,7 @@ def test_what_is_believed_of_a_simulated_robot_does_not_change_it(late_platoon: 
         spin = ["groups.0.robots=[r3]", "groups.0.behaviour=excitation", "groups.0.settings={}", "run.duration_s=3"]
         run = Lockstep(load_config(late_platoon, [*spin, *overrides]))
         assert run.run() == ("completed", None)
-        return run.recording.messages[key(run.recording.config.arena.name, TRUTH, "r3")][-1]
+        return run.recording.of_robot(TRUTH, "r3")[-1].tobytes()
 
     assert end("robots.2.calibration={robot: r3, wheel_radius_m: 0.0172, wheel_base_m: 0.1}") == end()
 
