@@ -27,7 +27,7 @@ from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, wit
 from robofleet.studies.storm.forger import Forger
 from robofleet.studies.storm.gates import GateAudit
 from robofleet.studies.storm.ledger import Ledger, Outage
-from robofleet.studies.storm.schedule import Plan, plan
+from robofleet.studies.storm.schedule import Plan, plan, shared
 from robofleet.studies.storm.stops import going_on, out_of_reach, stops, unlatched
 from robofleet.studies.storm.verdict import Violation
 
@@ -59,7 +59,7 @@ class Episode(NamedTuple):
 
 def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
-    storm = plan(config, seed)
+    config, storm = shared(config, seed), plan(config, seed)
     run, robots = config.run.model_copy(update={"seed": seed}), (*config.robots, *storm.parked)
     tree = config.model_copy(update={"run": run, "faults": storm.faults, "robots": robots})
     gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode
@@ -79,7 +79,7 @@ class _Player:
         self._ledger = Ledger()
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
-        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.members}
+        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
         self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
