@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robofleet.comms.messages import UNIT_TRUTH
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.check import refusals
@@ -17,7 +18,6 @@ from robofleet.studies.storm.bodies import apart
 from robofleet.studies.storm.episode import play
 from robofleet.studies.storm.schedule import KINDS, WINDOW_S, plan
 from robofleet.studies.storm.tally import Tally
-from tests.comms.alone import TRUTH
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_a_robot_that_touches_a_bystander_is_found(fleet: Config) -> None:
     for gap, found in ((1e-4, []), (-1e-4, ["the body touches p1's"])):
         truths = []
         for row in range(5):
-            at = np.zeros(2, dtype=TRUTH.dtype)
+            at = np.zeros(2, dtype=UNIT_TRUTH.item_dtype)
             at["x_m"] = 1.0 if row == 4 else 0.3 * row - 0.6
             truths.append(at)
         truths[2]["x_m"] = 1.0 - 2 * robot.vehicle.body_radius_m - gap

@@ -79,7 +79,7 @@ class _Player:
         self._ledger = Ledger()
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
-        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.members}
+        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
         self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops)
         self._found: list[Violation] = []
         self._longest_queue = 0
