@@ -2,6 +2,10 @@
 
 import json
 import math
+import os
+import statistics
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +20,18 @@ from robofleet.comms.keys import CAMERA, POSES, STATE, TICK
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, FleetPoses, RobotState, RunState, TagPose
 from robofleet.config.groups import starts_of
 from robofleet.config.load import load_config
+from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config, Group
 from robofleet.processes.controller import Controller, compile_kernels
+from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.supervisor import NOBODY, Phase
 
 Array = NDArray[np.float64]
 
 PLATOON = Path(__file__).resolve().parents[1] / "configs" / "platoon.yaml"
 _IN_A_PLATOON = 20
+_MOST_AT_THE_ROBOTARIUM = 22  # its barrier fails beyond
+_ARMED_WITHIN_S, _LASTING_S = 120.0, 5.0
 _MAY_MS = {4: 0.1, 20: 0.15, 100: 0.5, 1000: 4.0}  # p99 of a tick
 _SEEN_BEFORE_NS, _DELAY_NS = 10 * MS, MS
 _NOISE = 3e-4, 3e-4, 4e-3  # of a pose [m, m, rad]
@@ -31,7 +39,66 @@ _NOISE = 3e-4, 3e-4, 4e-3  # of a pose [m, m, rad]
 
 def rows() -> list[Row]:
     """Return the rows."""
-    return controller_ticks()
+    return [*controller_ticks(), *lockstep_seconds()]
+
+
+def lockstep_seconds() -> list[Row]:
+    """The CPU time of a simulated second in lockstep, while the fleet drives, medians of three.
+
+    Beside it, where the environment's ``ROBOTARIUM`` is a checkout of it, the Robotarium's simulator with its barrier.
+    """
+    found = []
+    for count, source in ((4, "camera"), (4, "truth"), (20, "truth"), (100, "truth"), (1000, "truth")):
+        config = fleet(count)
+        tracker = config.tracker.model_copy(update={"source": source})
+        drives = _Drives(config.model_copy(update={"tracker": tracker, "robots": _placed(config)}))
+        peer = os.environ.get("ROBOTARIUM") if count <= _MOST_AT_THE_ROBOTARIUM else None
+        ours, theirs = [], []
+        for _ in range(3):
+            ours.append(drives.second_ms())
+            theirs += [_robotarium_ms(Path(peer), count)] if peer else []
+        what, value = f"a simulated second, {count} robots, {source}, CPU", statistics.median(ours)
+        found.append({"what": what, "who": "robofleet", "value": value, "unit": "ms", "ratio": 1.0})
+        if theirs:
+            other = statistics.median(theirs)
+            found.append({"what": what, "who": "Robotarium", "value": other, "unit": "ms", "ratio": other / value})
+    return found
+
+
+class _Drives:
+    """A fleet that drives in lockstep."""
+
+    def __init__(self, config: Config) -> None:
+        self._lockstep = Lockstep(config)
+        self._lockstep.request(b"start")
+        assert self._lockstep.advance(_ARMED_WITHIN_S, lambda: self._lockstep.status.phase is Phase.RUNNING)
+        self._lockstep.advance(_LASTING_S)
+
+    def second_ms(self) -> float:
+        """Return the CPU time of the next second."""
+        began_ns = processor_ns()
+        self._lockstep.advance(_LASTING_S)
+        assert self._lockstep.status.phase is Phase.RUNNING
+        return (processor_ns() - began_ns) / MS / _LASTING_S
+
+
+def _placed(config: Config) -> tuple[Robot, ...]:
+    """Return the robots, each with its start."""
+    starts = starts_of(config)
+    poses = {name: (x, y, math.degrees(psi)) for name, (x, y, psi) in starts.items()}
+    named = ("x_m", "y_m", "heading_deg")
+    return tuple(
+        robot.model_copy(update={"start": StartPose(**dict(zip(named, poses[robot.id], strict=True)))})
+        for robot in config.robots
+    )
+
+
+def _robotarium_ms(checkout: Path, count: int) -> float:
+    own = checkout / ".venv" / "bin" / "python"
+    program = [str(own if own.exists() else sys.executable), str(Path(__file__).with_name("bench_robotarium.py"))]
+    environment = os.environ | {"PYTHONPATH": str(checkout)}
+    done = subprocess.run([*program, str(count)], env=environment, capture_output=True, text=True, check=True)
+    return 1000.0 * float(done.stdout.split()[-1])
 
 
 def fleet(count: int) -> Config:
