@@ -3,7 +3,7 @@
     ROBOTARIUM=CHECKOUT .venv/bin/python tools/bench.py
 
 runs this with CHECKOUT/.venv/bin/python where there is one, since the simulator needs packages that this project does
-not need (cvxopt, matplotlib). It breaks beyond 22 robots. Poses are exact there: it has no camera, no filter and no gates.
+not need (cvxopt, matplotlib). It breaks beyond 22 robots. Poses are exact there: it has no camera, filter or gates.
 """
 
 import sys
