@@ -219,7 +219,7 @@ def test_json_is_one_object_and_nothing_else(folder: Path) -> None:
 
 
 def test_a_run_ends_with_a_table_in_a_folder_of_its_own(folder: Path) -> None:
-    result = robofleet("run", PLATOON, *TRUTH, "--duration", "1", "--quiet")
+    result = robofleet("run", PLATOON, *TRUTH, "--duration", "1", "--set", "run.bounds={}", "--quiet")
     assert result.exit_code == 0, result.stderr
     assert result.stderr == ""
     (made,) = (folder / "runs").iterdir()
@@ -329,7 +329,7 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
 
 
 COMMANDS_ON_A_RUN = [["stop"], ["hold"], ["status"], ["status", "--json"], ["web"]]
-ONE_PROCESS = [["router"], ["supervisor"], ["tracker"], ["controller"], ["driver", "--robots", "r1"]]
+ONE_PROCESS = [["router"], ["supervisor"], ["tracker"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS_ON_A_RUN, *ONE_PROCESS, ["run"]], ids=" ".join)

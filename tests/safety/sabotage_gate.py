@@ -16,11 +16,11 @@ _TESTS = (test_gate, test_gate_stopping, test_gate_latches)
 
 # What is changed: a piece of the gate's source, and what stands there instead.
 SABOTAGES: dict[str, tuple[str, str]] = {
-    "1 %": ("_TOLERANCE = 1.01", "_TOLERANCE = 1.02"),
-    "1 % is allowed": ("_TOLERANCE = 1.01", "_TOLERANCE = 1.0"),
-    "a process that was held up": ("_LONGEST_RAMP_NS = 20_000_000", "_LONGEST_RAMP_NS = 2_000_000_000"),
-    "catching up": ("_LONGEST_RAMP_NS = 20_000_000", "_LONGEST_RAMP_NS = 5_000_000"),
-    "steps of the ramp": ("RAMP_NS = 5_000_000", "RAMP_NS = 50_000_000"),
+    "1 %": ("TOLERANCE = 1.01", "TOLERANCE = 1.02"),
+    "1 % is allowed": ("TOLERANCE = 1.01", "TOLERANCE = 1.0"),
+    "a process that was held up": ("LONGEST_RAMP_NS = 20_000_000", "LONGEST_RAMP_NS = 2_000_000_000"),
+    "catching up": ("LONGEST_RAMP_NS = 20_000_000", "LONGEST_RAMP_NS = 5_000_000"),
+    "steps of the ramp": ("\nRAMP_NS = 5_000_000", "\nRAMP_NS = 50_000_000"),
 }
 
 
