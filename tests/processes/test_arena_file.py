@@ -144,7 +144,7 @@ def test_a_file_that_was_left_behind_is_no_run_and_is_replaced(place: Path) -> N
         (there,) = running()
     assert there == ArenaFile(
         "platoon", "unixsock-stream//run/lab/bus.sock", os.getpid(), str(Path("somewhere").absolute()),
-        there.started, ("r1", "r2", "r3", "r4"), ME,
+        there.started, ("r1", "r2", "r3", "r4"), {"r1": ("r1", "r2", "r3", "r4")}, ME,
     )  # fmt: skip
     for content in (left_behind, left_behind + " " * 5000, ""):  # its launcher was killed
         file.write_text(content)
@@ -358,7 +358,9 @@ def test_a_launcher_is_only_signalled_if_the_process_is_its_users(place: Path) -
         sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
         stack.callback(sleeper.wait)
         stack.callback(sleeper.kill)
-        there = ArenaFile("lab", "unixsock-stream//nowhere/bus.sock", sleeper.pid, "/x", "", ("r1",), ME + 1)
+        there = ArenaFile(
+            "lab", "unixsock-stream//nowhere/bus.sock", sleeper.pid, "/x", "", ("r1",), {"r1": ("r1",)}, ME + 1
+        )
         done, said = operator.stop(there)
         assert not done
         assert "does not answer" in said

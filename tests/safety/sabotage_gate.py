@@ -20,7 +20,7 @@ SABOTAGES: dict[str, tuple[str, str]] = {
     "1 % is allowed": ("TOLERANCE = 1.01", "TOLERANCE = 1.0"),
     "a process that was held up": ("LONGEST_RAMP_NS = 20_000_000", "LONGEST_RAMP_NS = 2_000_000_000"),
     "catching up": ("LONGEST_RAMP_NS = 20_000_000", "LONGEST_RAMP_NS = 5_000_000"),
-    "steps of the ramp": ("\nRAMP_NS = 5_000_000", "\nRAMP_NS = 50_000_000"),
+    "steps of the ramp": ("RAMP_NS = 5_000_000", "RAMP_NS = 50_000_000"),
 }
 
 

@@ -27,7 +27,7 @@ from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, wit
 from robofleet.studies.storm.forger import Forger
 from robofleet.studies.storm.gates import GateAudit
 from robofleet.studies.storm.ledger import Ledger, Outage
-from robofleet.studies.storm.schedule import Plan, plan
+from robofleet.studies.storm.schedule import Plan, plan, shared
 from robofleet.studies.storm.stops import going_on, out_of_reach, stops, unlatched
 from robofleet.studies.storm.verdict import Violation
 
@@ -59,7 +59,7 @@ class Episode(NamedTuple):
 
 def play(config: Config, seed: int) -> Episode:
     """Play a seed; the same seed gives the same episode."""
-    storm = plan(config, seed)
+    config, storm = shared(config, seed), plan(config, seed)
     run, robots = config.run.model_copy(update={"seed": seed}), (*config.robots, *storm.parked)
     tree = config.model_copy(update={"run": run, "faults": storm.faults, "robots": robots})
     gc.disable()  # as a lockstep run does: nothing is cyclic but what ends with the episode

@@ -32,6 +32,9 @@ class Act(NamedTuple):
     request: bytes
 
 
+_TOGETHER = 1, 2, None  # robots in a driver process, by the seed; None: all of them
+
+
 class Plan(NamedTuple):
     """One seed's storm. Times count from the first moment of running [s]."""
 
@@ -139,9 +142,17 @@ _OUTSIDE = ("id_swap", "pose_noise", "pose_delay", "motor_runs")
 KINDS = tuple(dict.fromkeys((*_GENTLE, *_ROUGH, "pushed")))
 
 
+def shared(config: Config, seed: int) -> Config:
+    """Return a seed's fleet: where the configuration does not say who shares a process, the seed does."""
+    if config.drivers.robots_per_process is not None:
+        return config
+    together = _TOGETHER[seed % len(_TOGETHER)]
+    return config.model_copy(update={"drivers": config.drivers.model_copy(update={"robots_per_process": together})})
+
+
 def plan(config: Config, seed: int) -> Plan:
     """Return a seed's storm: the same one for the same seed and fleet."""
-    dice = _Dice(config, generator(seed, "storm"))
+    dice = _Dice(shared(config, seed), generator(seed, "storm"))
     calm = dice.likely(_CALM)
     pool = [(kind, make, False) for kind, make in _GENTLE.items()]
     pool += [] if calm else [(kind, make, True) for kind, make in _ROUGH.items()]
