@@ -21,7 +21,7 @@ from robofleet.studies.sweep.plan import Distribution, Sweep, settings
 CONFIGS = Path(__file__).parents[2] / "configs"
 HEAD = f"config: {CONFIGS / 'platoon.yaml'}\n"
 # Noisy poses end the checks before a start: half of the runs break.
-TEXT = f"""{HEAD}set: {{run.duration_s: 4, tracker.source: truth}}
+TEXT = f"""{HEAD}set: {{run.duration_s: 30, tracker.source: truth}}
 grid: {{tracker.truth.position_noise_m: [0.0003, 0.006]}}
 seeds: {{first: 3, count: 2}}
 """
