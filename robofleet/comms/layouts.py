@@ -27,7 +27,7 @@ _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
 _MOST = 1e300  # so many of them have a finite sum, by which decoding judges
-_FEW = 16  # items
+_FEW = 4  # items
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
@@ -194,6 +194,22 @@ class ListLayout(Generic[M]):
             return None
         return self._fields[field].unpack_from(payload)[0]
 
+    def column(self, payload: bytes, field: str) -> "NDArray[Any] | None":
+        """Return one field of all items (N,), in the payload's memory; None where length or version is wrong."""
+        size = self._head.size
+        if len(payload) < size or payload[0] != VERSION:
+            return None
+        (count,) = self._count.unpack_from(payload, size - 2)
+        if not self._fits(len(payload), count):
+            return None
+        dtype, at = self._item_fields[field][:2]
+        column: NDArray[Any] = self._reader.array(count, dtype, payload, size + at, self._strides[:1])
+        return column
+
+    @cached_property
+    def _item_fields(self) -> dict[str, Any]:
+        return dict(self.item_dtype.fields or {})
+
     @cached_property
     def _fields(self) -> dict[str, Struct]:
         spans = {name: _span(self._columns, name, name) for name, _ in self._columns[1:]}
@@ -307,11 +323,11 @@ class _Reader:
     def __init__(self) -> None:
         import numpy as np  # noqa: PLC0415
 
-        self.array, self._sum, self.double = np.ndarray, np.add.reduce, np.dtype("<f8")
+        self.array, self._abs, self._largest, self.double = np.ndarray, np.abs, np.maximum.reduce, np.dtype("<f8")
 
     def finite(self, floats: "NDArray[Any]") -> bool:
         """Return whether all are numbers, and not too large by far."""
-        return math.isfinite(self._sum(floats, None))
+        return bool(self._largest(self._abs(floats), None, initial=0.0) <= _MOST)  # not so of NaN
 
 
 class BlobLayout(Generic[M]):

@@ -41,6 +41,8 @@ class Statuses:
         self._inboxes = [Inbox(bus.newest(STATUS, unit.name), UNIT_STATUS.view) for unit in self.units]
         self.newest: list[UnitStatus | None] = [None] * len(self.units)  # without their robots
         self.robots: NDArray[Any] = np.zeros(len(robots), UNIT_STATUS.item_dtype)
+        self._whole = np.dtype(f"V{self.robots.dtype.itemsize}")  # an item as its bytes: fields are copied one by one
+        self._bytes = self.robots.view(self._whole)
         self.heard = np.zeros(len(robots), np.bool_)  # whose status is known
 
     def take(self) -> list[int]:
@@ -54,7 +56,7 @@ class Statuses:
             if len(items) != unit.size or (known and known.boot_id == status.boot_id and status.nonce <= known.nonce):
                 continue
             self.newest[number] = status
-            self.robots[unit.rows] = items[unit.places]
+            self._bytes[unit.rows] = items.view(self._whole)[unit.places]
             self.heard[unit.rows] = True
             newer.append(number)
         return newer

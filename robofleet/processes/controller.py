@@ -14,6 +14,7 @@ from robofleet.comms.messages import (
     RUN_STATE,
     TICK_RECORD,
     UNIT_COMMAND,
+    UNIT_STATUS,
     FleetPoses,
     RobotTick,
     UnitCommand,
@@ -22,6 +23,7 @@ from robofleet.comms.statuses import HURRY_NS, Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.control import path, platoon, wheels
+from robofleet.kernels import kernel
 from robofleet.processes import fleet
 from robofleet.processes.compiling import Say, on_stderr, told
 from robofleet.processes.deciding import Deciding, Judge, untimed
@@ -104,6 +106,7 @@ class Controller:
         units = self._statuses.units
         self._commands = [bus.publisher(COMMAND, unit.name) for unit in units]
         self._items = [np.zeros(unit.size, UNIT_COMMAND.item_dtype) for unit in units]
+        self._places = [np.arange(unit.size)[unit.places] for unit in units]
         self._seq = 0  # of the newest command
         self._publish_tick = bus.publisher(TICK)
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
@@ -255,13 +258,10 @@ class Controller:
     def _command(self, unit: int) -> None:
         """Command the robots of a unit that answer to this controller; if none does, nothing is said."""
         status, part, items = self._statuses.newest[unit], self._statuses.units[unit], self._items[unit]
-        mine = self._leases.mine[part.rows]
-        if status is None or not mine.any():
+        robots, mine = self._statuses.robots, self._leases.mine
+        if status is None or not _fill_commands(items, robots, mine, part.numbers, self._places[unit], self._wheels):
             return
         self._seq += 1
-        items["epoch"][part.places] = np.where(mine, self._statuses.robots["epoch"][part.rows], 0)
-        items["left_rad_s"][part.places] = self._wheels[part.rows, 0]
-        items["right_rad_s"][part.places] = self._wheels[part.rows, 1]
         head = UnitCommand(self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ())
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
@@ -283,6 +283,18 @@ class Controller:
         self._publish_tick(TICK_RECORD.encode_array(head, self._record, decided.numbers.tobytes()))
 
 
+@kernel
+def _fill_commands(commands, statuses, mine, rows, places, wheels):  # type: ignore[no-untyped-def]
+    """Write the wheels of the robots (K,) of a unit that are ours, and nothing for the others; returns if one is."""
+    some = False
+    for k in range(len(rows)):
+        row, command = rows[k], commands[places[k]]
+        command.epoch = statuses[row].epoch if mine[row] else 0
+        command.left_rad_s, command.right_rad_s = wheels[row, 0], wheels[row, 1]
+        some = some or mine[row]
+    return some
+
+
 def compile_kernels(config: Config, say: Say | None = None) -> None:
     """Compile every numba kernel of the control path, or load it from the cache, before the first tick.
 
@@ -295,6 +307,7 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
         *measured.KERNELS,
         *estimator.KERNELS,
         *safety_barrier.KERNELS,
+        _fill_commands,
     )
     with told("control", kernels, say or on_stderr()):
         _call_kernels(config)
@@ -305,6 +318,8 @@ def _call_kernels(config: Config) -> None:
     to_start, to_park = config.run.begin == "go_to_start", config.run.end == "park"
     n = len(config.members)
     driving = np.ones(n, dtype=np.bool_)
+    none, robots = np.zeros(0, np.intp), np.zeros(n, UNIT_STATUS.item_dtype)
+    _fill_commands(np.zeros(0, UNIT_COMMAND.item_dtype), robots, driving, none, none, np.zeros((n, 2)))
     poses, instants_ns = np.empty((n, 3)), np.empty(n, dtype=np.int64)
     nobody = np.frombuffer(b"", FLEET_POSES.item_dtype)  # read only, as what comes from the bus
     for instant_ns in (S, 2 * S):

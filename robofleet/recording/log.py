@@ -10,7 +10,7 @@ from typing import Self
 
 from mcap.records import Attachment, Metadata
 
-from robofleet.clock import MS
+from robofleet.clock import MS, S
 from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, key
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import RUN_STATE, UNIT_STATUS
@@ -29,8 +29,8 @@ PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: ro
 CONFIG, GROUPS, ENDING = "config.yaml", "groups.json", "ending.json"  # the attachments
 PROVENANCE, DROPPED = "provenance", "dropped"  # the metadata
 COUNT = "messages"  # how many were dropped since the record before
-_CHUNK = 64 * 1024  # [bytes]
-_FLUSH_NS = 200 * MS  # a kill loses a quarter of a second at most, also on a busy machine
+_CHUNK, _LARGE_CHUNK = 64 * 1024, 512 * 1024  # [bytes] in real time; in lockstep, where a chunk costs more than a kill
+_FLUSH_NS, _SELDOM_NS = 200 * MS, 60 * S  # a kill loses a quarter of a second at most, also on a busy machine
 
 
 class RunLog:
@@ -49,6 +49,7 @@ class RunLog:
         ``drawn``: with what viewers draw, which is derived from the messages and takes a quarter of the file.
         """
         self._epoch_ns = epoch_ns
+        self._chunk, self._flush_ns = (_CHUNK, _FLUSH_NS) if epoch_ns else (_LARGE_CHUNK, _SELDOM_NS)
         self._file = file.open("xb", buffering=0)
         with suppress(OSError):  # a network's disk may know no locks
             fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody repairs what is still being written
@@ -91,14 +92,14 @@ class RunLog:
                 self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
         if self._robot_ticks and (ticks := self._robot_ticks.update(full, payload, log_ns)):
             self._add_robot_ticks(ticks)
-        if self._container.waiting_bytes >= _CHUNK or (full in self._news and self._is_news(full, payload)):
+        if self._container.waiting_bytes >= self._chunk or (full in self._news and self._is_news(full, payload)):
             self._write()
 
     def add_all(self, said: Iterable[tuple[str, bytes]], at_ns: int) -> None:
         """Keep messages that came at one instant, and write what waits if it is time to."""
         for full, payload in said:
             self.add(full, payload, at_ns)
-        if at_ns - self._flushed_ns >= _FLUSH_NS:
+        if at_ns - self._flushed_ns >= self._flush_ns:
             self.flush(at_ns)
 
     def drop(self, count: int) -> None:
@@ -108,7 +109,7 @@ class RunLog:
 
     def flush(self, now_ns: int) -> None:
         """Write what is not in the file yet, if it is time to."""
-        if now_ns - self._flushed_ns >= _FLUSH_NS:
+        if now_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = now_ns
             self._write()
 
@@ -189,8 +190,8 @@ def _news(config: Config) -> dict[str, Callable[[bytes], object]]:
     arena = config.arena.name
 
     def latches(payload: bytes) -> object:
-        said = UNIT_STATUS.arrays(payload)
-        return None if said is None else said[1]["latch"].tobytes() + said[1]["latch_id"].tobytes()
+        latch, number = (UNIT_STATUS.column(payload, field) for field in ("latch", "latch_id"))
+        return None if latch is None or number is None else latch.tobytes() + number.tobytes()
 
     phase = RUN_STATE.span("phase", "cause")
     return {

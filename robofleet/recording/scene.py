@@ -119,11 +119,10 @@ class Scene:
         return _log(state_lines(before, state, self._ids), date_ns)
 
     def _status(self, rows: list[int], payload: bytes, date_ns: int) -> Said:
-        status = UNIT_STATUS.arrays(payload)
-        if status is None or len(status[1]) != len(rows):
+        latches, before = UNIT_STATUS.column(payload, "latch"), self._fleet.latches
+        if latches is None or len(latches) != len(rows):
             return ()
-        before = self._fleet.latches
-        new = [(row, its) for row, its in zip(rows, status[1]["latch"].tolist(), strict=True) if its != before[row]]
+        new = [(row, its) for row, its in zip(rows, latches.tolist(), strict=True) if its != before[row]]
         for row, latch in new:
             before[row] = latch
         return _log([latch_line(self._ids[row], latch) for row, latch in new], date_ns)

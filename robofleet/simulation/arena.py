@@ -33,6 +33,7 @@ class TruthHistory:
         self._count = np.zeros(robots, np.int64)  # of all samples
         self.moving(np.zeros(robots, np.int64), 1)  # compiles, or loads
         self.poses_at(np.zeros(robots, np.int64))
+        self.told_at(0)
 
     def add(self, row: int, stamp_ns: int, sample: tuple[float, float, float, float, float]) -> None:
         """Add a robot's x, y [m], psi [rad] in the world, v [m/s], omega [rad/s]; ignored if not its newest."""
@@ -46,11 +47,9 @@ class TruthHistory:
         """Add what a unit says of its robots (K,) in one message; ``rows``: of each place in the unit, or NOBODY."""
         take(self._stamps, self._samples, self._count, rows, stamp_ns, truths)
 
-    def told_at(self, stamp_ns: int) -> NDArray[np.bool_]:
-        """Return (N,) whose place at an instant is known from its own word, not from what it said long ago."""
-        newest = np.take_along_axis(self._stamps, (self._count[:, None] - 1) % self._stamps.shape[1], 1)[:, 0]
-        told: NDArray[np.bool_] = (self._count > 0) & (stamp_ns - newest <= _BEYOND_NS)
-        return told
+    def told_at(self, instant_ns: int) -> Array:
+        """Return poses (N, 3) at one instant, each by the robot's own word; NaN where that was said long ago."""
+        return told_at(self._stamps, self._samples, self._count, instant_ns)
 
     def poses_at(self, instants_ns: Instants) -> Array:
         """Return x, y [m], psi [rad] (N, 3), each robot's at its own instant; before its first sample that one's.
@@ -89,6 +88,16 @@ def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Ins
     poses = np.empty((len(stamps), 3))
     for n in range(len(stamps)):
         poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instants_ns[n])
+    return poses
+
+
+@kernel
+def told_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
+    """See ``TruthHistory.told_at``."""
+    poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
+    for n in range(len(stamps)):
+        if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _BEYOND_NS:
+            poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instant_ns)
     return poses
 
 
@@ -144,4 +153,4 @@ def _remainder(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-KERNELS = (poses_at, moving, take)  # that are called from Python
+KERNELS = (poses_at, told_at, moving, take)  # that are called from Python

@@ -20,6 +20,7 @@ _NS = 1e-9
 _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
 NEVER_NS = (1 << 63) - 1
 _BLOCK = 512  # random numbers that are drawn at once
+_CALLS = 32  # after so many the random numbers are counted anew
 _DRAWS = 2  # for a step of the plant
 _COMMANDS = 64  # that are under way to a robot without delay; more for each second of it
 _COMMANDS_HZ = 1000
@@ -93,6 +94,7 @@ class Bodies:
         self.coming = np.zeros((n, capacity), COMING)
         self._step_ns = int(self.plants["longest_step_ns"].min())
         self._noisy = bool(self.plants["slip"].any())
+        self._enough_ns, self._calls = now_ns, 0  # until when the random numbers last, for so many calls
         self.noise = np.zeros((n, 2 * _BLOCK))  # two blocks a robot, each drawn at once and used from its end
         if self._noisy:
             for row in range(n):
@@ -131,9 +133,17 @@ class Bodies:
 
     def _supply(self, now_ns: int) -> None:
         """Let there be random numbers enough until an instant; robots that need more than fit are brought there."""
+        self._calls += 1
+        if now_ns <= self._enough_ns and self._calls < _CALLS:
+            return
         b = self.bodies
-        steps = (now_ns - int(b["reached_ns"].min())) // self._step_ns + int(b["coming"].max()) + 3
-        if int(b["drawn"].max()) + _DRAWS * steps <= 2 * _BLOCK:
+        reached_ns, coming = int(b["reached_ns"].min()), int(b["coming"].max())
+        steps = (now_ns - reached_ns) // self._step_ns + coming + 3
+        left = (2 * _BLOCK - int(b["drawn"].max())) // _DRAWS
+        if steps <= left:
+            # Between two calls a robot is told twice at most: each word can cut one step in two.
+            self._calls, spare = 0, left - coming - 3 - 2 * _CALLS
+            self._enough_ns = reached_ns + max(0, spare) * self._step_ns
             return
         self._refill()
         while _DRAWS * steps > _BLOCK and (b["reached_ns"] < now_ns).any():
