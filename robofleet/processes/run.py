@@ -28,7 +28,7 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
 
     began = _now()
     view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
-    with hangup_interrupts(), view_of as view, RunLog(folder / FILE, config) as log:
+    with hangup_interrupts(), view_of as view, RunLog(folder / FILE, config, batched=True) as log:
         try:
             run = Lockstep(config, log=log)
         except DriverError as error:

@@ -43,13 +43,16 @@ class RunLog:
     could not be written is counted.
     """
 
-    def __init__(self, file: Path, config: Config, *, epoch_ns: int = 0, drawn: bool = True) -> None:
+    def __init__(
+        self, file: Path, config: Config, *, epoch_ns: int = 0, drawn: bool = True, batched: bool = False
+    ) -> None:
         """Begin a file; FileExistsError if it is there already, OSError if it cannot be.
 
         ``drawn``: with what viewers draw, which is derived from the messages and takes a quarter of the file.
+        ``batched``: written seldom, in large pieces: of a run whose seconds last milliseconds.
         """
         self._epoch_ns = epoch_ns
-        self._chunk, self._flush_ns = (_CHUNK, _FLUSH_NS) if epoch_ns else (_LARGE_CHUNK, _SELDOM_NS)
+        self._chunk, self._flush_ns = (_CHUNK, _FLUSH_NS) if not batched else (_LARGE_CHUNK, _SELDOM_NS)
         self._file = file.open("xb", buffering=0)
         with suppress(OSError):  # a network's disk may know no locks
             fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody repairs what is still being written
@@ -67,7 +70,7 @@ class RunLog:
         self._scene = Scene(config, said, epoch_ns=epoch_ns) if drawn else None
         for topic, name, descriptor in self._scene.channels if self._scene else ():
             self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
-        self._robot_ticks = RobotTicks(config, said, BATCH if epoch_ns else LARGE_BATCH) if drawn else None
+        self._robot_ticks = RobotTicks(config, said, LARGE_BATCH if batched else BATCH) if drawn else None
         for topic, of in self._robot_ticks.channels if self._robot_ticks else ():
             self._channels[topic] = self._channel(topic, "protobuf", of.name, "protobuf", of.descriptor)
         self._flushed_ns = 0

@@ -94,7 +94,7 @@ def test_every_field_is_named_with_its_unit_and_the_schema_says_what_it_is(run_f
 
 
 def test_the_ticks_before_a_kill_are_in_the_file_but_for_the_newest_seconds(tmp_path: Path) -> None:
-    log = RunLog(tmp_path / FILE, recorded.config(), epoch_ns=1)  # nobody kills a run in lockstep in its midst
+    log = RunLog(tmp_path / FILE, recorded.config())
     said = recorded.said_in(recorded.config())
     for full, payload, at_ns in said:
         log.add(full, payload, at_ns)
