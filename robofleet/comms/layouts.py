@@ -294,10 +294,10 @@ class ListLayout(Generic[M]):
         """Return whether all floats of the items that begin at a place in a payload are finite."""
         if not self.item_floats:
             return True
-        if count < _FEW:  # then Python is faster
-            items = payload[start : start + count * self._item.size]
-            return math.isfinite(sum(map(sum, self._item.iter_unpack(items))))
-        return self._reader.finite(self._tail(count, payload, start + self._floats_at))
+        if count >= _FEW and self._reader.small(self._tail(count, payload, start + self._floats_at)):
+            return True
+        items = payload[start : start + count * self._item.size]  # of few ones Python is faster
+        return math.isfinite(sum(map(sum, self._item.iter_unpack(items))))
 
     def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)
@@ -325,8 +325,8 @@ class _Reader:
 
         self.array, self._abs, self._largest, self.double = np.ndarray, np.abs, np.maximum.reduce, np.dtype("<f8")
 
-    def finite(self, floats: "NDArray[Any]") -> bool:
-        """Return whether all are numbers, and not too large by far."""
+    def small(self, floats: "NDArray[Any]") -> bool:
+        """Return whether all are numbers whose sum is one."""
         return bool(self._largest(self._abs(floats), None, initial=0.0) <= _MOST)  # not so of NaN
 
 

@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _PHASES = tuple(Phase)
+_NOTHING = np.uint64(0)  # as an epoch: nothing is said to this robot
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
@@ -289,7 +290,7 @@ def _fill_commands(commands, statuses, mine, rows, places, wheels):  # type: ign
     some = False
     for k in range(len(rows)):
         row, command = rows[k], commands[places[k]]
-        command.epoch = statuses[row].epoch if mine[row] else 0
+        command.epoch = statuses[row].epoch if mine[row] else _NOTHING  # an int beside it would make both floats
         command.left_rad_s, command.right_rad_s = wheels[row, 0], wheels[row, 1]
         some = some or mine[row]
     return some

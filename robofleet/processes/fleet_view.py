@@ -128,7 +128,16 @@ class FleetListener:
             image=image["seq"],
             image_tick=image["echo_tick"],
         )
-        _take_image(self._robots, poses, self._tags, self._measured_ns, self._missed, exposure_ns, image["seq"], now_ns)
+        _take_image(
+            self._robots,
+            poses,
+            self._tags,
+            self._measured_ns,
+            self._missed,
+            exposure_ns,
+            np.uint64(image["seq"]),
+            now_ns,
+        )
 
     def _heard_news(self) -> tuple[Happening, ...]:
         """Return what the tracker told, of the camera and of our tags, in the run's own words."""
@@ -195,4 +204,4 @@ def compile_kernels() -> None:
     _take_statuses(robots, np.zeros(1, UNIT_STATUS.item_dtype), np.zeros(0, np.intp), 0, 0, np.uint64(0))
     ticks, poses = (np.ndarray((0,), layout.item_dtype, b"0") for layout in (TICK_RECORD, FLEET_POSES))
     _take_tick(robots, ticks, _FAILURES, True)
-    _take_image(robots, poses, np.full(1, _UNKNOWN), none, none, 0, 0, 0)
+    _take_image(robots, poses, np.full(1, _UNKNOWN), none, none, 0, np.uint64(0), 0)

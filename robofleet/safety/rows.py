@@ -18,7 +18,7 @@ ROBOT = np.dtype(
             "battery", "left_angle", "right_angle", "left_speed", "right_speed", "left_output", "right_output",
             "left_told", "right_told",
         )),
-        *((name, "<i8") for name in ("seen_ns", "unseen_ns", "image")),
+        ("seen_ns", "<i8"), ("unseen_ns", "<i8"), ("image", "<u8"),
         *((name, "<f8") for name in ("x", "y", "psi", "estimate_x", "estimate_y", "estimate_psi")),
         *((name, "<i8") for name in ("lost", "filtered", "blocked", "failed", "driven")),
     ]

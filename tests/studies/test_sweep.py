@@ -49,6 +49,7 @@ def interrupted(file: Path) -> Iterator[tuple[Path, str]]:
     """Return the folder of a sweep that was interrupted after its first run, and what it said."""
     folder = file.parent / "out"
     command = [sys.executable, "-m", "robofleet", "sweep", str(file), "--out", str(folder), "--jobs", "1"]
+    command = ["env", "--default-signal=INT", *command]  # what runs in a shell's background ignores it
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         while process.poll() is None and len(_lines(folder)) < 2:
             with suppress(subprocess.TimeoutExpired):
