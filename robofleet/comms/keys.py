@@ -22,17 +22,18 @@ class Topic(NamedTuple):
     reliable: bool = False
 
 
-_FIXED = 256  # [bytes]; the largest fixed layout has 60
-_FLEET = 512 * 1024  # [bytes] of a list of robots, of which there can be 2048
+_FIXED = 256  # [bytes]; the largest fixed layout has 32
+_FLEET = 128 * 1024  # [bytes] of a list of robots, of which there can be 2048
+_LONG = 512 * 1024  # [bytes] of one that says more of each: 142 bytes in a status, 120 and the figures in a tick
 
 COMMAND = Topic("unit/{}/cmd", "controller", "unit", 0.033, "REAL_TIME", _FLEET, messages.UNIT_COMMAND)
-STATUS = Topic("unit/{}/status", "unit", "all", 0.020, "DATA_HIGH", _FLEET, messages.UNIT_STATUS)
+STATUS = Topic("unit/{}/status", "unit", "all", 0.020, "DATA_HIGH", _LONG, messages.UNIT_STATUS)
 ENABLE = Topic("unit/{}/enable", "supervisor", "unit", 0.040, "REAL_TIME", _FLEET, messages.UNIT_ENABLE)
 LEASE = Topic("unit/{}/lease", "controller", "unit", 0.0, "REAL_TIME", _FLEET, messages.LEASE_REQUEST, reliable=True)
 POSES = Topic("poses/{}", "tracker", "controller", 0.033, "REAL_TIME", _FLEET, messages.FLEET_POSES)
 NEWS = Topic("poses/{}/news", "tracker", "all", 0.0, "DATA_HIGH", _FIXED, messages.TRACKER_NEWS, reliable=True)
 PICTURE = Topic("poses/{}/picture", "tracker", "viewers", 1.0, "DATA_LOW", 1_000_000, messages.PICTURE)
-TICK = Topic("tick", "controller", "all", 0.033, "DATA", _FLEET, messages.TICK_RECORD)
+TICK = Topic("tick", "controller", "all", 0.033, "DATA", _LONG, messages.TICK_RECORD)
 RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
 STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
 BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)

@@ -98,15 +98,23 @@ class DriverProcess:
         self._newest_ns = clock.now_ns()
         boot_id = slices.drawn_id(rng, 64)
         self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
+        try:
+            self._join(unit, bus, wake)
+        except BaseException:
+            self.close()
+            raise
+        self._refused = 0  # messages and requests that nobody could read
+        self._seq = 0
+        self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
+        self._loops = 0
+
+    def _join(self, unit: str, bus: Bus, wake: Wake) -> None:
+        """Take the unit's place on the bus."""
         self._commands = Inbox(bus.newest(COMMAND, unit, wake), UNIT_COMMAND.arrays)
         self._enables = Inbox(bus.newest(ENABLE, unit, wake), UNIT_ENABLE.arrays)
         self._requests = bus.serve(LEASE, unit, wake)
         self._publish_status = bus.publisher(STATUS, unit)
         self._publish_truth: Publish | None = None if self._robots.truths() is None else bus.publisher(TRUTH, unit)
-        self._refused = 0  # messages and requests that nobody could read
-        self._seq = 0
-        self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
-        self._loops = 0
 
     def step(self, now_ns: int) -> int:
         """Pass on what arrived; every 10 ms read, every 20 publish. Wheels go first, then latches, disk, bus, log."""

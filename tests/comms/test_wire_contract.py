@@ -16,6 +16,7 @@ from robofleet.comms.keys import (
     TRUTH,
     key,
 )
+from robofleet.comms.layouts import ListLayout
 from robofleet.comms.messages import (
     BUSY_MACHINE,
     LEASE_REQUEST,
@@ -42,6 +43,7 @@ from robofleet.comms.messages import (
     WheelCommand,
 )
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
+from robofleet.settings import ROBOTS
 
 
 def test_a_command() -> None:
@@ -124,3 +126,9 @@ def test_only_what_is_rare_may_be_reliable() -> None:
     assert STATE.reliable
     assert REQUEST.reliable
     assert LEASE.reliable
+
+
+def test_the_largest_fleet_fits_into_every_message() -> None:
+    for topic in TOPICS:
+        if isinstance(topic.layout, ListLayout):
+            assert topic.layout.dtype(ROBOTS).itemsize <= topic.largest, topic.key
