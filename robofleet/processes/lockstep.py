@@ -24,6 +24,7 @@ from robofleet.processes.gated_robot import Witness
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.node import Node
 from robofleet.processes.readiness import why
+from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.supervisor import Event, Phase, RunStatus
@@ -45,7 +46,7 @@ class Lockstep:
     Or drive it: ``request`` and ``advance`` as often as you like, look at ``status`` and ``nodes``, ``close`` it.
     """
 
-    def __init__(self, config: Config, witness: Witness | None = None, log: RunLog | None = None) -> None:
+    def __init__(self, config: Config, witness: Witness | None = None, log: RunLog | LogBeside | None = None) -> None:
         """Build every process; ``witness`` is told what each gate decides, ``log`` keeps what is said."""
         self._config = config
         self.clock = SimulatedClock()

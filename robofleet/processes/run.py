@@ -12,7 +12,8 @@ from robofleet.processes.live import LiveView
 from robofleet.processes.page_process import PageWanted
 from robofleet.processes.refusal import RefusedError
 from robofleet.processes.terminal import Terminal, hangup_interrupts
-from robofleet.recording.log import FILE, RunLog
+from robofleet.recording.beside import LogBeside
+from robofleet.recording.log import FILE
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording, Watch
@@ -28,7 +29,7 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
 
     began = _now()
     view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
-    with hangup_interrupts(), view_of as view, RunLog(folder / FILE, config, batched=True) as log:
+    with hangup_interrupts(), view_of as view, LogBeside(folder / FILE, config) as log:
         try:
             run = Lockstep(config, log=log)
         except DriverError as error:

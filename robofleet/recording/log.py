@@ -122,6 +122,10 @@ class RunLog:
             self._attach(ENDING, "application/json", ending)
         self.close()
 
+    def let_go(self) -> None:
+        """Leave the file to a fork of this process, which has the log too."""
+        self._file.close()
+
     def close(self) -> None:
         """End the file with its index. Idempotent."""
         if self._file.closed:
