@@ -80,7 +80,7 @@ class _Player:
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
         tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
-        self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops)
+        self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops, self._losing)
         self._found: list[Violation] = []
         self._longest_queue = 0
         self._stops_ns: list[int] = []
@@ -189,6 +189,16 @@ class _Player:
         stop = EmergencyStop(self._lockstep.bus, self._config.units, clock.now_ns())
         while stop.step(clock.now_ns()) is None:
             self._lockstep.advance(_POLL_S)
+
+    def _losing(self, topic: str) -> bool:
+        """Whether messages of a topic may be lost now, or were a moment ago."""
+        faults, now_ns = self._lockstep.faults, self._lockstep.clock.now_ns()
+        assert faults is not None
+        return any(
+            injection.start_ns <= now_ns <= injection.end_ns + S
+            and (injection.fault.kind == "network_cut" or topic in getattr(injection.fault, "topics", ()))
+            for injection in faults.injections
+        )
 
     def _fail(self, invariant: str, numbers: str) -> None:
         self._found.append(Violation(invariant, self._lockstep.clock.now_ns() / S, "", numbers))

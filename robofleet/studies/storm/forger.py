@@ -45,10 +45,16 @@ _ENABLES: tuple[Callable[[UnitEnable], UnitEnable], ...] = (
 
 
 class Forger:
-    """Somebody on the network who means no good, or a program that is broken."""
+    """Somebody on the network who means no good, or a program that is broken.
 
-    def __init__(self, bus: MemoryBus, recording: Recording, tops: dict[str, float]) -> None:
-        self._bus, self._recording, self._tops = bus, recording, tops
+    A sequence number once more is wrong only where the first one came: where it may be lost, nothing is forged so.
+    """
+
+    def __init__(
+        self, bus: MemoryBus, recording: Recording, tops: dict[str, float], losing: Callable[[str], bool]
+    ) -> None:
+        """Take each robot's fastest wheel [rad/s], and what tells whether messages of a topic may be lost now."""
+        self._bus, self._recording, self._tops, self._losing = bus, recording, tops, losing
 
     def forge(self, rng: np.random.Generator) -> None:
         """Say one wrong command and one wrong enable."""
@@ -58,7 +64,9 @@ class Forger:
         if command is not None:
             top = max(self._tops[robot] for robot in units[unit])
             wrong = _COMMANDS[int(rng.integers(len(_COMMANDS)))](command, top)
-            self._bus.publisher(COMMAND, unit)(UNIT_COMMAND.encode(wrong))
+            if wrong.seq != command.seq or not self._losing("cmd"):
+                self._bus.publisher(COMMAND, unit)(UNIT_COMMAND.encode(wrong))
         if enable is not None:
             broken = _ENABLES[int(rng.integers(len(_ENABLES)))](enable)
-            self._bus.publisher(ENABLE, unit)(UNIT_ENABLE.encode(broken))
+            if broken.seq != enable.seq or not self._losing("enable"):
+                self._bus.publisher(ENABLE, unit)(UNIT_ENABLE.encode(broken))

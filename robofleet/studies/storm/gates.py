@@ -105,9 +105,9 @@ class GateAudit:
                 boot_id=state.boot_id, heard_ns=state.heard_ns, command_nonce=_NEVER, enabled=(_NEVER, 0)
             )
         if state.latch is Latch.MEMORY_LOST and before.latch is not Latch.MEMORY_LOST:
-            return GateState(state.boot_id, state.epoch, state.latch, state.latch_id, refused=state.refused)
+            return GateState(state.boot_id, state.epoch, state.latch, state.latch_id)
         latch = Latch.NONE if before.latch is Latch.DRILL else before.latch
-        return GateState(state.boot_id, before.epoch, latch, before.latch_id, refused=state.refused)
+        return GateState(state.boot_id, before.epoch, latch, before.latch_id)
 
     def _explain(self, decision: GateDecision, before: GateState) -> None:
         """Find what allowed each change."""

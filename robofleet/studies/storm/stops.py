@@ -40,14 +40,14 @@ def stops(asked_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Stop]:
 
 def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
     """Return when a robot's gate may not hear, or not be heard of."""
-    unit = next(unit for unit, robots in faults.units.items() if robot in robots)
-    driver = driver_role(unit)
+    unit, mates = next((unit, robots) for unit, robots in faults.units.items() if robot in robots)
+    driver = driver_role(unit)  # one message is for all of the unit: what strikes a robot's strikes its mates'
     found = []
     for injection in faults.injections:
         fault = injection.fault
         own = fault.kind in ("killed", "stopped", "clock_step") and fault.process == driver
         cut = fault.kind == "network_cut" and bool({driver, "supervisor"} & set(fault.processes))
-        lossy = fault.kind in _ON_THE_WAY and bool(_TOPICS & set(fault.topics)) and fault.robot in (None, robot)
+        lossy = fault.kind in _ON_THE_WAY and bool(_TOPICS & set(fault.topics)) and fault.robot in (None, *mates)
         if own or cut or lossy:
             found.append(Outage(injection.start_ns, injection.end_ns + _AFTER_NS))
     return found
