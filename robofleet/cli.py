@@ -15,7 +15,7 @@ from robofleet.calibration.commands import entry as laboratory
 from robofleet.clock import utc_now
 from robofleet.doctor import command as doctoring
 from robofleet.experiments import trials
-from robofleet.processes import commands, going, run_commands, usage
+from robofleet.processes import commands, going, keys_commands, run_commands, usage
 from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.outlet import unhindered
@@ -58,6 +58,7 @@ app.add_typer(trials.app)
 app.add_typer(studies.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
+app.add_typer(keys_commands.app)
 app.add_typer(laboratory.app)
 
 
@@ -304,9 +305,10 @@ def _refuse_forgetful(tree: "Config") -> None:
     """Refuse a run whose drivers could not keep what they must remember."""
     from robofleet.processes.keeping import FileKeeping  # noqa: PLC0415
 
-    if tree.drivers.started_by == "run":
+    here = tuple(robot for robot in tree.ids if tree.unit_of[robot] not in tree.daemons)
+    if tree.drivers.started_by != "systemd":
         try:
-            FileKeeping(tree.arena.name).try_place(tree.ids)
+            FileKeeping(tree.arena.name).try_place(here)
         except OSError as error:
             raise unkept(error) from error
 
@@ -331,7 +333,9 @@ def _settled(tree: "Config") -> "Config":
     """Choose where the processes meet; what is in use is refused."""
     from robofleet.comms.endpoint import settled  # noqa: PLC0415
     from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
+    from robofleet.processes.network import network  # noqa: PLC0415
 
+    network(tree)  # refuses keys that are missing, before anything starts
     try:
         return settled(tree, listen=True)
     except PlaceError as error:

@@ -4,6 +4,8 @@ NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"
 PRIVATE = "private"  # the endpoint that needs no name: a socket in this user's private folder
 TCP, SOCKET = "tcp/", "unixsock-stream/"
 ENDPOINT_PATTERN = rf"^({PRIVATE}|{SOCKET}/[^\s?#;]+|{TCP}[^\s/?#;]+:\d{{1,5}})$"
+TLS, QUIC = "tls/", "quic/"  # links beyond this computer, by certificates
+NETWORK_PATTERN = rf"^({TLS}|{QUIC})[^\s/?#;]+:\d{{1,5}}$"
 LONGEST_SOCKET_PATH = 107  # [bytes] that the system takes
 
 

@@ -13,8 +13,8 @@ class Topic(NamedTuple):
     """One row; ``{}`` in the key is a unit, a camera or a process. A *unit* is one driver process and its robots."""
 
     key: str
-    sender: str  # role; a query's: who asks
-    receivers: str  # roles; a query's: who answers
+    sender: str  # role, or roles; a query's: who asks
+    receivers: str  # roles; a query's: who answers. ``permissions.py`` reads both
     period_s: float  # nominal; 0: on demand
     priority: str  # Zenoh's names
     largest: int  # [bytes] of a message, and of an answer: the router and every receiver drop what is larger
@@ -38,14 +38,22 @@ RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED
 STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
 BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)
 TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
+CONFIG = Topic("unit/{}/config", "supervisor", "unit", 0.0, "DATA", _LONG, messages.HANDED, reliable=True)
+HOST = Topic("unit/{}/host", "operator viewer", "unit", 0.0, "DATA_LOW", 1024, None, reliable=True)
 REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
+# What makes nothing move: who may only look may ask for it too.
+SAFE_REQUEST = Topic("request/{}/safe", "operator viewer", "process", 0.0, "REAL_TIME", _FIXED, None, reliable=True)
 ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
-TOPICS = (COMMAND, STATUS, ENABLE, LEASE, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, REQUEST, ALIVE)
-OF_UNITS = tuple(topic for topic in TOPICS if "unit" in (topic.sender, topic.receivers))
+TOPICS = (
+    COMMAND, STATUS, ENABLE, LEASE, CONFIG, HOST, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, REQUEST,
+    SAFE_REQUEST, ALIVE,
+)  # fmt: skip
+ASKED = LEASE, CONFIG, HOST, REQUEST, SAFE_REQUEST  # queries, which somebody answers
+OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each unit
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:
@@ -55,7 +63,7 @@ def key(arena: str, topic: Topic, name: str = "") -> str:
 
 def served_by(topic: Topic, name: str) -> str:
     """Return the process that answers what is asked on a topic, as it is called among the living."""
-    return driver_role(name) if topic is LEASE else name
+    return driver_role(name) if topic in (LEASE, CONFIG, HOST) else name
 
 
 def named(full: str) -> tuple[Topic, str] | None:

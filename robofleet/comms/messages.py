@@ -257,6 +257,13 @@ class LeaseRequest(NamedTuple):
     action: int  # safety.gate.LeaseAction
 
 
+class Handed(NamedTuple):
+    """Supervisor to unit, a query: the configuration of the run that begins. The answer is text: ok, or refused."""
+
+    build: int  # config.slices.build of the supervisor
+    packed: bytes  # as ``processes.handing`` packs it
+
+
 class UnitLeases(NamedTuple):
     """Unit to controller, the answer."""
 
@@ -279,6 +286,7 @@ UNIT_TRUTH = ListLayout(UnitTruth, "Qq", Truth, "H" + "d" * 5)
 UNIT_LEASES = ListLayout(UnitLeases, "", LeaseAnswer, "BQQ")
 TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
 RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
+HANDED = BlobLayout(Handed, "I")
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
 FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hiiddd")
 TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBBQqq", RobotTick, "d" * 15, numbers=True)

@@ -6,14 +6,17 @@ import resource
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from copy import copy
+from typing import Any, NamedTuple
 
 import zenoh
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, REQUEST, TOPICS, Topic, key, largest, served_by
+from robofleet.comms.credentials import Credentials
+from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, REQUEST, SAFE_REQUEST, TOPICS, Topic, key, largest, served_by
 from robofleet.comms.living import Living, RoleTakenError, alive_key, others
+from robofleet.patterns import QUIC
 
 _ANSWER_WITHIN_NS = S
 _REQUESTS = 16  # that wait to be served
@@ -38,19 +41,58 @@ _DOOR = {
 }
 
 
-def open_router(endpoint: str) -> zenoh.Session:
+class Network(NamedTuple):
+    """How a router is reached from other hosts."""
+
+    endpoints: Sequence[str]  # tls/HOST:PORT, quic/HOST:PORT
+    credentials: Credentials  # the router's
+    permitted: dict[str, Any]  # Zenoh's access_control, see permissions.py
+
+
+def router_settings(endpoint: str, network: Network | None = None) -> dict[str, Any]:
+    """Return Zenoh's settings of a router: whatever the table of topics does not allow goes no further."""
+    settings = {
+        "mode": "router", "listen/endpoints": [endpoint], "low_pass_filter": _filters(),
+        "downsampling": [_questions()], **_DOOR,
+    }  # fmt: skip
+    if network is not None:
+        settings["listen/endpoints"] = [endpoint, *map(_linked, network.endpoints)]
+        settings |= {"access_control": network.permitted, **_certified(network.credentials)}
+    return settings | _TRANSPORT
+
+
+def open_router(endpoint: str, network: Network | None = None) -> zenoh.Session:
     """Start Zenoh's router in this process, listening on ``endpoint``; close it in a ``finally``.
 
-    What is larger than the table of topics allows goes no further.
+    With a ``network`` other hosts reach it too, each as far as its certificate permits.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(_FILES, most) if most >= 0 else _FILES, most))
     umask = os.umask(0o077)  # the socket's mode
     try:
-        limits = {"low_pass_filter": _filters(), "downsampling": [_questions()]}
-        return _open({"mode": "router", "listen/endpoints": [endpoint], **limits, **_DOOR})
+        return _open(router_settings(endpoint, network))
     finally:
         os.umask(umask)
+
+
+def _linked(endpoint: str) -> str:
+    """Return the endpoint with what Zenoh must know of the link: QUIC also carries datagrams, which nobody resends."""
+    return f"{endpoint}?mixed_rel=1" if endpoint.startswith(QUIC) else endpoint
+
+
+def _certified(own: Credentials) -> dict[str, Any]:
+    """Return the settings of mutual TLS: both ends show a certificate of the arena's authority, or there is no link."""
+    certificate, private = str(own.certificate), str(own.key)
+    return {
+        "transport/link/tls": {
+            "root_ca_certificate": str(own.authority),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+            **{f"{end}_certificate": certificate for end in ("listen", "connect")},
+            **{f"{end}_private_key": private for end in ("listen", "connect")},
+        }
+    }
 
 
 def _filters() -> list[dict[str, Any]]:
@@ -68,7 +110,7 @@ def _filters() -> list[dict[str, Any]]:
 
 
 def _questions() -> dict[str, Any]:
-    rules = [{"key_expr": key("*", REQUEST, "*"), "freq": _QUESTIONS_HZ}]
+    rules = [{"key_expr": key("*", topic, "*"), "freq": _QUESTIONS_HZ} for topic in (REQUEST, SAFE_REQUEST)]
     return {"id": "requests", "messages": ["query"], "flows": ["ingress"], "rules": rules}
 
 
@@ -79,16 +121,24 @@ class ZenohBus:
     RoleTakenError where another has one. A process without a role is known as ``process``.
     """
 
-    def __init__(self, arena: str, endpoint: str, process: str, clock: Clock, *, roles: Sequence[str] = ()) -> None:
+    def __init__(
+        self, arena: str, endpoint: str | Sequence[str], process: str, clock: Clock, *, roles: Sequence[str] = (),
+        credentials: Credentials | None = None, session: str | None = None,
+    ) -> None:  # fmt: skip
+        """Join; waits for the router for ever. Another host has ``credentials``, and a ``session``: its Zenoh ID."""
         self._arena, self._clock = arena, clock
         self._closed = False
-        self._queryables: list[Any] = []
-        self._listeners: list[Any] = []
+        self._declared: list[Any] = []  # of this part of the session, beside its tokens
+        self._whole = True
         self._living: dict[str, tuple[Living, int]] = {}  # those that this process asks, and since when [ns]
+        endpoints = [endpoint] if isinstance(endpoint, str) else endpoint
         self._session = _open(
             {
+                **_TRANSPORT,
+                **({} if credentials is None else _certified(credentials)),
+                **({} if session is None else {"id": session}),
                 "mode": "client",
-                "connect/endpoints": [endpoint],
+                "connect/endpoints": [*map(_linked, endpoints)],
                 "listen/endpoints": [],
                 "connect/timeout_ms": -1,
                 "connect/exit_on_failure": False,
@@ -123,7 +173,7 @@ class ZenohBus:
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
         """Return the function that publishes on a topic; it never blocks."""
-        publisher = self._session.declare_publisher(
+        publisher = self._declare(self._session.declare_publisher)(
             key(self._arena, topic, name),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=getattr(zenoh.Priority, topic.priority),
@@ -139,8 +189,9 @@ class ZenohBus:
         """Subscribe to a topic."""
         full = key(self._arena, topic, name)
         if wake is not None:
-            return _Slot(self._session, full, wake, self._clock)
-        return _Ring(self._session.declare_subscriber(full, zenoh.handlers.RingChannel(1)), topic.largest)
+            return _Slot(self._declare(self._session.declare_subscriber), full, wake, self._clock)
+        ring = self._declare(self._session.declare_subscriber)(full, zenoh.handlers.RingChannel(1))
+        return _Ring(ring, topic.largest)
 
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` of every message, from Zenoh's own thread."""
@@ -151,11 +202,11 @@ class ZenohBus:
 
         full = key(self._arena, topic, name)
         callback = zenoh.handlers.Callback(arrived, indirect=False)
-        self._listeners.append(self._session.declare_subscriber(full, callback))
+        self._declare(self._session.declare_subscriber)(full, callback)
 
     def stream(self, *expressions: str, capacity: int) -> Stream:
         """Subscribe to keys, or to expressions of one topic each: a key that nobody named comes to nobody."""
-        return _Stream(self._session, expressions, capacity, self._clock)
+        return _Stream(self._declare(self._session.declare_subscriber), expressions, capacity, self._clock)
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request on a topic."""
@@ -169,7 +220,7 @@ class ZenohBus:
                 wake(self._clock.now_ns())
 
         full = key(self._arena, topic, name)
-        self._queryables.append(self._session.declare_queryable(full, zenoh.handlers.Callback(put, indirect=False)))
+        self._declare(self._session.declare_queryable)(full, zenoh.handlers.Callback(put, indirect=False))
 
         def take() -> Request | None:
             return _ZenohRequest(waiting.popleft()) if waiting else None
@@ -200,11 +251,31 @@ class ZenohBus:
             self._living[server] = living, now_ns
         return living
 
+    def part(self) -> "ZenohBus":
+        """Return this bus once more; when that one is closed, what it declared is gone, and this one goes on."""
+        part = copy(self)
+        part._declared, part._whole = [], False
+        return part
+
     def close(self) -> None:
         """Leave the bus. Idempotent."""
-        if not self._closed:
-            self._closed = True
+        if self._closed:
+            return
+        self._closed = True
+        if self._whole:
             self._session.close()  # type: ignore[no-untyped-call]
+            return
+        for declared in self._declared:
+            declared.undeclare()
+
+    def _declare(self, declare: Callable[..., Any]) -> Callable[..., Any]:
+        """Return what declares something, and keeps it until this is closed."""
+
+        def declared(*what: Any, **how: Any) -> Any:
+            self._declared.append(declare(*what, **how))
+            return self._declared[-1]
+
+        return declared
 
 
 class _Ring:
@@ -224,7 +295,7 @@ class _Ring:
 class _Slot:
     """Newest message, written by Zenoh's own thread, which then wakes the process."""
 
-    def __init__(self, session: zenoh.Session, full: str, wake: Wake, clock: Clock) -> None:
+    def __init__(self, declare: Callable[..., Any], full: str, wake: Wake, clock: Clock) -> None:
         self._newest: deque[tuple[int, bytes]] = deque(maxlen=1)
         self.arrival_ns = 0
         most = largest(full)
@@ -236,7 +307,7 @@ class _Slot:
             self._newest.append((arrival_ns, bytes(sample.payload)))
             wake(arrival_ns)
 
-        self._subscriber = session.declare_subscriber(full, zenoh.handlers.Callback(put, indirect=False))
+        self._subscriber = declare(full, zenoh.handlers.Callback(put, indirect=False))
 
     def take(self) -> bytes | None:
         if not self._newest:
@@ -248,14 +319,13 @@ class _Slot:
 class _Stream:
     """Everything that came, put there by Zenoh's own thread: a RingChannel would drop without a word."""
 
-    def __init__(self, session: zenoh.Session, expressions: Sequence[str], capacity: int, clock: Clock) -> None:
+    def __init__(self, declare: Callable[..., Any], expressions: Sequence[str], capacity: int, clock: Clock) -> None:
         self._clock, self._capacity = clock, capacity
         self._lock = threading.Lock()  # held for some hundred nanoseconds
         self._samples: deque[tuple[int, zenoh.Sample]] = deque(maxlen=capacity)
         self.dropped = 0
         self._subscribers = [
-            session.declare_subscriber(full, zenoh.handlers.Callback(self._put_of(largest(full)), indirect=False))
-            for full in expressions
+            declare(full, zenoh.handlers.Callback(self._put_of(largest(full)), indirect=False)) for full in expressions
         ]
 
     def _put_of(self, most: int) -> Callable[[zenoh.Sample], None]:
@@ -316,6 +386,6 @@ class _ZenohRequest:
 
 def _open(settings: dict[str, Any]) -> zenoh.Session:
     config = zenoh.Config()
-    for name, value in (settings | _TRANSPORT).items():
+    for name, value in settings.items():
         config.insert_json5(name, json.dumps(value))
     return zenoh.open(config)

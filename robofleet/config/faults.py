@@ -357,6 +357,8 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
             "drivers that are there before the run cannot know where it will be: "
             "name a socket, as unixsock-stream//run/robofleet/lab.sock",
         )
+    if config.drivers.started_by == "daemon":
+        yield from _daemons(config)
     if endpoint.startswith(SOCKET):
         length = len(endpoint.removeprefix(SOCKET).encode())
         if length > LONGEST_SOCKET_PATH:
@@ -381,3 +383,20 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
         )
     if int(port) > 65535:
         yield "bus.endpoint", f"there is no port {port}: take 0 for any free one, or up to 65535"
+
+
+def _daemons(config: Config) -> Iterator[Complaint]:
+    """Drivers on other computers are known by their certificates, and reach the router by its own."""
+    if not config.bus.listen:
+        yield (
+            "drivers.started_by",
+            "the robots' computers reach this one by its network: name its address, as "
+            "`bus: {listen: [quic/192.168.1.10:7447]}`",
+        )
+    for i, robot in enumerate(config.robots):
+        if robot.unit is None and robot.driver != "simulated":
+            yield (
+                f"robots.{i}.unit",
+                f"missing: the computer of {robot.id} is known by its unit's certificate: write `unit: {robot.id}`, "
+                f"and `robofleet keys add {config.arena.name} {robot.id}`",
+            )

@@ -14,7 +14,7 @@ from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
-from robofleet.patterns import ENDPOINT_PATTERN, PRIVATE, driver_role
+from robofleet.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, driver_role
 from robofleet.safety.supervisor import Roster
 from robofleet.settings import (
     MANY,
@@ -51,6 +51,11 @@ class BusSettings(Model):
     endpoint: Annotated[str, Field(max_length=300, pattern=ENDPOINT_PATTERN)] = PRIVATE
     """``private``: a socket named after the arena, in ``$XDG_RUNTIME_DIR/robofleet`` or ``/tmp/robofleet-UID``. Only
     this user may have access to the folder of a socket. With TCP, port 0 takes any free port."""
+    listen: Annotated[
+        tuple[Annotated[str, Field(max_length=300, pattern=NETWORK_PATTERN)], ...], Field(max_length=8, strict=False)
+    ] = ()
+    """Addresses of this computer at which the router admits other hosts, by the certificates of ``robofleet keys``:
+    ``quic/192.168.1.10:7447`` for robots on a radio, ``tls/192.168.1.10:7447`` for others."""
     insecure: Literal["loopback"] | None = None
     """``loopback`` allows TCP on this computer. Every user and every program of the computer can then drive the
     robots."""
@@ -112,9 +117,10 @@ class DriverSettings(Model):
     robots_per_process: Annotated[int, within(1, ROBOTS)] | None = None
     """Largest number of robots in one driver process, of those without ``robots[].unit``. They are taken in the order
     of ``robots``. null: all robots with the driver ``simulated`` in one process, each other robot in one of its own."""
-    started_by: Literal["run", "systemd"] = "run"
+    started_by: Literal["run", "systemd", "daemon"] = "run"
     """``run``: ``robofleet run`` starts the drivers. ``systemd``: the services of ``tools/deploy`` start them, and
-    ``robofleet run`` starts everything else."""
+    ``robofleet run`` starts everything else. ``daemon``: as ``run``, but each robot that is not simulated has a
+    computer of its own, on which ``robofleet driver --unit UNIT`` waits for this configuration."""
 
 
 class LockstepSettings(Model):
@@ -242,6 +248,14 @@ class Config(Model):
         found = {name: tuple(ids) for name, ids in {**crews, **named}.items()}
         places = {robot.id: place for place, robot in enumerate(self.robots)}
         return dict(sorted(found.items(), key=lambda unit: places[unit[1][0]]))
+
+    @property
+    def daemons(self) -> tuple[str, ...]:
+        """The units whose drivers wait on computers of their own: a run hands them its configuration."""
+        if self.drivers.started_by != "daemon":
+            return ()
+        named = {robot.unit for robot in self.robots if robot.unit is not None and robot.driver != "simulated"}
+        return tuple(unit for unit in self.units if unit in named)
 
     @property
     def crews(self) -> Sequence[Sequence[Robot]]:

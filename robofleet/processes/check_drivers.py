@@ -69,7 +69,8 @@ def unreachable(config: Config) -> list[Complaint]:
     if config.drivers.started_by == "systemd":
         return []
     clock = WallClock()
-    attempts = [_Attempt(config, robot, clock) for robot in config.robots if robot.twin is None]
+    here = [robot for robot in config.robots if config.unit_of[robot.id] not in config.daemons]
+    attempts = [_Attempt(config, robot, clock) for robot in here if robot.twin is None]
     if slow := _unfinished(attempts, clock.now_ns() + round(_TOLD_AFTER_S * S), clock):
         names = ", ".join(attempt.robot.id for attempt in slow)
         print(

@@ -13,6 +13,7 @@ from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
 from robofleet.processes.keeping import FileKeeping
 from robofleet.processes.log_lines import never_raise
+from robofleet.processes.network import network
 from robofleet.processes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError, unkept
 from robofleet.processes.table import RECORDER, ROUTER, Edges, Row
@@ -69,7 +70,7 @@ def _new(folder: Path) -> None:
 
 def _route(config: Config, lifeline: Lifeline) -> None:
     """Be Zenoh's router."""
-    with closing(open_router(config.bus.endpoint)):
+    with closing(open_router(config.bus.endpoint, network(config))):
         lifeline.ready()
         while not lifeline.cut:
             threading.Event().wait(0.05)

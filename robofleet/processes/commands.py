@@ -153,7 +153,7 @@ def _be(row: "Row", file: Path, lifeline: int | None, robots: tuple[str, ...] = 
         child.main(row, config, file.parent, lifeline, robots, take_over=take_over)
 
 
-for _row in (table.ROUTER, table.TRACKER, table.SUPERVISOR, table.RECORDER, table.TWINS):
+for _row in (table.TRACKER, table.SUPERVISOR, table.RECORDER, table.TWINS):
     _process(_row)
 
 
@@ -167,17 +167,91 @@ def controller(
 
 
 def driver(
-    config: ConfigPath,
-    robots: Annotated[str, typer.Option(metavar="r1,r2", help="Which robots this process drives.")],
+    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The run's configuration.")] = None,
+    robots: Annotated[
+        str | None, typer.Option(metavar="r1,r2", help="Which robots of CONFIG this process drives.")
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="On a robot's own computer, without CONFIG: each run brings its own."),
+    ] = None,
     lifeline: LifelineFd = None,
 ) -> None:
     """Be a driver's process."""
+    if unit is not None:
+        if config is not None or robots is not None:
+            _wrong("--unit: each run brings its configuration: leave CONFIG and --robots out")
+        _wait_for_runs(unit, lifeline)
+        return
+    if config is None or robots is None:
+        _wrong("name CONFIG and --robots, or on a robot's own computer --unit")
+        return
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
     _be(table.DRIVER, config, lifeline, names)
 
 
+def _wrong(line: str) -> None:
+    with bad_input():
+        raise RefusedError(line)
+
+
+def _wait_for_runs(unit: str, lifeline: int | None) -> None:
+    """Be the driver of this computer's robots, whatever run comes."""
+    from robofleet.config.robot_file import load_robot_file, robot_file  # noqa: PLC0415
+    from robofleet.processes import daemon  # noqa: PLC0415
+
+    with bad_input():
+        file = robot_file()
+        robot = load_robot_file(file)
+        if robot.unit != unit:
+            raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
+        daemon.main(robot, file, lifeline)
+
+
+def router(
+    config: ConfigPath,
+    print_config: Annotated[
+        bool, typer.Option("--print-config", help="Print it as the configuration of a zenohd of your own: JSON5.")
+    ] = False,
+    lifeline: LifelineFd = None,
+) -> None:
+    """Be the router."""
+    if print_config:
+        from robofleet.processes.network import settings_of  # noqa: PLC0415
+
+        with bad_input():
+            print(dumps(settings_of(_for_one_process(config))))
+        return
+    _be(table.ROUTER, config, lifeline)
+
+
 _add(table.CONTROLLER, controller)
 _add(table.DRIVER, driver)
+_add(table.ROUTER, router)
+
+
+@app.command(rich_help_panel=OPERATOR)
+def hosts(
+    arena: ArenaName = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
+) -> None:
+    """Show the computers of a run's robots: where, version, certificate, round trip, loss, battery, since when.
+
+    $ robofleet hosts
+    """
+    from robofleet.processes import hosts as asking  # noqa: PLC0415
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    try:
+        found = asking.hosts(_running(arena))
+    except operator.UnreachableError as error:
+        _told(False, str(error))
+    if as_json:
+        print(dumps(found))
+    else:
+        from rich.console import Console  # noqa: PLC0415
+
+        Console().print(asking.table(found))
 
 
 @app.command(rich_help_panel=OPERATOR)

@@ -53,6 +53,10 @@ class Robots(Protocol):
     def latch_is_new(self) -> bool:
         """Whether the newest status does not tell of a gate's latch yet."""
 
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+
     def set_back(self, from_ns: int, now_ns: int) -> None:
         """Let every gate begin anew: the clock was set back from one instant to another."""
 
@@ -137,6 +141,16 @@ class DriverProcess:
                 self._tell()
             robots.say()
         return min(self._loop_ns, robots.deadline_ns)
+
+    @property
+    def build(self) -> int:
+        """The number of the configuration that these robots were made by."""
+        return self._build
+
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+        return self._robots.any_open
 
     def close(self) -> None:
         """Motors off, every robot, whatever one of them does."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Answer, Bus, Inbox
-from robofleet.comms.keys import ENABLE, REQUEST, STATUS
+from robofleet.comms.keys import ENABLE, SAFE_REQUEST, STATUS
 from robofleet.comms.messages import UNIT_ENABLE, UNIT_STATUS, Enable, UnitEnable, UnitStatus
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
@@ -44,7 +44,7 @@ class EmergencyStop:
         """Ask the supervisor; the gates follow with the units' next words."""
         self._robots = tuple(robot for members in units.values() for robot in members)
         self._bus, self._started_ns = bus, now_ns
-        self._answer: Answer | None = bus.ask(REQUEST, "supervisor", b"estop")
+        self._answer: Answer | None = bus.ask(SAFE_REQUEST, "supervisor", b"estop")
         self._again_ns = now_ns + _AGAIN_NS
         self._inboxes = [Inbox(bus.newest(STATUS, unit), UNIT_STATUS.decode) for unit in units]
         self._units = list(units.values())
@@ -56,7 +56,7 @@ class EmergencyStop:
         if self._answer is not None and self._answer.take() is not None:
             self._answer = None  # it need not be asked again
         if self._answer is not None and now_ns >= self._again_ns:
-            self._answer, self._again_ns = self._bus.ask(REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
+            self._answer, self._again_ns = self._bus.ask(SAFE_REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
         for inbox, tell, robots in zip(self._inboxes, self._tell, self._units, strict=True):
             status = inbox.take()
             if status is None or len(status.robots) != len(robots):

@@ -78,6 +78,11 @@ class GatedRobots:
         """Whether the newest status does not tell of a gate's latch yet."""
         return any(robot.latch_is_new for robot in self._robots)
 
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+        return any(robot.is_open for robot in self._robots)
+
     def set_back(self, from_ns: int, now_ns: int) -> None:
         """Let every gate begin anew: the clock was set back."""
         for robot in self._robots:
@@ -164,6 +169,11 @@ class GatedRobot:
     def deadline_ns(self) -> int:
         """When its gate must be asked again."""
         return _NEVER_NS if self._deadline_ns is None else self._deadline_ns
+
+    @property
+    def is_open(self) -> bool:
+        """Whether its gate lets a controller's commands through."""
+        return self._status is GateStatus.OPEN
 
     def set_back(self, from_ns: int, now_ns: int) -> None:
         """Let the gate begin anew: the clock was set back."""

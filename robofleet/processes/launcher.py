@@ -8,7 +8,7 @@ from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
 from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, REQUEST, STATE, STATUS, TICK, key
 from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, TICK_RECORD, BusyMachine, RunState
-from robofleet.comms.requests import asked
+from robofleet.comms.requests import asked, on
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
@@ -351,7 +351,8 @@ class Launcher:
     def _ask_by_key(self, keys: str) -> None:
         for pressed in keys:
             if pressed in _ASKED_BY_KEY:
-                self._answer = self._bus.ask(REQUEST, "supervisor", _ASKED_BY_KEY[pressed])
+                payload = _ASKED_BY_KEY[pressed]
+                self._answer = self._bus.ask(on(payload), "supervisor", payload)
         if self._answer is not None and (answer := self._answer.take()) is not None:
             self._terminal.note, self._answer = answer.decode(errors="replace"), None
 

@@ -93,7 +93,7 @@ def stop(there: ArenaFile) -> tuple[bool, str]:
     """
     clock = WallClock()
     try:
-        with urgent(), _reached(there, clock) as bus:
+        with urgent(), reached(there, clock) as bus:
             stopped = emergency_stop(bus, clock, there.units)
             return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
     except UnreachableError:
@@ -117,7 +117,7 @@ def ask(there: ArenaFile, what: str) -> tuple[bool, str]:
     """Ask the supervisor; returns whether it does so, and its answer."""
     clock = WallClock()
     try:
-        with _reached(there, clock) as bus:
+        with reached(there, clock) as bus:
             answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
             return answer.startswith("ok"), answer
     except UnreachableError as error:
@@ -131,7 +131,7 @@ def status(there: ArenaFile) -> dict[str, Any]:
     clock = WallClock()
     state: RunState | None = None
     newest: dict[str, tuple[int, RobotStatus]] = {}
-    with _reached(there, clock) as bus:
+    with reached(there, clock) as bus:
         names = {key(there.arena, STATUS, unit): robots for unit, robots in there.units.items()}
         states, statuses = bus.newest(STATE), bus.stream(*names, capacity=16 * len(names))
         end_ns = clock.now_ns() + _LISTEN_NS
@@ -174,7 +174,7 @@ def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_n
 
 
 @contextmanager
-def _reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
+def reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
     """Join a run's bus; UnreachableError where it does not answer."""
     try:
         bus = joined(there.arena, there.endpoint, "operator", clock, _CONNECT_WITHIN_S)

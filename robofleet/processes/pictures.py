@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from robofleet.clock import Clock, S
 from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.keys import CAMERA, PICTURE, REQUEST
+from robofleet.comms.keys import CAMERA, PICTURE, SAFE_REQUEST
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.comms.messages import Picture
 from robofleet.config.tree import Config
@@ -36,7 +36,7 @@ class Pictures:
         elif self._period_ns is None:
             self._refusal = "refused: camera.picture_rate_hz is 0, so there are no pictures"
         self._publish = bus.publisher(PICTURE, CAMERA)
-        self._request = bus.serve(REQUEST, "tracker", wake)
+        self._request = bus.serve(SAFE_REQUEST, "tracker", wake)
         self._clock, self._epoch = clock, epoch
         self._seq = 0
         self._newest_ns: int | None = None  # exposure of the picture chosen last

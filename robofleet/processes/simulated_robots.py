@@ -109,6 +109,11 @@ class SimulatedRobots:
         """Whether the newest status does not tell of a gate's latch yet."""
         return bool(self._found & _NEW_LATCH)
 
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+        return bool((self._gates["status"] == GateStatus.OPEN).any())
+
     def set_back(self, from_ns: int, now_ns: int) -> None:
         """Let every gate begin anew: the clock was set back."""
         self._gates["at_ns"] = from_ns

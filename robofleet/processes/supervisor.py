@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Request, Wake
-from robofleet.comms.keys import BUSY, ENABLE, REQUEST, STATE
+from robofleet.comms.keys import BUSY, ENABLE, REQUEST, SAFE_REQUEST, STATE
 from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, RunState, UnitEnable
+from robofleet.comms.requests import SAFE, SAFE_WORDS
 from robofleet.comms.statuses import HURRY_NS
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
@@ -18,6 +19,7 @@ from robofleet.processes import fleet_view
 from robofleet.processes.busy_news import BusyNews
 from robofleet.processes.compiling import Say, told
 from robofleet.processes.fleet_view import FleetListener
+from robofleet.processes.handing import Handing
 from robofleet.safety import arming, busy, monitor, scan
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
@@ -93,12 +95,14 @@ class Supervisor:
         self._replies: list[tuple[Request, str]] = []
         self._listener = FleetListener(config, bus, free_bytes, machine)
         units = self._listener.statuses.units
+        self._handing = Handing(config, bus, self._listener.statuses)
         self._enables = [bus.publisher(ENABLE, unit.name) for unit in units]
         self._items = [np.zeros(unit.size, UNIT_ENABLE.item_dtype) for unit in units]
         self._places = [np.arange(unit.size)[unit.places] for unit in units]
         self._driven = driven
         self._publish_state = bus.publisher(STATE)
-        self._request = bus.serve(REQUEST, "supervisor", wake)
+        self._orders = bus.serve(REQUEST, "supervisor", wake)
+        self._safe_requests = bus.serve(SAFE_REQUEST, "supervisor", wake)
         self._status = RunStatus()
         self._view = FleetView(clock.now_ns(), tuple(RobotView(driven=row < driven) for row in range(len(robots))))
         self._memory = Memory()
@@ -133,6 +137,7 @@ class Supervisor:
             for unit in hurried:
                 self._enable(unit)
             return self._wakes_ns(now_ns)
+        self._lines += [f"{unit}: {why}" for unit, why in self._handing.step(now_ns)]
         before = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
         self._view = self._listener.look(now_ns, self._operator_ns)
         suspects = self._scan.suspects(self._memory, self._status.phase, self._view)
@@ -159,6 +164,14 @@ class Supervisor:
         if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
         return self._wakes_ns(now_ns)
+
+    def _request(self) -> Request | None:
+        """Take the next request: first of those who may only look, and ask for what makes nothing move."""
+        while (request := self._safe_requests()) is not None:
+            if request.payload in SAFE:
+                return request
+            self._replies.append((request, f"refused: only {SAFE_WORDS} are for everybody: ask as an operator"))
+        return self._orders()
 
     def _speak(self) -> None:
         """Answer and say what this step left."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robofleet.processes.keeping import Keeping
     from robofleet.simulation.faults import Schedule
 
-Starter = Literal["run", "systemd", "operator"]
+Starter = Literal["run", "systemd", "daemon", "operator"]
 _PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
 
 
@@ -99,7 +99,15 @@ def processes(config: "Config") -> list[Process]:
 
 def started_by(starter: Starter, config: "Config") -> list[Process]:
     """Return those that somebody starts."""
-    return [one for one in processes(config) if (one.row.starter or config.drivers.started_by) == starter]
+    return [one for one in processes(config) if _starter(one, config) == starter]
+
+
+def _starter(one: Process, config: "Config") -> Starter:
+    if one.row.starter is not None:
+        return one.row.starter
+    if config.drivers.started_by == "daemon":
+        return "daemon" if config.unit_of[one.robots[0]] in config.daemons else "run"
+    return config.drivers.started_by
 
 
 def in_lockstep(config: "Config") -> list[Process]:

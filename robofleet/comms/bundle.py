@@ -1,0 +1,103 @@
+"""A bundle: the one file by which a computer joins an arena, made where the authority is and unpacked on the robot."""
+
+import os
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from robofleet.clock import utc_now
+from robofleet.comms.credentials import AUTHORITY, Credentials, KeysError, Passport
+from robofleet.files import read_named, write_bytes
+from robofleet.patterns import NETWORK_PATTERN
+
+FORMAT: Final = 1
+_LARGEST = 65536  # [bytes]
+_PEM = Annotated[str, Field(pattern=r"^-----BEGIN ", max_length=16384)]
+
+
+class Bundle(BaseModel):
+    """What is in the file: JSON."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    format: Literal[1] = FORMAT
+    robofleet: str  # version that made it
+    passport: Passport
+    certificate: _PEM
+    key: _PEM
+    authority: _PEM
+    router: Annotated[
+        tuple[Annotated[str, Field(pattern=NETWORK_PATTERN)], ...], Field(min_length=1, max_length=8, strict=False)
+    ]
+
+
+class _Any(BaseModel):
+    """What every format has."""
+
+    format: int
+    robofleet: str
+
+
+def bundled(own: Credentials, told: Passport, router: tuple[str, ...]) -> Bundle:
+    """Return the bundle of a name."""
+    certificate, key, authority = (file.read_text() for file in own[1:])
+    return Bundle(
+        robofleet=version("robofleet"), passport=told, certificate=certificate, key=key, authority=authority,
+        router=router,
+    )  # fmt: skip
+
+
+def write(file: Path, bundle: Bundle) -> None:
+    """Write a bundle, which only its owner may read."""
+    write_private(file, bundle.model_dump_json(indent=1).encode())
+
+
+def read(file: Path) -> Bundle:
+    """Read a bundle that is valid now; KeysError where it cannot be used."""
+    try:
+        text = read_named(file, _LARGEST)
+    except OSError as error:
+        raise KeysError(f"{file}: {error.strerror}: name the file that `robofleet keys bundle` made") from error
+    try:
+        bundle = Bundle.model_validate_json(text)
+    except ValidationError as error:
+        raise KeysError(f"{file}: {_what_is_wrong(text)}") from error
+    bundle.passport.check(utc_now())
+    return bundle
+
+
+def _what_is_wrong(text: bytes) -> str:
+    try:
+        other = _Any.model_validate_json(text)
+    except ValidationError:
+        return "is no bundle, or damaged: copy again what `robofleet keys bundle` made"
+    if other.format != FORMAT:
+        return (
+            f"robofleet {other.robofleet} made it, and {version('robofleet')} is installed here: "
+            "install the same version on both"
+        )
+    return "is damaged: copy again what `robofleet keys bundle` made"
+
+
+def unpack(bundle: Bundle, folder: Path) -> Credentials:
+    """Put the keys into a folder, in the place of older ones of the same name."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    own = Credentials.at(folder, bundle.passport.name)
+    write_private(own.key, bundle.key.encode())
+    write_private(own.certificate, bundle.certificate.encode())
+    write_private(folder / AUTHORITY, bundle.authority.encode())
+    write_private(folder / f"{own.name}.json", bundle.passport.model_dump_json(indent=1).encode())
+    return own
+
+
+def write_private(file: Path, content: bytes) -> None:
+    """Write a file that only its owner may read, whole or not at all; KeysError where that cannot be."""
+    umask = os.umask(0o077)
+    try:
+        write_bytes(file, content)
+    except OSError as error:
+        raise KeysError(f"{error.filename or file}: {error.strerror}") from error
+    finally:
+        os.umask(umask)

@@ -1,0 +1,117 @@
+"""The keys of this computer: certificates by which other hosts know it. A robot needs nothing else to read them.
+
+``NAME.pem`` and ``NAME.key`` are a certificate and its private key, ``NAME.json`` says what is in the certificate, and
+``authority.pem`` is the certificate of the arena's authority. Only their owner may read the folder.
+"""
+
+import hashlib
+import os
+import stat
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, ValidationError
+
+from robofleet.clock import utc_now
+
+_SYSTEM = Path("/etc/robofleet/keys")
+AUTHORITY = "authority.pem"
+_SHORT = 0.2  # of a certificate's life: then it is to be renewed
+_ZID = 16  # [bytes]
+
+
+class KeysError(Exception):
+    """A key that is missing or cannot be used; the message says how to mend it."""
+
+
+class Passport(BaseModel):
+    """What a certificate says."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    arena: str
+    name: str
+    kind: str  # see authority.KINDS
+    common_name: str
+    serial: str  # hexadecimal
+    not_before: AwareDatetime
+    not_after: AwareDatetime
+    addresses: tuple[str, ...] = ()
+
+    def check(self, now: datetime) -> None:
+        """Raise KeysError where it is not valid now."""
+        lasts = f"is valid from {self.not_before:%Y-%m-%d} to {self.not_after:%Y-%m-%d}"
+        if now < self.not_before:
+            raise KeysError(
+                f"the certificate of {self.name} {lasts}, and this computer's clock says {now:%Y-%m-%d}: set the clock"
+            )
+        if now > self.not_after:
+            raise KeysError(
+                f"the certificate of {self.name} {lasts}, and this computer's clock says {now:%Y-%m-%d}: "
+                f"set the clock, or run `robofleet keys renew {self.arena} {self.name}` at the laboratory"
+            )
+
+    def ends_soon(self, now: datetime) -> bool:
+        """Return whether it is to be renewed."""
+        return self.not_after - now < _SHORT * (self.not_after - self.not_before)
+
+
+class Credentials(NamedTuple):
+    """Files that Zenoh reads."""
+
+    name: str
+    certificate: Path
+    key: Path
+    authority: Path
+
+    @classmethod
+    def at(cls, folder: Path, name: str) -> Self:
+        """Return the files of a name in a folder, whether they are there or not."""
+        return cls(name, folder / f"{name}.pem", folder / f"{name}.key", folder / AUTHORITY)
+
+
+def own_folder() -> Path:
+    """Return the folder of this user's settings."""
+    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "robofleet"
+
+
+def keys_folder(arena: str) -> Path:
+    """Return the folder of an arena's keys: the system's where it is there and can be read, else this user's."""
+    system = _SYSTEM / arena
+    return system if os.access(system, os.R_OK | os.X_OK) else own_folder() / "keys" / arena
+
+
+def passport(arena: str, name: str) -> Passport:
+    """Return what a name's certificate says; KeysError where there is none."""
+    file = keys_folder(arena) / f"{name}.json"
+    try:
+        return Passport.model_validate_json(file.read_bytes())
+    except FileNotFoundError as error:
+        raise KeysError(
+            f"{file}: no keys of {name} for the arena {arena}: `robofleet keys add {arena} {name}` makes them "
+            f"at the laboratory, `robofleet join FILE` puts them on a robot"
+        ) from error
+    except (OSError, ValidationError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is damaged"
+        raise KeysError(f"{file}: {why}: join again, or add {name} again") from error
+
+
+def credentials(arena: str, name: str) -> Credentials:
+    """Return the files of a name; KeysError where they cannot be used now."""
+    passport(arena, name).check(utc_now())
+    found = Credentials.at(keys_folder(arena), name)
+    for file in found[1:]:
+        try:
+            mode = file.stat().st_mode
+        except OSError as error:
+            raise KeysError(f"{file}: {error.strerror}: join again, or add {name} again") from error
+        if file is found.key and stat.S_IMODE(mode) & 0o077:
+            raise KeysError(f"{file}: others can read this private key: `chmod 600 {file}`, and renew it")
+    return found
+
+
+def session_id(told: Passport) -> str:
+    """Return the only Zenoh ID that a unit with this certificate may have: so a copied key finds its place taken."""
+    drawn = hashlib.blake2b(f"{told.arena}\n{told.common_name}\n{told.serial}".encode(), digest_size=_ZID).hexdigest()
+    return f"1{drawn[1:]}"  # Zenoh takes no leading zero

@@ -1,0 +1,99 @@
+"""Hands a run's configuration to the drivers that wait on computers of their own."""
+
+import json
+import zlib
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from robofleet.clock import S
+from robofleet.comms.bus import Answer, Bus
+from robofleet.comms.keys import CONFIG
+from robofleet.comms.messages import HANDED, Handed
+from robofleet.comms.statuses import Statuses
+from robofleet.config import slices
+from robofleet.config.tree import Config
+
+_AGAIN_NS = S // 2
+_LARGEST = 16 << 20  # [bytes] of an unpacked configuration
+
+
+class HandedError(Exception):
+    """A configuration that this computer cannot take; the message says why."""
+
+
+def packed(config: Config) -> Handed:
+    """Return a configuration as a message."""
+    text = json.dumps({"version": version("robofleet"), "config": config.model_dump(mode="json")})
+    return Handed(slices.build(config), zlib.compress(text.encode()))
+
+
+def unpacked(message: Handed) -> Config:
+    """Return the configuration of a message; HandedError where it is another version's, or damaged."""
+    ours = version("robofleet")
+    try:
+        unpacking = zlib.decompressobj()
+        told: Any = json.loads(unpacking.decompress(message.packed, _LARGEST))
+        theirs, plain = str(told["version"]), json.dumps(told["config"])
+    except (zlib.error, ValueError, TypeError, KeyError) as error:
+        raise HandedError("the configuration came damaged") from error
+    if theirs != ours:
+        raise HandedError(f"robofleet {ours} runs here and {theirs} at the laboratory: install the same on both")
+    try:
+        config = Config.model_validate_json(plain)
+    except ValidationError as error:
+        raise HandedError(f"the configuration is not valid here: {error.error_count()} faults") from error
+    if slices.build(config) != message.build:
+        raise HandedError("the configuration came damaged: its number is another one")
+    return config
+
+
+class Refusal(NamedTuple):
+    """What a unit said instead of taking the configuration."""
+
+    unit: str
+    why: str
+
+
+class Handing:
+    """Asks each unit that waits, again until its status shows the run's own build."""
+
+    def __init__(self, config: Config, bus: Bus, statuses: Statuses) -> None:
+        self._bus, self._statuses, self._units = bus, statuses, config.daemons
+        self._message = HANDED.encode(packed(config)) if self._units else b""
+        self._build = slices.build(config)
+        self._numbers = {unit.name: number for number, unit in enumerate(statuses.units)}
+        self._asked: dict[str, Answer] = {}
+        self._again_ns = 0
+        self.refused: dict[str, str] = {}  # by unit: why it does not take the configuration
+
+    def step(self, now_ns: int) -> list[Refusal]:
+        """Ask who has not taken it; returns what is refused anew."""
+        if not self._units:
+            return []
+        news = [refusal for unit in tuple(self._asked) if (refusal := self._heard(unit)) is not None]
+        if now_ns >= self._again_ns:
+            self._again_ns = now_ns + _AGAIN_NS
+            for unit in self._units:
+                if not self._has(unit):
+                    self._asked[unit] = self._bus.ask(CONFIG, unit, self._message)
+        return news
+
+    def _has(self, unit: str) -> bool:
+        status = self._statuses.newest[self._numbers[unit]]
+        has = status is not None and status.build == self._build
+        if has:
+            self.refused.pop(unit, None)
+        return has
+
+    def _heard(self, unit: str) -> Refusal | None:
+        answer = self._asked[unit].take()
+        if answer is None:
+            return None
+        del self._asked[unit]
+        words = answer.decode(errors="replace")
+        if words == "ok" or words == self.refused.get(unit):
+            return None
+        self.refused[unit] = words
+        return Refusal(unit, words)

@@ -1,0 +1,81 @@
+"""The computers of a run's robots, as they answer within some seconds."""
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from robofleet.clock import MS, S, WallClock
+from robofleet.comms.keys import HOST, STATUS, key
+from robofleet.comms.messages import UNIT_STATUS, UnitStatus
+from robofleet.processes.arena_file import ArenaFile
+from robofleet.processes.operator import reached
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_LISTEN_NS = 2 * S
+_POLL_NS = MS
+
+
+def hosts(there: ArenaFile) -> dict[str, Any]:
+    """Return every unit of a run: what its computer says of itself, and how well it is heard."""
+    clock = WallClock()
+    said: dict[str, list[UnitStatus]] = {unit: [] for unit in there.units}
+    answers: dict[str, tuple[float, dict[str, Any]]] = {}
+    with reached(there, clock) as bus:
+        keys = {key(there.arena, STATUS, unit): unit for unit in there.units}
+        statuses = bus.stream(*keys, capacity=1024 * len(keys))
+        clock.sleep_until(clock.now_ns() + S // 5)  # who serves what is heard of first
+        asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in there.units}
+        end_ns = clock.now_ns() + _LISTEN_NS
+        while (now_ns := clock.now_ns()) < end_ns:
+            for unit, (asked_ns, answer) in asked.items():
+                if unit not in answers and (reply := answer.take()) is not None:
+                    answers[unit] = (now_ns - asked_ns) / MS, _read(reply)
+            for _, full, payload in statuses.drain():
+                if (status := UNIT_STATUS.decode(payload)) is not None:
+                    said[keys[full]].append(status)
+            clock.sleep_until(now_ns + _POLL_NS)
+    return {"arena": there.arena, "units": [_unit(unit, there, said[unit], answers.get(unit)) for unit in there.units]}
+
+
+def _read(reply: bytes) -> dict[str, Any]:
+    try:
+        told = json.loads(reply)
+    except ValueError:
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
+def _unit(
+    unit: str, there: ArenaFile, said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None
+) -> dict[str, Any]:
+    trip_ms, told = answer or (None, {})
+    seqs = [status.seq for status in said]
+    sent = max(seqs) - min(seqs) + 1 if seqs else 0
+    charges = [robot.battery for robot in said[-1].robots if robot.battery >= 0.0] if said else []
+    return {
+        "unit": unit, "robots": list(there.units[unit]),
+        **{name: told.get(name) for name in ("host", "version", "certificate_ends", "since")},
+        "round_trip_ms": None if trip_ms is None else round(trip_ms, 1),
+        "loss": round(1.0 - len(set(seqs)) / sent, 3) if sent > 1 else None,
+        "battery": round(min(charges), 3) if charges else None,
+    }  # fmt: skip
+
+
+def table(found: dict[str, Any]) -> "Table":
+    """Return what a terminal shows."""
+    from rich.table import Table  # noqa: PLC0415
+
+    shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
+    for name in ("unit", "host", "version", "certificate until", "round trip", "loss", "battery", "since"):
+        shown.add_column(name)
+    for one in found["units"]:
+        heard = one["loss"] is not None
+        here = "this computer" if heard else "[red]silent[/]"
+        shown.add_row(
+            one["unit"], one["host"] or here, one["version"] or "", one["certificate_ends"] or "",
+            "" if one["round_trip_ms"] is None else f"{one['round_trip_ms']:.1f} ms",
+            "" if one["loss"] is None else f"{100 * one['loss']:.1f} %",
+            "" if one["battery"] is None else f"{100 * one['battery']:.0f} %", one["since"] or "",
+        )  # fmt: skip
+    return shown

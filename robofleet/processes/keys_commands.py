@@ -1,0 +1,343 @@
+"""The commands of an arena's keys: who may join from another host."""
+
+import os
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robofleet.processes.refusal import RefusedError, bad_input, need_extra
+
+if TYPE_CHECKING:
+    from robofleet.comms.authority import Authority, Entry
+
+PANEL = "Robots with computers of their own"
+app = typer.Typer()
+keys = typer.Typer(no_args_is_help=True, help="Who may join an arena from another host: authority and certificates.")
+app.add_typer(keys, name="keys", rich_help_panel=PANEL)
+
+_SERVICE = Path("/etc/systemd/system/robofleet-unit.service")
+_SYSTEM = Path("/etc/robofleet")
+
+ArenaName = Annotated[str, typer.Argument(metavar="ARENA", help="arena.name of the configuration.")]
+Who = Annotated[str, typer.Argument(metavar="NAME", help="A unit, a process, or a person.")]
+Days = Annotated[int | None, typer.Option(metavar="N", min=1, max=36500, help="How long it is valid.")]
+
+
+@contextmanager
+def _refused() -> Iterator[None]:
+    from robofleet.comms.credentials import KeysError  # noqa: PLC0415
+
+    with bad_input():
+        try:
+            yield
+        except KeysError as error:
+            raise RefusedError(str(error)) from error
+
+
+@contextmanager
+def _authority(arena: str) -> Iterator["Authority"]:
+    with _refused():
+        need_extra("lab", "cryptography")
+        from robofleet.comms.authority import Authority  # noqa: PLC0415
+        from robofleet.comms.credentials import keys_folder  # noqa: PLC0415
+
+        yield Authority(_named(arena), keys_folder(arena))
+
+
+def _named(name: str) -> str:
+    import re  # noqa: PLC0415
+
+    from robofleet.patterns import NAME_PATTERN  # noqa: PLC0415
+
+    if not re.match(NAME_PATTERN, name):
+        raise RefusedError(f"{name!r} is no name: small letters, digits, - and _, at most 32, a letter first")
+    return name
+
+
+@keys.command()
+def init(arena: ArenaName, days: Days = None) -> None:
+    """Make an arena's authority on this computer, and the router's certificate with `keys add ARENA router`.
+
+    $ robofleet keys init lab
+    """
+    with _refused():
+        need_extra("lab", "cryptography")
+        from robofleet.comms.authority import AUTHORITY_DAYS, Authority  # noqa: PLC0415
+        from robofleet.comms.credentials import keys_folder  # noqa: PLC0415
+
+        made = Authority.create(_named(arena), keys_folder(arena), days or AUTHORITY_DAYS)
+    print(f"{made.folder}: the authority of {arena}; keep a copy of this folder, and let nobody else read it")
+    print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
+
+
+@keys.command()
+def add(
+    arena: ArenaName,
+    name: Who,
+    kind: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="unit, router, web, operator, viewer, ...; default: by its name."),
+    ] = None,
+    address: Annotated[list[str], typer.Option(metavar="ADDRESS", help="Of the router or the page; repeatable.")] = [],  # noqa: B006
+    days: Days = None,
+) -> None:
+    """Make the keys and the certificate of a unit, a process, an operator or a viewer.
+
+    $ robofleet keys add lab r1
+
+    $ robofleet keys add lab router --address 192.168.1.10
+
+    $ robofleet keys add lab alice --kind operator
+    """
+    with _authority(arena) as authority:
+        from robofleet.comms.authority import DAYS, KINDS  # noqa: PLC0415
+        from robofleet.comms.permissions import UNIT  # noqa: PLC0415
+
+        kind = kind or (name if name in KINDS else UNIT)
+        if kind not in KINDS:
+            raise RefusedError(f"--kind {kind}: one of {', '.join(KINDS)}")
+        if kind == UNIT and name in KINDS:
+            raise RefusedError(f"{name} is what a process is called: name the unit otherwise")
+        authority.issue(_named(name), kind, addresses=address, days=days or DAYS)
+        ends = authority.entries()[name].newest.not_after
+    print(f"{name}: {kind}, valid until {ends:%Y-%m-%d}")
+    if kind == UNIT:
+        print(f"Next: robofleet keys bundle {arena} {name} --router quic/THIS_COMPUTERS_ADDRESS:7447")
+
+
+@keys.command("list")
+def listed(
+    arena: ArenaName, as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False
+) -> None:
+    """Show everybody who has a certificate, and when it ends.
+
+    $ robofleet keys list lab
+    """
+    with _authority(arena) as authority:
+        rows = [_row(name, entry) for name, entry in authority.entries().items()]
+    if as_json:
+        from robofleet.valid_json import dumps  # noqa: PLC0415
+
+        print(dumps({"arena": arena, "names": rows}))
+        return
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    table = Table("name", "kind", "valid until", "state", box=None, header_style="bold")
+    colours = {"valid": "green", "renew it": "yellow", "ended": "red", "revoked": "red"}
+    for row in rows:
+        table.add_row(row["name"], row["kind"], row["ends"][:10], f"[{colours[row['state']]}]{row['state']}[/]")
+    Console().print(table)
+
+
+def _row(name: str, entry: "Entry") -> dict[str, Any]:
+    from robofleet.clock import utc_now  # noqa: PLC0415
+
+    now, told = utc_now(), entry.newest
+    state = "ended" if now > told.not_after else "renew it" if told.ends_soon(now) else "valid"
+    return {
+        "name": name, "kind": entry.kind, "common_name": told.common_name, "ends": told.not_after.isoformat(),
+        "serial": told.serial, "addresses": list(told.addresses), "state": "revoked" if entry.revoked else state,
+    }  # fmt: skip
+
+
+@keys.command()
+def renew(
+    arena: ArenaName,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Default with --all: everybody.")] = None,
+    everybody: Annotated[bool, typer.Option("--all", help="Renew whatever is not revoked.")] = False,
+    days: Days = None,
+) -> None:
+    """Make new keys and a certificate for a name; its bundle must then be joined again.
+
+    $ robofleet keys renew lab r1
+    """
+    with _authority(arena) as authority:
+        if (name is None) != everybody:
+            raise RefusedError("name one, or say --all")
+        names = [who for who, entry in authority.entries().items() if not entry.revoked] if name is None else [name]
+        for who in names:
+            authority.renew(who, days)
+            print(f"{who}: valid until {authority.entries()[who].newest.not_after:%Y-%m-%d}")
+
+
+@keys.command()
+def revoke(arena: ArenaName, name: Who) -> None:
+    """Let nobody in by a name's certificate any more, from the router's next start on.
+
+    $ robofleet keys revoke lab r1
+    """
+    with _authority(arena) as authority:
+        authority.revoke(name)
+    print(
+        f"{name} is revoked; a run that is on still has it: end that run\n"
+        f"`robofleet keys add {arena} {name}` lets it in again"
+    )
+
+
+@keys.command()
+def bundle(
+    arena: ArenaName,
+    name: Who,
+    router: Annotated[
+        list[str], typer.Option(metavar="ADDRESS", help="Of the router: quic/192.168.1.10:7447; repeatable.")
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: NAME.bundle.")] = None,
+) -> None:
+    """Write the one file that another computer needs; carry it there, then delete it here.
+
+    $ robofleet keys bundle lab r1 --router quic/192.168.1.10:7447
+    """
+    import re  # noqa: PLC0415
+
+    with _authority(arena) as authority:
+        from robofleet.comms import bundle as bundles  # noqa: PLC0415
+        from robofleet.comms.credentials import Credentials  # noqa: PLC0415
+        from robofleet.patterns import NETWORK_PATTERN  # noqa: PLC0415
+
+        for address in router:
+            if not re.match(NETWORK_PATTERN, address):
+                raise RefusedError(f"--router {address}: write quic/HOST:PORT, or tls/HOST:PORT")
+        entry = authority.entries().get(name)
+        if entry is None or entry.revoked:
+            raise RefusedError(f"{name} has no certificate: `robofleet keys add {arena} {name}`")
+        file = out or Path(f"{name}.bundle")
+        own = Credentials.at(authority.folder, name)
+        try:
+            made = bundles.bundled(own, entry.newest, tuple(router))
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: {error.strerror}: `robofleet keys renew {arena} {name}`") from error
+        bundles.write(file, made)
+    print(f"{file}: carry it to {name}, and there: robofleet join {shlex.quote(file.name)}")
+
+
+@app.command(rich_help_panel=PANEL)
+def join(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What `robofleet keys bundle` made.")],
+    service: Annotated[
+        bool, typer.Option("--service", help="Install the systemd service of this unit; as root.")
+    ] = False,
+) -> None:
+    """Put a bundle in place on this computer: in ~/.config/robofleet; for a service in /etc/robofleet.
+
+    $ robofleet join r1.bundle --service
+    """
+    from robofleet.comms import bundle as bundles  # noqa: PLC0415
+    from robofleet.comms.credentials import own_folder  # noqa: PLC0415
+    from robofleet.comms.permissions import UNIT  # noqa: PLC0415
+
+    with _refused():
+        made = bundles.read(file)
+        told = made.passport
+        base = _SYSTEM if service else own_folder()
+        if told.kind == UNIT:
+            _refuse_other(base, told.arena, told.name)
+        if service:
+            _refuse_service(told.kind)
+        bundles.unpack(made, base / "keys" / told.arena)
+        print(f"{base}/keys/{told.arena}: the keys of {told.name}, valid until {told.not_after:%Y-%m-%d}")
+        if told.kind != UNIT:
+            return
+        written = _write_robot_file(base, made)
+        print(f"{written}: what a run may ask of this robot: write its driver, port and fastest wheel there")
+        if service:
+            _install(told.name)
+        print(
+            "Next: systemctl enable --now robofleet-unit" if service else f"Next: robofleet driver --unit {told.name}"
+        )
+        print(f"Then delete {file} here and at the laboratory")
+
+
+def _refuse_other(base: Path, arena: str, unit: str) -> None:
+    """Refuse a bundle where this computer is another unit already, or one of another arena."""
+    from robofleet.config.load import ConfigError  # noqa: PLC0415
+    from robofleet.config.robot_file import FILE, load_robot_file  # noqa: PLC0415
+
+    file = base / FILE
+    if not file.exists():
+        return
+    try:
+        there = load_robot_file(file)
+    except ConfigError as error:
+        raise RefusedError(f"{error}\n{file} cannot be read: mend it or remove it, and join again") from error
+    if (there.arena, there.unit) != (arena, unit):
+        raise RefusedError(
+            f"this computer is {there.unit} of {there.arena}, and the bundle is for {unit} of {arena}: "
+            f"remove {file} first if that is meant"
+        )
+
+
+def _write_robot_file(base: Path, made: Any) -> Path:
+    """Write robot.yaml; one that is there keeps what it allows."""
+    from robofleet.config.robot_file import FILE, load_robot_file  # noqa: PLC0415
+    from robofleet.files import write_text  # noqa: PLC0415
+
+    file: Path = base / FILE
+    if file.exists() and load_robot_file(file).router == made.router:
+        return file
+    allows = "allows: {}  # for example {drivers: [gternal], ports: [/dev/ttyUSB0], max_wheel_speed_rad_s: 12.5}\n"
+    if file.exists():
+        import yaml  # noqa: PLC0415
+
+        kept = load_robot_file(file).allows.model_dump(mode="json", exclude_none=True)
+        allows = yaml.safe_dump({"allows": kept}, default_flow_style=None)
+    told = made.passport
+    lines = [
+        "# This robot's own computer: `robofleet join` has written it.",
+        f"arena: {told.arena}", f"unit: {told.name}", f"router: [{', '.join(made.router)}]",
+        "# What a run may ask of this robot, whatever its configuration says; what is not named is allowed.",
+    ]  # fmt: skip
+    write_text(file, "\n".join(lines) + "\n" + allows)
+    return file
+
+
+def _refuse_service(kind: str) -> None:
+    from robofleet.comms.permissions import UNIT  # noqa: PLC0415
+
+    if kind != UNIT:
+        raise RefusedError("--service: only a unit's driver is a service")
+    if os.geteuid() != 0:
+        raise RefusedError("--service: run it as root: `sudo robofleet join FILE --service`")
+    if not _SERVICE.parent.is_dir():
+        raise RefusedError(f"--service: there is no {_SERVICE.parent}: this computer has no systemd")
+
+
+def _install(unit: str) -> None:
+    """Write the service of a unit's driver."""
+    from robofleet.files import write_text  # noqa: PLC0415
+
+    program = shutil.which("robofleet") or f"{sys.executable} -m robofleet"
+    text = f"""\
+[Unit]
+Description=robofleet's driver of {unit}
+After=network.target
+StartLimitIntervalSec=0
+
+[Service]
+Type=notify
+ExecStart={program} driver --unit {unit}
+StateDirectory=robofleet
+Environment=XDG_STATE_HOME=/var/lib PYTHONUNBUFFERED=1
+TimeoutStartSec=infinity
+TimeoutStopSec=2
+WatchdogSec=1
+WatchdogSignal=SIGKILL
+KillMode=process
+Restart=always
+RestartSec=1
+RestartPreventExitStatus=2
+LimitNICE=-10
+LimitRTPRIO=20
+OOMScoreAdjust=-500
+
+[Install]
+WantedBy=multi-user.target
+"""
+    write_text(_SERVICE, text)
+    print(f"{_SERVICE}: the service")
