@@ -2,6 +2,7 @@
 
 import atexit
 import shutil
+import socket
 import tempfile
 from pathlib import Path
 
@@ -16,3 +17,11 @@ def short_folder() -> Path:
 def own_endpoint() -> str:
     """Return the endpoint of a socket that nobody else has."""
     return f"unixsock-stream/{short_folder() / 'bus.sock'}"
+
+
+def free_port() -> int:
+    """Return a port of this computer that nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

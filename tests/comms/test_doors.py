@@ -21,7 +21,7 @@ from robofleet.comms.living import RoleTakenError, alive_key
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from tests.comms.test_zenoh_bus import answering, until
-from tests.endpoints import own_endpoint, short_folder
+from tests.endpoints import free_port, own_endpoint, short_folder
 
 CLOCK = WallClock()
 
@@ -265,12 +265,6 @@ def connected(endpoint: str, said: bytes) -> socket.socket:
     if said:
         connection.sendall(said)
     return connection
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_the_socket_is_its_owners_alone_whatever_the_umask() -> None:

@@ -1,0 +1,244 @@
+"""Who may say and hear what beyond this computer: every identity, every topic, every way to use it, over real links."""
+
+import threading
+from collections.abc import Callable, Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import zenoh
+
+from robofleet.clock import WallClock
+from robofleet.comms.authority import ROUTER, Authority, identities
+from robofleet.comms.credentials import Credentials, session_id
+from robofleet.comms.keys import ALIVE, ASKED, CAMERA, TOPICS, Topic, key
+from robofleet.comms.permissions import (
+    ANSWERS,
+    ASKS,
+    HEARS,
+    PROCESSES,
+    ROLES,
+    SAYS,
+    UNIT,
+    Identity,
+    access_control,
+    permissions,
+)
+from robofleet.comms.zenoh_bus import Network, ZenohBus, open_router
+from robofleet.patterns import driver_role
+from tests.endpoints import free_port, own_endpoint
+
+ARENA = "lab"
+UNITS = "r1", "r2"
+NAMES = {"unit": UNITS, "sim": UNITS, "poses": (CAMERA,), "request": ("supervisor", "tracker")}
+CLOCK = WallClock()
+WITHIN_S = 5.0
+
+
+def about(topic: Topic) -> tuple[str, ...]:
+    """Return what a topic's keys name."""
+    return NAMES[topic.key.partition("/")[0]] if "{}" in topic.key else ("",)
+
+
+KEYS = {key(ARENA, topic, name): topic for topic in TOPICS if topic is not ALIVE for name in about(topic)}
+OPERATIONS = SAYS, HEARS, ASKS, ANSWERS
+
+
+class Net(NamedTuple):
+    """A router that is reached by certificates, and who has one."""
+
+    endpoint: str
+    who: dict[str, Identity]
+    authority: Authority
+    witness: zenoh.Session  # of this user, on the socket
+
+    def joined(self, name: str) -> ZenohBus:
+        """Return the bus of somebody on another host."""
+        own = Credentials.at(self.authority.folder, name)
+        told = self.authority.entries()[name].newest
+        session = session_id(told) if told.kind == UNIT else None
+        return ZenohBus(ARENA, self.endpoint, name, CLOCK, credentials=own, session=session)
+
+
+@pytest.fixture(scope="module", params=["tls", "quic"])
+def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
+    authority = Authority.create(ARENA, tmp_path_factory.mktemp("keys"))
+    authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
+    for name in (*UNITS, *ROLES):
+        authority.issue(name, UNIT if name in UNITS else name, addresses=["127.0.0.1"])
+    local, beyond = own_endpoint(), f"{request.param}/127.0.0.1:{free_port()}"
+    who = identities(authority)
+    network = Network([beyond], Credentials.at(authority.folder, ROUTER), access_control(ARENA, who))
+    router = open_router(local, network)
+    bus = ZenohBus(ARENA, local, "witness", CLOCK)
+    try:
+        yield Net(beyond, {one.name: one for one in who}, authority, bus._session)
+    finally:
+        bus.close()
+        router.close()
+
+
+def until(true: Callable[[], bool]) -> bool:
+    """Wait for a condition."""
+    end_ns = CLOCK.now_ns() + round(WITHIN_S * 1e9)
+    while not true() and CLOCK.now_ns() < end_ns:
+        threading.Event().wait(0.005)
+    return true()
+
+
+def allowed(who: Identity, does: str) -> set[str]:
+    """Return the keys that somebody may use in a way, by the table."""
+    return {
+        full
+        for permission in permissions(ARENA, who)
+        if permission.does == does
+        for full in KEYS
+        if zenoh.KeyExpr(permission.full).includes(zenoh.KeyExpr(full))
+    }
+
+
+class Tried:
+    """What came through of what somebody tried; ``marked`` after all of it has passed the router."""
+
+    def __init__(self, net: Net, session: zenoh.Session, who: Identity) -> None:
+        self._net, self._session, self._who = net, session, who
+        self._seen: set[str] = set()
+
+    def says(self) -> set[str]:
+        """Put on every key."""
+        heard: set[str] = set()
+        subscriber = self._net.witness.declare_subscriber("rf/**", _noted(heard))
+        expected = allowed(self._who, SAYS)
+
+        def said() -> bool:
+            for full in KEYS:
+                self._session.put(full, b"said")
+            return heard >= expected
+
+        until(said)
+        said()
+        self._marked("says")
+        subscriber.undeclare()
+        return heard
+
+    def hears(self) -> set[str]:
+        """Subscribe to every key, and to all at once; the witness puts on each until what may come has come."""
+        heard: set[str] = set()
+        subscribers = [self._session.declare_subscriber(full, _noted(heard)) for full in (*KEYS, "**")]
+        self._marked("hears")
+        expected = allowed(self._who, HEARS)
+
+        def said() -> bool:
+            for full in KEYS:
+                self._net.witness.put(full, b"told")
+            return heard >= expected
+
+        until(said)
+        said()
+        self._marked("heard")
+        for subscriber in subscribers:
+            subscriber.undeclare()
+        return heard
+
+    def asks(self) -> set[str]:
+        """Ask on every key; the witness answers wherever it is asked."""
+        queryable = self._net.witness.declare_queryable("rf/**", lambda query: query.reply(query.key_expr, b"yes"))
+        answered = _all_answers(self._session, allowed(self._who, ASKS))
+        queryable.undeclare()
+        return answered
+
+    def answers(self) -> set[str]:
+        """Offer answers on every key, and on all at once; the witness asks."""
+        queryables = [
+            self._session.declare_queryable(full, lambda query: query.reply(query.key_expr, b"yes"))
+            for full in (*KEYS, "rf/**")
+        ]
+        self._marked("answers")
+        answered = _all_answers(self._net.witness, allowed(self._who, ANSWERS))
+        for queryable in queryables:
+            queryable.undeclare()
+        return answered
+
+    def _marked(self, mark: str) -> None:
+        """Return when what this session said before has passed the router: its token, which it may say, is seen."""
+        role = driver_role(self._who.name) if self._who.role == UNIT else self._who.role
+        full = key(ARENA, ALIVE, f"{role}/{mark}/1")
+        token = self._session.liveliness().declare_token(full)
+        assert until(lambda: full in _living(self._net.witness)), f"{self._who.name} may not say that it lives"
+        token.undeclare()
+
+
+def _noted(heard: set[str]) -> Any:
+    return zenoh.handlers.Callback(lambda sample: heard.add(str(sample.key_expr)), indirect=False)
+
+
+def _all_answers(session: zenoh.Session, expected: set[str]) -> set[str]:
+    """Ask on every key, again until all that may answer have, and return which keys were answered.
+
+    The order changes from one time to the next: the router lets 500 requests a second through, and drops the others.
+    """
+    answered: set[str] = set()
+    order = list(KEYS)
+
+    def asked() -> bool:
+        order.reverse()
+        asking = {full: session.get(full, target=zenoh.QueryTarget.ALL, timeout=0.5) for full in order}
+        answered.update(full for full, replies in asking.items() if any(reply.ok is not None for reply in replies))
+        return answered >= expected
+
+    until(asked)
+    return answered
+
+
+def _living(session: zenoh.Session) -> set[str]:
+    return {
+        str(reply.ok.key_expr) for reply in session.liveliness().get(f"rf/{ARENA}/alive/**") if reply.ok is not None
+    }
+
+
+@pytest.mark.parametrize("name", [*UNITS, *ROLES])
+def test_everybody_says_hears_asks_and_answers_what_the_table_says_and_nothing_else(net: Net, name: str) -> None:
+    who = net.who[name]
+    bus = net.joined(name)
+    try:
+        tried = Tried(net, bus._session, who)
+        for does in OPERATIONS:
+            came = getattr(tried, does)() & KEYS.keys()
+            assert came == allowed(who, does), f"{name} {does}"
+    finally:
+        bus.close()
+
+
+@pytest.mark.parametrize("name", [*UNITS, *ROLES])
+def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Net, name: str) -> None:
+    who = net.who[name]
+    roles = [*ROLES, *map(driver_role, UNITS)]
+    own = driver_role(name) if who.role == UNIT else who.role
+    seen = net.witness.liveliness().declare_token(key(ARENA, ALIVE, "supervisor/witness/1"))
+    bus = net.joined(name)
+    try:
+        tokens = [bus._session.liveliness().declare_token(key(ARENA, ALIVE, f"{role}/claimed/1")) for role in roles]
+        assert until(lambda: key(ARENA, ALIVE, f"{own}/claimed/1") in _living(net.witness))
+        claimed = {full.split("/")[3] for full in _living(net.witness) if "/claimed/" in full}
+        assert claimed == {own}
+        assert key(ARENA, ALIVE, "supervisor/witness/1") in _living(bus._session)
+        for token in tokens:
+            token.undeclare()
+    finally:
+        bus.close()
+        seen.undeclare()
+
+
+def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
+    who = [*(Identity(unit, UNIT, unit) for unit in UNITS), *(Identity(role, role, role) for role in ROLES)]
+    may = {(one.name, does): allowed(one, does) for one, does in product(who, OPERATIONS)}
+    commands, enables = ({key(ARENA, topic, unit) for unit in UNITS} for topic in TOPICS[0:3:2])
+    assert [one.name for one in who if may[one.name, SAYS] & commands] == ["controller"]
+    assert [one.name for one in who if may[one.name, SAYS] & enables] == ["supervisor"]
+    assert [one.name for one in who if key(ARENA, TOPICS[-3], "supervisor") in may[one.name, ASKS]] == ["web", "operator"]
+    for unit, other in (UNITS, UNITS[::-1]):
+        assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
+    assert may["viewer", SAYS] == may["operator", SAYS] == set()
+    assert set(PROCESSES) < set(ROLES)
+    assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])
