@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 PANEL = "Robots with computers of their own"
 app = typer.Typer()
-keys = typer.Typer(no_args_is_help=True, help="Who may join an arena from another host: authority and certificates.")
+keys = typer.Typer(
+    no_args_is_help=True,
+    help="Who may join an arena from another host: authority and certificates.\n\n$ robofleet keys init lab",
+)
 app.add_typer(keys, name="keys", rich_help_panel=PANEL)
 
 _SERVICE = Path("/etc/systemd/system/robofleet-unit.service")
