@@ -233,7 +233,9 @@ def _refuse_no_address(address: str) -> None:
         return
     looks_like_ip = re.fullmatch(r"[\d.]+", address)
     if len(address) > 253 or looks_like_ip or not _HOST_NAME.fullmatch(address):
-        raise KeysError(f"--address {address}: write a host's IP address or name alone, as 192.168.1.10 or lab.example")
+        raise KeysError(
+            f"--address {address!r}: write a host's IP address or name alone, as 192.168.1.10 or lab.example"
+        )
 
 
 def _private(key: ec.EllipticCurvePrivateKey) -> bytes:

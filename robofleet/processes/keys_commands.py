@@ -60,7 +60,7 @@ def _named(name: str) -> str:
 
     from robofleet.patterns import NAME_PATTERN  # noqa: PLC0415
 
-    if not re.match(NAME_PATTERN, name):
+    if not re.fullmatch(NAME_PATTERN, name):
         raise RefusedError(f"{name!r} is no name: small letters, digits, - and _, at most 32, a letter first")
     return name
 
@@ -278,7 +278,7 @@ def _refuse_no_router(address: str) -> None:
     from robofleet.patterns import NETWORK_PATTERN  # noqa: PLC0415
 
     if not re.fullmatch(NETWORK_PATTERN, address) or not 0 < int(address.rpartition(":")[2]) < 65536:
-        raise RefusedError(f"--router {address}: write quic/HOST:PORT or tls/HOST:PORT, as quic/192.168.1.10:7447")
+        raise RefusedError(f"--router {address!r}: write quic/HOST:PORT or tls/HOST:PORT, as quic/192.168.1.10:7447")
 
 
 @app.command(rich_help_panel=PANEL)
