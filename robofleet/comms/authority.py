@@ -25,9 +25,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robofleet.clock import utc_now
-from robofleet.comms.bundle import write_private
+from robofleet.comms.bundle import APassport, write_private
 from robofleet.comms.credentials import AUTHORITY, Credentials, KeysError, Passport, session_id
 from robofleet.comms.permissions import OPERATOR, PAGE, PROCESSES, UNIT, VIEWER, Identity
+from robofleet.valid_json import dumps
 
 ROUTER = "router"
 KINDS = (UNIT, ROUTER, *PROCESSES, OPERATOR, VIEWER)
@@ -48,7 +49,7 @@ class Entry(BaseModel):
     kind: str
     generation: int = 1  # counted on by every revocation
     revoked: bool = False  # and not issued again
-    newest: Passport
+    newest: APassport
 
 
 class _Register(BaseModel):
@@ -177,7 +178,7 @@ class Authority:
         made = Credentials.at(self.folder, name)
         write_private(made.key, _private(key))
         write_private(made.certificate, signed.public_bytes(Encoding.PEM))
-        write_private(self.folder / f"{name}.json", told.model_dump_json(indent=1).encode())
+        write_private(self.folder / f"{name}.json", dumps(told.plain()).encode())
         self._register.entries[name] = Entry(kind=kind, generation=generation, newest=told)
         self._save()
         return made

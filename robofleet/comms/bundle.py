@@ -8,16 +8,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationError
 
 from robofleet.clock import utc_now
-from robofleet.comms.credentials import AUTHORITY, Credentials, KeysError, Passport
+from robofleet.comms.credentials import AUTHORITY, JOINED, Credentials, Joined, KeysError, Passport
 from robofleet.files import read_named, write_bytes
 from robofleet.patterns import NETWORK_PATTERN
+from robofleet.valid_json import dumps
 
 FORMAT: Final = 1
 _LARGEST = 65536  # [bytes]
 _PEM = Annotated[str, Field(pattern=r"^-----BEGIN ", max_length=16384)]
+
+
+APassport = Annotated[Passport, PlainValidator(Passport.of), PlainSerializer(Passport.plain)]
 
 
 class Bundle(BaseModel):
@@ -27,7 +31,7 @@ class Bundle(BaseModel):
 
     format: Literal[1] = FORMAT
     robofleet: str  # version that made it
-    passport: Passport
+    passport: APassport
     certificate: _PEM
     key: _PEM
     authority: _PEM
@@ -145,7 +149,9 @@ def unpack(bundle: Bundle, folder: Path) -> Credentials:
     write_private(own.key, bundle.key.encode())
     write_private(own.certificate, bundle.certificate.encode())
     write_private(folder / AUTHORITY, bundle.authority.encode())
-    write_private(folder / f"{own.name}.json", bundle.passport.model_dump_json(indent=1).encode())
+    write_private(folder / f"{own.name}.json", dumps(bundle.passport.plain()).encode())
+    joined = Joined(arena=bundle.passport.arena, name=own.name, kind=bundle.passport.kind, router=bundle.router)
+    write_private(folder / JOINED, dumps(joined._asdict()).encode())
     return own
 
 

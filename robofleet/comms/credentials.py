@@ -5,18 +5,18 @@
 """
 
 import hashlib
+import json
 import os
 import stat
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple, Self
-
-from pydantic import AwareDatetime, BaseModel, ConfigDict, ValidationError
+from typing import Any, NamedTuple, Self
 
 from robofleet.clock import utc_now
 
 _SYSTEM = Path("/etc/robofleet/keys")
-AUTHORITY = "authority.pem"
+AUTHORITY, JOINED = "authority.pem", "joined.json"
 _SHORT = 0.2  # of a certificate's life: then it is to be renewed
 _ZID = 16  # [bytes]
 
@@ -25,19 +25,39 @@ class KeysError(Exception):
     """A key that is missing or cannot be used; the message says how to mend it."""
 
 
-class Passport(BaseModel):
-    """What a certificate says."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+class Passport(NamedTuple):
+    """What a certificate says. Instants are aware."""
 
     arena: str
     name: str
     kind: str  # see authority.KINDS
     common_name: str
     serial: str  # hexadecimal
-    not_before: AwareDatetime
-    not_after: AwareDatetime
+    not_before: datetime
+    not_after: datetime
     addresses: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, told: Any) -> Self:
+        """Return what JSON tells; ValueError where that is no passport."""
+        if isinstance(told, cls):
+            return told
+        if not isinstance(told, dict) or told.keys() != {*cls._fields}:
+            raise ValueError("no passport")
+        texts = [told[name] for name in cls._fields[:-1]]
+        addresses = told["addresses"]
+        if not isinstance(addresses, list) or not all(isinstance(text, str) for text in (*texts, *addresses)):
+            raise ValueError("no passport")
+        starts, ends = map(datetime.fromisoformat, texts[-2:])
+        if starts.tzinfo is None or ends.tzinfo is None:
+            raise ValueError("no passport: a date without its zone")
+        arena, name, kind, common_name, serial = texts[:5]
+        return cls(arena, name, kind, common_name, serial, starts, ends, tuple(addresses))
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as JSON tells it."""
+        dates = {name: getattr(self, name).isoformat() for name in ("not_before", "not_after")}
+        return self._asdict() | dates | {"addresses": list(self.addresses)}
 
     def check(self, now: datetime) -> None:
         """Raise KeysError where it is not valid now."""
@@ -55,6 +75,15 @@ class Passport(BaseModel):
     def ends_soon(self, now: datetime) -> bool:
         """Return whether it is to be renewed."""
         return self.not_after - now < _SHORT * (self.not_after - self.not_before)
+
+
+class Joined(NamedTuple):
+    """As whom this computer has joined an arena, and where its router is."""
+
+    arena: str
+    name: str
+    kind: str
+    router: tuple[str, ...]
 
 
 class Credentials(NamedTuple):
@@ -82,17 +111,28 @@ def keys_folder(arena: str) -> Path:
     return system if os.access(system, os.R_OK | os.X_OK) else own_folder() / "keys" / arena
 
 
+def joined() -> dict[str, Joined]:
+    """Return the arenas of other computers that this one has joined, by name; what cannot be read is passed over."""
+    found = {}
+    for place in (own_folder() / "keys", _SYSTEM):
+        for file in sorted(place.glob(f"*/{JOINED}")) if os.access(place, os.R_OK | os.X_OK) else ():
+            with suppress(OSError, ValueError, TypeError, KeyError):
+                told = json.loads(file.read_bytes())
+                found[file.parent.name] = Joined(told["arena"], told["name"], told["kind"], tuple(told["router"]))
+    return found
+
+
 def passport(arena: str, name: str) -> Passport:
     """Return what a name's certificate says; KeysError where there is none."""
     file = keys_folder(arena) / f"{name}.json"
     try:
-        return Passport.model_validate_json(file.read_bytes())
+        return Passport.of(json.loads(file.read_bytes()))
     except FileNotFoundError as error:
         raise KeysError(
             f"{file}: no keys of {name} for the arena {arena}: `robofleet keys add {arena} {name}` makes them "
             f"at the laboratory, `robofleet join FILE` puts them on a robot"
         ) from error
-    except (OSError, ValidationError) as error:
+    except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is damaged"
         raise KeysError(f"{file}: {why}: join again, or add {name} again") from error
 

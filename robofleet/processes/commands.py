@@ -15,6 +15,7 @@ from robofleet.valid_json import dumps
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.processes.arena_file import ArenaFile
+    from robofleet.processes.operator import Elsewhere
     from robofleet.processes.table import Row
 
 app = typer.Typer()
@@ -54,7 +55,8 @@ def stop(arena: ArenaName = None) -> None:
     from robofleet.processes import operator  # noqa: PLC0415
 
     try:
-        answers = operator.stop_all(arena)
+        there = operator.elsewhere(arena)
+        answers = operator.stop_all(arena) if there is None else [operator.stop_elsewhere(there)]
     except operator.NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
@@ -70,7 +72,8 @@ def _asking(what: str, described: str, then: str = "") -> None:
     def command(arena: ArenaName = None) -> None:
         from robofleet.processes import operator  # noqa: PLC0415
 
-        done, answer = operator.ask(_running(arena), what)
+        there = _elsewhere(arena)
+        done, answer = operator.ask(_running(arena), what) if there is None else operator.ask_elsewhere(there, what)
         _told(done, f"{answer}: {then}" if done and then else answer)
 
     app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
@@ -112,6 +115,17 @@ def status(
 
         Console().print(status_table(found))
         print(found["next"] or "")
+
+
+def _elsewhere(arena: str | None) -> "Elsewhere | None":
+    """Return the arena of another computer that is meant, if one is."""
+    from robofleet.processes import operator  # noqa: PLC0415
+
+    try:
+        return operator.elsewhere(arena)
+    except operator.NoArenaError as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
 
 
 def _running(arena: str | None) -> "ArenaFile":

@@ -16,9 +16,10 @@ import pytest
 import zenoh
 
 from robofleet.clock import MS, S, WallClock
-from robofleet.comms.keys import LEASE, PICTURE, REQUEST, STATE, STATUS, TOPICS, Topic, key
+from robofleet.comms.bus import Request
+from robofleet.comms.keys import ASKED, LEASE, PICTURE, REQUEST, SAFE_REQUEST, STATE, STATUS, TOPICS, Topic, key
 from robofleet.comms.living import RoleTakenError, alive_key
-from robofleet.comms.requests import asked
+from robofleet.comms.requests import asked, on
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from tests.comms.test_zenoh_bus import answering, until
 from tests.endpoints import free_port, own_endpoint, short_folder
@@ -78,6 +79,12 @@ def bounding(request: pytest.FixtureRequest) -> Iterator[Bus]:
         yield Bus(own_endpoint(), stack, lax=request.param)
 
 
+def serving(bus: ZenohBus) -> Callable[[], Request | None]:
+    """Return what takes the next request, whoever may ask for it."""
+    safe, other = (bus.serve(topic, "supervisor") for topic in (SAFE_REQUEST, REQUEST))
+    return lambda: safe() or other()
+
+
 def ask(bus: ZenohBus, serve: Callable[[], None], what: bytes = b"hold") -> bytes:
     return asked(bus, CLOCK, "supervisor", what, serve)
 
@@ -88,8 +95,8 @@ def test_a_stranger_who_answers_for_the_supervisor_is_not_believed(bus: Bus, wha
     """Nor does he keep the request from it, by saying that he alone knows all answers."""
     stolen: list[bytes] = []
     heard: list[bytes] = []
-    queryable = bus.forge(key("lab", REQUEST, "supervisor"), forged, stolen)
-    serve = answering(bus.supervisor.serve(REQUEST, "supervisor"), heard, b"refused: so says the supervisor")
+    queryable = bus.forge(key("lab", on(what), "supervisor"), forged, stolen)
+    serve = answering(serving(bus.supervisor), heard, b"refused: so says the supervisor")
     for _ in range(5):
         stolen.clear()
         heard.clear()
@@ -100,7 +107,7 @@ def test_a_stranger_who_answers_for_the_supervisor_is_not_believed(bus: Bus, wha
 
 def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_believed(bus: Bus) -> None:
     stolen: list[bytes] = []
-    queryable = bus.forge(key("lab", REQUEST, "supervisor"), b"ok", stolen)
+    queryable = bus.forge(key("lab", on(b"hold"), "supervisor"), b"ok", stolen)
     with pytest.raises(TimeoutError, match=r"does not answer.*another client answered in place of the supervisor"):
         ask(bus.operator, lambda: None)
     assert stolen
@@ -109,10 +116,10 @@ def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_beli
 
 def test_of_two_who_call_themselves_supervisor_none_is_believed_but_the_request_arrives(bus: Bus) -> None:
     heard: list[bytes] = []
-    queryable = bus.forge(key("lab", REQUEST, "supervisor"), b"ok", [])
+    queryable = bus.forge(key("lab", on(b"hold"), "supervisor"), b"ok", [])
     token = bus.stranger.liveliness().declare_token(alive_key("lab", "supervisor", bus.stranger))
     until(lambda: len(there(bus)) == 2 or None)
-    serve = answering(bus.supervisor.serve(REQUEST, "supervisor"), heard, b"ok")
+    serve = answering(serving(bus.supervisor), heard, b"ok")
     with pytest.raises(TimeoutError, match="several processes claim to be the supervisor, so none is believed"):
         ask(bus.operator, serve)
     assert set(heard) == {b"hold"}
@@ -148,7 +155,7 @@ def test_a_process_that_is_there_twice_is_refused_and_the_first_is_left_alone(bu
     with pytest.raises(RoleTakenError, match="has a driver-r1 already"):
         ZenohBus("lab", bus.endpoint, "driver-r0", CLOCK, roles=("driver-r0", "driver-r1"))
     ZenohBus("hall", bus.endpoint, "supervisor", CLOCK, roles=("supervisor",)).close()  # another arena
-    serve = answering(bus.supervisor.serve(REQUEST, "supervisor"), [], b"ok")
+    serve = answering(serving(bus.supervisor), [], b"ok")
     assert ask(bus.operator, serve) == b"ok"
     bus.supervisor.close()
     ZenohBus("lab", bus.endpoint, "supervisor", CLOCK, roles=("supervisor",)).close()  # the place is free again
@@ -158,7 +165,7 @@ def about(topic: Topic) -> str:
     return {REQUEST: "supervisor", PICTURE: "overhead"}.get(topic, "r1")
 
 
-@pytest.mark.parametrize("topic", [t for t in TOPICS if t.largest and t not in (LEASE, REQUEST)], ids=lambda t: t.key)
+@pytest.mark.parametrize("topic", [t for t in TOPICS if t.largest and t not in ASKED], ids=lambda t: t.key)
 def test_a_message_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding: Bus, topic: Topic) -> None:
     bus = bounding
     full = key("lab", topic, about(topic))
@@ -188,7 +195,7 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
     mark = key("lab", STATE)
     until(lambda: heard, lambda: bus.stranger.put(mark, b"x"))
     expected = set()
-    for topic in (t for t in TOPICS if t.largest and t not in (LEASE, REQUEST)):
+    for topic in (t for t in TOPICS if t.largest and t not in ASKED):
         full = key("lab", topic, about(topic))
         for size in (topic.largest + 1, topic.largest):
             bus.stranger.put(full, bytes(size), congestion_control=zenoh.CongestionControl.BLOCK)
@@ -210,7 +217,7 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
 def test_a_request_that_is_too_large_keeps_nobody_from_the_supervisor(bounding: Bus, size: int) -> None:
     bus = bounding
     heard: list[bytes] = []
-    serve = answering(bus.supervisor.serve(REQUEST, "supervisor"), heard, b"ok")
+    serve = answering(serving(bus.supervisor), heard, b"ok")
     assert ask(bus.operator, serve) == b"ok"
     for _ in range(3):
         bus.stranger.get(key("lab", REQUEST, "supervisor"), lambda _: None, payload=bytes(size))
@@ -238,7 +245,7 @@ def test_hold_and_stop_are_answered_while_strangers_hold_the_door(tcp: bool, gar
     count = 200 if garbage else 300
     with ExitStack() as stack:
         bus = Bus(f"tcp/127.0.0.1:{free_port()}" if tcp else own_endpoint(), stack)
-        serve = answering(bus.supervisor.serve(REQUEST, "supervisor"), [], b"ok")
+        serve = answering(serving(bus.supervisor), [], b"ok")
         for _ in range(count):
             stack.enter_context(connected(bus.endpoint, os.urandom(2000) if garbage else b""))
         for what in (b"hold", b"stop"):

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable, Iterator
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -236,7 +235,10 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     commands, enables = ({key(ARENA, topic, unit) for unit in UNITS} for topic in TOPICS[0:3:2])
     assert [one.name for one in who if may[one.name, SAYS] & commands] == ["controller"]
     assert [one.name for one in who if may[one.name, SAYS] & enables] == ["supervisor"]
-    assert [one.name for one in who if key(ARENA, TOPICS[-3], "supervisor") in may[one.name, ASKS]] == ["web", "operator"]
+    assert [one.name for one in who if key(ARENA, TOPICS[-3], "supervisor") in may[one.name, ASKS]] == [
+        "web",
+        "operator",
+    ]
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
     assert may["viewer", SAYS] == may["operator", SAYS] == set()

@@ -7,7 +7,7 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import ENABLE, REQUEST, STATUS
+from robofleet.comms.keys import ENABLE, REQUEST, SAFE_REQUEST, STATUS
 from robofleet.config.load import load_config
 from robofleet.processes.estop import EmergencyStop, Stopped
 from robofleet.processes.lockstep import Lockstep
@@ -63,7 +63,8 @@ def driving() -> Iterator[Callable[..., Lockstep]]:
 def flood(lockstep: Lockstep) -> None:
     """Ask the supervisor for so much that what was asked before is lost."""
     for _ in range(100):
-        lockstep.bus.ask(REQUEST, "supervisor", b"status")
+        for topic in (REQUEST, SAFE_REQUEST):
+            lockstep.bus.ask(topic, "supervisor", b"status")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, PICTURE, POSES, REQUEST, TICK, TRUTH, key
+from robofleet.comms.keys import CAMERA, PICTURE, POSES, SAFE_REQUEST, TICK, TRUTH, key
 from robofleet.comms.messages import TickRecord
 from robofleet.processes import table
 from robofleet.simulation.faults import Schedule
@@ -43,7 +43,7 @@ class Stand:
         return pictures
 
     def ask(self, payload: bytes) -> str:
-        answer = self.bench.bus.ask(REQUEST, "tracker", payload)
+        answer = self.bench.bus.ask(SAFE_REQUEST, "tracker", payload)
         self.node.step(self.bench.now_ns)
         reply = answer.take()
         assert reply is not None

@@ -58,7 +58,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_who_has_not_acknowledged_after_200_ms_is_named"),
     (supervisor, "int(emergency and acknowledged(seen))", "int(emergency)",
      "test_who_has_not_acknowledged_after_200_ms_is_named"),
-    (supervisor, "bus.serve(REQUEST, \"supervisor\", wake)", "bus.serve(REQUEST, \"supervisor\")",
+    (supervisor, "bus.serve(SAFE_REQUEST, \"supervisor\", wake)", "bus.serve(SAFE_REQUEST, \"supervisor\")",
      "test_a_request_wakes_it"),
     (supervisor, " or (self._status, self._checks, self._robots, self._clear.tobytes()) != before", "",
      "test_a_state_every_40_ms_and_at_once_when_it_changes"),

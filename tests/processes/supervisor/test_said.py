@@ -3,7 +3,7 @@
 import numpy as np
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import ENABLE, REQUEST, STATE
+from robofleet.comms.keys import ENABLE, REQUEST, SAFE_REQUEST, STATE
 from robofleet.safety.supervisor import Phase
 from tests.processes.stand import ROBOTS, Stand
 
@@ -64,7 +64,17 @@ def test_a_state_every_40_ms_and_at_once_when_it_changes(stand: Stand) -> None:
 
 def test_a_request_wakes_it(stand: Stand) -> None:
     stand.bench.bus.ask(REQUEST, "supervisor", b"estop")
-    assert stand.woken == [stand.bench.now_ns]
+    stand.bench.bus.ask(SAFE_REQUEST, "supervisor", b"estop")
+    assert stand.woken == [stand.bench.now_ns] * 2
+
+
+def test_who_may_only_look_asks_for_what_makes_nothing_move(stand: Stand) -> None:
+    answers = {what: stand.bench.bus.ask(SAFE_REQUEST, "supervisor", what) for what in (b"start", b"status", b"reset")}
+    stand.bench.run(stand.node, S // 10)
+    told = {what: (answer.take() or b"").decode() for what, answer in answers.items()}
+    assert told[b"status"].startswith("ok: IDLE")
+    for what in (b"start", b"reset"):
+        assert told[what] == "refused: only status, hold, estop, pictures are for everybody: ask as an operator"
 
 
 def test_missed_periods_are_not_made_up(stand: Stand) -> None:
