@@ -305,7 +305,7 @@ def join(
     $ robofleet join r1.bundle --into /media/card/etc/robofleet --driver gternal --max-wheel-speed 12.5
     """
     from robofleet.comms import bundle as bundles  # noqa: PLC0415
-    from robofleet.comms.permissions import UNIT  # noqa: PLC0415
+    from robofleet.comms.permissions import OPERATOR, UNIT  # noqa: PLC0415
 
     with _refused():
         allows = _allowed(driver, port, max_wheel_speed)
@@ -320,6 +320,8 @@ def join(
             _refuse_other(base, told.arena, told.name)
         bundles.unpack(made, base / "keys" / told.arena)
         print(f"{base}/keys/{told.arena}: the keys of {told.name}, valid until {told.not_after:%Y-%m-%d}")
+        if told.kind == OPERATOR:
+            print(f"Next: on this computer, robofleet stop {told.arena} stops that arena's robots")
         if told.kind != UNIT:
             return
         written = _write_robot_file(base, made, allows)

@@ -105,9 +105,9 @@ def test_a_session_belongs_to_one_certificate_of_one_name_in_one_arena() -> None
 def test_a_robot_reads_its_keys_without_the_library_that_makes_them(lab: Authority) -> None:
     script = """
 import sys
-sys.modules["cryptography"] = None
+sys.modules["cryptography"] = sys.modules["pydantic"] = None
 from pathlib import Path
-from robofleet.comms import bundle, credentials
+from robofleet.comms import credentials
 credentials._SYSTEM = Path("nowhere")
 print(credentials.credentials("lab", "r1").name)
 """

@@ -400,7 +400,7 @@ def test_what_a_robot_cannot_be_told_is_refused(bundle: Path, desk: Path, words:
 def test_a_person_joins_without_a_robot_file(lab: Path, desk: Path) -> None:
     said("keys", "bundle", "lab", "alice", "--router", ROUTER)
     assert "alice is no unit" in refused("join", "alice.bundle", "--into", desk / "host", "--driver", "gternal")
-    said("join", "alice.bundle", "--into", desk / "host")
+    assert "robofleet stop lab" in said("join", "alice.bundle", "--into", desk / "host")[-1]
     assert not (desk / "host" / "robot.yaml").exists()
     assert (desk / "host" / "keys" / "lab" / "alice.key").exists()
 
