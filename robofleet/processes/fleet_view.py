@@ -17,6 +17,7 @@ from robofleet.comms.messages import (
     RecorderStatus,
 )
 from robofleet.comms.statuses import Statuses
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.kernels import kernel
 from robofleet.safety.rows import ROBOT, Rows
@@ -54,6 +55,7 @@ class FleetListener:
     ) -> None:
         robots, arena, driven = config.bodies, config.arena.name, len(config.members)
         self._free_bytes, self._machine = free_bytes, machine
+        self._daemons, self._build = frozenset(config.daemons), slices.build(config)
         self.statuses = Statuses(bus, config.units, [robot.id for robot in robots])
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.arrays)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.arrays)
@@ -97,6 +99,8 @@ class FleetListener:
         for unit in statuses.take():
             said, part = statuses.newest[unit], statuses.units[unit]
             assert said is not None
+            if part.name in self._daemons and said.build != self._build:
+                continue  # it has not taken this run's configuration yet
             _take_statuses(self._robots, statuses.robots, part.numbers, now_ns, said.build, np.uint64(said.boot_id))
 
     def _take_tick(self, head: NDArray[Any], robots: NDArray[Any], now_ns: int) -> None:

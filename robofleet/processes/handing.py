@@ -15,7 +15,7 @@ from robofleet.comms.statuses import Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
 
-_AGAIN_NS = S // 2
+_AGAIN_NS, _SILENT_NS = S // 2, S
 _LARGEST = 16 << 20  # [bytes] of an unpacked configuration
 
 
@@ -65,6 +65,8 @@ class Handing:
         self._build = slices.build(config)
         self._numbers = {unit.name: number for number, unit in enumerate(statuses.units)}
         self._asked: dict[str, Answer] = {}
+        self._heard_ns: dict[str, int] = {}  # when a unit's status was a new one
+        self._newest: dict[str, tuple[int, int]] = {}
         self._again_ns = 0
         self.refused: dict[str, str] = {}  # by unit: why it does not take the configuration
 
@@ -72,17 +74,26 @@ class Handing:
         """Ask who has not taken it; returns what is refused anew."""
         if not self._units:
             return []
+        self._listen(now_ns)
         news = [refusal for unit in tuple(self._asked) if (refusal := self._heard(unit)) is not None]
         if now_ns >= self._again_ns:
             self._again_ns = now_ns + _AGAIN_NS
             for unit in self._units:
-                if not self._has(unit):
+                if not self._has(unit, now_ns):
                     self._asked[unit] = self._bus.ask(CONFIG, unit, self._message)
         return news
 
-    def _has(self, unit: str) -> bool:
+    def _listen(self, now_ns: int) -> None:
+        for unit in self._units:
+            status = self._statuses.newest[self._numbers[unit]]
+            if status is not None and (status.boot_id, status.nonce) != self._newest.get(unit):
+                self._newest[unit], self._heard_ns[unit] = (status.boot_id, status.nonce), now_ns
+
+    def _has(self, unit: str, now_ns: int) -> bool:
+        """Whether a unit has this run's configuration, and speaks: a computer that starts again has none."""
         status = self._statuses.newest[self._numbers[unit]]
-        has = status is not None and status.build == self._build
+        silent = now_ns - self._heard_ns.get(unit, 0) > _SILENT_NS
+        has = status is not None and status.build == self._build and not silent
         if has:
             self.refused.pop(unit, None)
         return has

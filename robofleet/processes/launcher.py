@@ -10,6 +10,7 @@ from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, REQUEST, STATE, STAT
 from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, TICK_RECORD, BusyMachine, RunState
 from robofleet.comms.requests import asked, on
 from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.config import slices
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import table
@@ -29,6 +30,7 @@ from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 
+_HANDED_WITHIN_NS = 10 * S  # they join within a second of the router's start, and open their ports
 _REST_WITHIN_NS = S
 _SILENT_NS = 2 * S
 _POLL_NS = 50 * MS
@@ -185,6 +187,7 @@ class Launcher:
         """See the run through its checks and its laps; returns how it ended."""
         waits = self._config.run.start == "operator"
         self._phase = "waiting" if waits else "arming"
+        self._wait_for_daemons()
         if self._reset:
             self._ask(b"reset")
         if not waits:
@@ -214,6 +217,17 @@ class Launcher:
             return "completed", None
         return self._outcome(state)
 
+    def _wait_for_daemons(self) -> None:
+        """Return when every robot's own computer has this run's configuration, or does not take it in time."""
+        build, end_ns = slices.build(self._config), self._clock.now_ns() + _HANDED_WITHIN_NS
+
+        def handed(unit: str) -> bool:
+            status = self.recording.newest(STATUS, unit)
+            return status is not None and status.build == build
+
+        while not all(map(handed, self._config.daemons)) and self._clock.now_ns() < end_ns:
+            self._polled()
+
     def _enter(self, phase: str) -> None:
         if phase != self._phase:
             self._phase, self._terminal.note = phase, ""
@@ -227,7 +241,15 @@ class Launcher:
             raise EmergencyError(f"at the gates; {cause}")
         if state.cause == Event.ARMED_TOO_LONG:
             cause = f"{cause}: {missing(self.recording)}"
-        return ("stopped" if state.phase == Phase.IDLE else "fault"), cause
+        return ("stopped" if state.phase == Phase.IDLE else "fault"), f"{cause}{self._refused()}"
+
+    def _refused(self) -> str:
+        """Return what robots' own computers said instead of taking this run's configuration."""
+        if not self._config.daemons:
+            return ""
+        said = (self._folder / "log" / "supervisor.log").read_text(errors="replace").splitlines()
+        lines = [line for line in said if line.partition(": ")[0] in self._config.daemons and ": refused: " in line]
+        return "".join(f"; {line}" for line in dict.fromkeys(lines))
 
     def _held(self) -> str:
         """Return why the fleet stands on hold; an empty string where it does not."""

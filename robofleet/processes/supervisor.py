@@ -80,7 +80,9 @@ class Supervisor:
         # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
         fastest = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
         self._limits = np.array(fastest, dtype=np.float64)
-        self._monitoring = MonitorSettings(build, radii, arena, speeds, attended)
+        daemons = frozenset(config.daemons)
+        elsewhere = frozenset(row for row, robot in enumerate(robots) if config.unit_of[robot.id] in daemons)
+        self._monitoring = MonitorSettings(build, radii, arena, speeds, attended, elsewhere)
         self._scan = Scan(self._monitoring)
         self._arming = ArmingSettings(
             build,

@@ -11,6 +11,7 @@ _ADVICE = {
     Event.TICKS_OVERRUN: _BUSY,
     Event.DRIVER_SILENT: _SEE_LOG,
     Event.DRIVER_RESTARTED: _SEE_LOG,
+    Event.LINK_LOST: "`robofleet hosts` shows its link; when it is back, `robofleet resume` goes on",
     Event.CONTROLLER_SILENT: _SEE_LOG,
     Event.CONTROLLER_RESTARTED: _SEE_LOG,
     Event.TRACKER_SILENT: _SEE_LOG,

@@ -37,7 +37,7 @@ INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or
 LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must keep
 OPERATOR_NS = _S  # 5 signs of life: the terminal is gone, or its machine sleeps
 ARMED_NS, ARMED_ROBOT_NS = 30 * _S, 3 * _S  # twice what the slowest checks take, and each robot's trial
-HELD_NS = 60 * _S  # whoever held the run has forgotten it: it must not be resumed by chance later
+HELD_NS = 120 * _S  # whoever held the run has forgotten it: it must not be resumed by chance later
 
 _FAULTS = {
     RobotFault.UNREACHABLE: Event.UNREACHABLE,  # first: all else was true when it was lost
@@ -59,6 +59,7 @@ class MonitorSettings(NamedTuple):
     arena: tuple[float, float]  # sides [m]; its centre is the origin
     max_speed: tuple[float, ...]  # [m/s]
     attended: bool  # the operator's terminal must give signs of life
+    elsewhere: frozenset[int] = frozenset()  # rows of robots whose drivers run on computers of their own
 
 
 class Memory(NamedTuple):
@@ -117,7 +118,8 @@ def watch(
         if not robot.driven:
             happenings += _bystander(row, before.robots[row], robot, settings, phase)
             continue
-        happenings += _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
+        told = _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
+        happenings += _over_the_network(told, robot) if row in settings.elsewhere else told
         happenings += _body(row, robot, phase, runs=bool(rolling) and rolling[row].runs)
         happenings += _jump(row, before.robots[row], robot, settings)
         happenings += _place(row, robot, settings)
@@ -191,6 +193,14 @@ def _driver(
         yield Happening(Event.OTHER_BUILD, row)
     if robot.session != session:
         yield Happening(Event.LEASE_LOST, row)
+
+
+def _over_the_network(told: Iterable[Happening], robot: RobotView) -> Iterator[Happening]:
+    """Take silence of a computer of its own for what it is: a radio comes back, and then the run goes on."""
+    for happening in told:
+        nobody = happening.event is Event.LEASE_LOST and robot.session == 0
+        away = nobody or happening.event in (Event.DRIVER_SILENT, Event.DRIVER_RESTARTED)
+        yield happening._replace(event=Event.LINK_LOST) if away else happening
 
 
 def _body(row: int, robot: RobotView, phase: Phase, *, runs: bool) -> Iterator[Happening]:

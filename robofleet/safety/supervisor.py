@@ -55,6 +55,7 @@ class Event(IntEnum):
     SUPERVISOR_STALLED = 9  # the supervisor itself stood still, or its clock jumped
     DRIVER_SILENT = 10
     DRIVER_RESTARTED = 11
+    LINK_LOST = 84  # of a robot with a computer of its own: its radio is away, or its computer starts again
     CONTROLLER_SILENT = 12
     CONTROLLER_RESTARTED = 13
     TICKS_OVERRUN = 14  # ticks in a row
@@ -140,6 +141,7 @@ CAUSES = {
     Event.SUPERVISOR_STALLED: "the supervisor stalled",
     Event.DRIVER_SILENT: "the driver went silent",
     Event.DRIVER_RESTARTED: "the driver was restarted",
+    Event.LINK_LOST: "its computer cannot be reached over the network, or has started again",
     Event.CONTROLLER_SILENT: "the controller went silent",
     Event.CONTROLLER_RESTARTED: "the controller was restarted",
     Event.TICKS_OVERRUN: "the controller overran {detail:.0f} ticks in a row",
@@ -223,6 +225,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.SUPERVISOR_STALLED:   (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.DRIVER_SILENT:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.DRIVER_RESTARTED:     (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.LINK_LOST:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.CONTROLLER_SILENT:    (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CONTROLLER_RESTARTED: (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.TICKS_OVERRUN:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
