@@ -300,6 +300,8 @@ def join(
 ) -> None:
     """Put a bundle in place on this computer: as root or with --service in /etc/robofleet, else in ~/.config/robofleet.
 
+    A folder that XDG_CONFIG_HOME names is taken instead of both, but for a service.
+
     $ robofleet join r1.bundle --service
 
     $ robofleet join r1.bundle --into /media/card/etc/robofleet --driver gternal --max-wheel-speed 12.5
@@ -381,7 +383,7 @@ def _base(arena: str, into: Path | None, *, service: bool) -> Path:
 
     if into is not None:
         return into
-    if not service and os.geteuid() != 0:
+    if not service and (os.geteuid() != 0 or os.environ.get("XDG_CONFIG_HOME")):
         return own_folder()
     own = own_folder() / "keys" / arena
     if (own / "authority.key").exists() and not (_SYSTEM / "keys" / arena).exists():

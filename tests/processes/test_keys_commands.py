@@ -421,19 +421,32 @@ def test_another_authoritys_folder_is_not_overwritten(lab: Path, bundle: Path, d
 def test_root_joins_for_the_whole_computer_and_a_user_alone(
     lab: Path, bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(desk / "other"))
+    monkeypatch.setenv("HOME", str(desk / "home"))
+    monkeypatch.delenv("XDG_CONFIG_HOME")
     said("join", bundle)
-    assert (desk / "other" / "robofleet" / "robot.yaml").exists()
+    assert (desk / "home" / ".config" / "robofleet" / "robot.yaml").exists()
     monkeypatch.setattr("os.geteuid", lambda: 0)
     said("join", bundle)
     assert (desk / "etc" / "robot.yaml").exists()
     assert places.keys_folder("lab") == desk / "etc" / "keys" / "lab"
 
 
+def test_root_joins_in_a_folder_that_it_names(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(desk / "host"))
+    said("join", bundle)
+    assert (desk / "host" / "robofleet" / "robot.yaml").exists()
+    assert not (desk / "etc").exists()
+
+
 def test_keys_of_the_whole_computer_do_not_hide_an_authority(
     lab: Path, bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.geteuid", lambda: 0)
+    (desk / "home").mkdir()
+    (desk / "config").rename(desk / "home" / ".config")
+    monkeypatch.setenv("HOME", str(desk / "home"))
+    monkeypatch.delenv("XDG_CONFIG_HOME")
     assert "would hide it" in refused("join", bundle)
     assert not (desk / "etc").exists()
     assert names()["r1"]["state"] == "valid"
