@@ -5,6 +5,7 @@ certificate has another common name: ``r1``, then ``r1#2``. So the router's next
 """
 
 import ipaddress
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime, timedelta
@@ -36,6 +37,7 @@ _KEY, _REGISTER = "authority.key", "register.json"
 _HERE = "localhost", "127.0.0.1", "::1"
 _EARLIER = timedelta(minutes=10)  # clocks of two computers differ
 _LISTENS = ROUTER, PAGE
+_HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
 _BOTH_ENDS = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
 
 
@@ -82,14 +84,18 @@ class Authority:
         """Make an authority; KeysError where there is one: all robots would have to join again."""
         if (folder / AUTHORITY).exists():
             raise KeysError(f"{folder}: the arena {arena} has an authority: every certificate would end with it")
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.chmod(0o700)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            folder.chmod(0o700)
+        except OSError as error:
+            raise KeysError(f"{error.filename}: {error.strerror}: the keys of {arena} are kept there") from error
         key, now = ec.generate_private_key(ec.SECP256R1()), utc_now()
         name = _name(f"robofleet {arena}")
         signed = (
             _builder(name, name, key, now, now + timedelta(days=days))
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(_usage(signs=True), critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
             .sign(key, hashes.SHA256())
         )
         write_private(folder / _KEY, _private(key))
@@ -108,6 +114,8 @@ class Authority:
             raise KeysError(f"{name} has a certificate: `robofleet keys renew {self.arena} {name}`, or revoke it first")
         if kind in _LISTENS and not addresses:
             raise KeysError(f"{name}: others reach it by its address: add `--address 192.168.1.10`")
+        for address in addresses:
+            _refuse_no_address(address)
         generation = 1 if known is None else known.generation
         return self._issued(name, kind, generation, tuple(addresses), days)
 
@@ -143,13 +151,24 @@ class Authority:
             utc_now().replace(microsecond=0),
             x509.random_serial_number(),
         )
-        ends = min(now + timedelta(days=days), self._certificate.not_valid_after_utc)
+        last = self._certificate.not_valid_after_utc
+        if now >= last:
+            raise KeysError(
+                f"this computer's clock says {now:%Y-%m-%d}, and the authority of {self.arena} ended on "
+                f"{last:%Y-%m-%d}: set the clock, or move {self.folder} away and begin anew: "
+                f"`robofleet keys init {self.arena}`"
+            )
+        ends = min(now + timedelta(days=days), last)
         signed = (
             _builder(_name(common_name), self._certificate.subject, key, now - _EARLIER, ends, serial)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(signs=False), critical=True)
             .add_extension(x509.ExtendedKeyUsage(_BOTH_ENDS), critical=False)
             .add_extension(x509.SubjectAlternativeName(_alternatives(name, kind, addresses)), critical=False)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
+            )
             .sign(self._key, hashes.SHA256())
         )  # fmt: skip
         told = Passport(
@@ -206,6 +225,18 @@ def _alternatives(name: str, kind: str, addresses: Sequence[str]) -> list[x509.G
             continue
         found.append(x509.DNSName(address))
     return found
+
+
+def _refuse_no_address(address: str) -> None:
+    """Raise KeysError where this is neither an IP address nor a host's name."""
+    with suppress(ValueError):
+        ipaddress.ip_address(address)
+        return
+    looks_like_ip = re.fullmatch(r"[\d.]+", address)
+    if len(address) > 253 or looks_like_ip or not _HOST_NAME.fullmatch(address):
+        raise KeysError(
+            f"--address {address!r}: write a host's IP address or name alone, as 192.168.1.10 or lab.example"
+        )
 
 
 def _private(key: ec.EllipticCurvePrivateKey) -> bytes:

@@ -1,9 +1,12 @@
 """A bundle: the one file by which a computer joins an arena, made where the authority is and unpacked on the robot."""
 
 import os
+import ssl
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationError
 
@@ -69,7 +72,56 @@ def read(file: Path) -> Bundle:
     except ValidationError as error:
         raise KeysError(f"{file}: {_what_is_wrong(text)}") from error
     bundle.passport.check(utc_now())
+    _prove(file, bundle)
     return bundle
+
+
+def _prove(file: Path, bundle: Bundle) -> None:
+    """Raise KeysError where certificate, key and authority do not belong together, or say other than the passport."""
+    told = bundle.passport
+    try:
+        found = _accepted(bundle)
+    except (ssl.SSLError, ValueError) as error:
+        raise KeysError(
+            f"{file}: its certificate, key and authority do not belong together: "
+            "copy again what `robofleet keys bundle` made"
+        ) from error
+    names = [value for part in found.get("subject", ()) for name, value in part if name == "commonName"]
+    if names != [told.common_name] or str(found["serialNumber"]).lower().lstrip("0") != told.serial:
+        raise KeysError(
+            f"{file}: it says that it is of {told.name}, and its certificate is of {', '.join(names)}: "
+            "copy again what `robofleet keys bundle` made"
+        )
+
+
+def _accepted(bundle: Bundle) -> dict[str, Any]:
+    """Return what the certificate says to who asks for one of this authority: both talk TLS in memory."""
+    sides = []
+    for protocol in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT):
+        context = ssl.SSLContext(protocol)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_REQUIRED
+        context.load_verify_locations(cadata=bundle.authority)
+        with _in_memory(bundle.certificate) as certificate, _in_memory(bundle.key) as key:
+            context.load_cert_chain(certificate, key, password="")  # asks nobody for one
+        sides.append(context)
+    up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
+    server = sides[0].wrap_bio(up, down, server_side=True)
+    client = sides[1].wrap_bio(down, up)
+    for side in (client, server, client, server):
+        with suppress(ssl.SSLWantReadError):
+            side.do_handshake()
+    return dict(server.getpeercert() or {})
+
+
+@contextmanager
+def _in_memory(text: str) -> Iterator[str]:
+    """Give the name of a file that is on no disk."""
+    descriptor = os.memfd_create("robofleet")
+    try:
+        os.write(descriptor, text.encode())
+        yield f"/proc/self/fd/{descriptor}"
+    finally:
+        os.close(descriptor)
 
 
 def _what_is_wrong(text: bytes) -> str:
@@ -87,7 +139,12 @@ def _what_is_wrong(text: bytes) -> str:
 
 def unpack(bundle: Bundle, folder: Path) -> Credentials:
     """Put the keys into a folder, in the place of older ones of the same name."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _refuse_other_authority(bundle, folder)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+    except OSError as error:
+        raise KeysError(f"{error.filename}: {error.strerror}") from error
     own = Credentials.at(folder, bundle.passport.name)
     write_private(own.key, bundle.key.encode())
     write_private(own.certificate, bundle.certificate.encode())
@@ -96,6 +153,16 @@ def unpack(bundle: Bundle, folder: Path) -> Credentials:
     joined = Joined(arena=bundle.passport.arena, name=own.name, kind=bundle.passport.kind, router=bundle.router)
     write_private(folder / JOINED, dumps(joined._asdict()).encode())
     return own
+
+
+def _refuse_other_authority(bundle: Bundle, folder: Path) -> None:
+    """Raise KeysError where the folder is that of an authority, and the bundle is another one's."""
+    there = folder / AUTHORITY
+    if (folder / "authority.key").exists() and there.exists() and there.read_text() != bundle.authority:
+        raise KeysError(
+            f"{folder} is the folder of another authority of {bundle.passport.arena}: "
+            "the bundle would end it: move that folder away first if that is meant"
+        )
 
 
 def write_private(file: Path, content: bytes) -> None:

@@ -32,12 +32,15 @@ class RobotFile(Model):
     """The file."""
 
     arena: Name
+    """The arena that this robot has joined."""
     unit: Name
+    """The name by which a configuration's ``robots[].unit`` calls this computer."""
     router: Annotated[
         tuple[Annotated[str, Field(pattern=NETWORK_PATTERN)], ...], Field(min_length=1, max_length=8, strict=False)
     ]
     """Addresses of the laboratory's router, the first one that answers is taken."""
     allows: Allowed = Allowed()
+    """What a run may ask; what is not named is allowed."""
 
     def refusal(self, driver: str, port: object, max_wheel_speed_rad_s: float) -> str | None:
         """Return what a run asks of a robot and this file does not allow; None where it is allowed."""

@@ -41,6 +41,8 @@ def _refused() -> Iterator[None]:
             yield
         except KeysError as error:
             raise RefusedError(str(error)) from error
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: {error.strerror}") from error
 
 
 @contextmanager
@@ -58,7 +60,7 @@ def _named(name: str) -> str:
 
     from robofleet.patterns import NAME_PATTERN  # noqa: PLC0415
 
-    if not re.match(NAME_PATTERN, name):
+    if not re.fullmatch(NAME_PATTERN, name):
         raise RefusedError(f"{name!r} is no name: small letters, digits, - and _, at most 32, a letter first")
     return name
 
@@ -82,13 +84,23 @@ def init(arena: ArenaName, days: Days = None) -> None:
 @keys.command()
 def add(
     arena: ArenaName,
-    name: Who,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="A unit, a process, or a person; not with --from.")
+    ] = None,
     kind: Annotated[
         str | None,
         typer.Option(metavar="KIND", help="unit, router, web, operator, viewer, ...; default: by its name."),
     ] = None,
     address: Annotated[list[str], typer.Option(metavar="ADDRESS", help="Of the router or the page; repeatable.")] = [],  # noqa: B006
     days: Days = None,
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="CONFIG",
+            help="Add each unit that exists, router, operator and viewer, where they have no certificate.",
+        ),
+    ] = None,
 ) -> None:
     """Make the keys and the certificate of a unit, a process, an operator or a viewer.
 
@@ -97,7 +109,16 @@ def add(
     $ robofleet keys add lab router --address 192.168.1.10
 
     $ robofleet keys add lab alice --kind operator
+
+    $ robofleet keys add lab --from configs/lab.yaml --address 192.168.1.10
     """
+    if (name is None) == (source is None):
+        with bad_input():
+            raise RefusedError("name one, or a configuration with --from: `robofleet keys add lab r1`")
+    if source is not None:
+        _add_roster(arena, source, kind, address, days)
+        return
+    assert name is not None
     with _authority(arena) as authority:
         from robofleet.comms.authority import DAYS, KINDS  # noqa: PLC0415
         from robofleet.comms.permissions import UNIT  # noqa: PLC0415
@@ -112,6 +133,38 @@ def add(
     print(f"{name}: {kind}, valid until {ends:%Y-%m-%d}")
     if kind == UNIT:
         print(f"Next: robofleet keys bundle {arena} {name} --router quic/THIS_COMPUTERS_ADDRESS:7447")
+
+
+def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], days: int | None) -> None:
+    """Add whom a configuration needs and who has no certificate: all of them, or nobody."""
+    from robofleet.config.load import load_config  # noqa: PLC0415
+
+    with _authority(arena) as authority:
+        from robofleet.comms.authority import DAYS, KINDS, ROUTER  # noqa: PLC0415
+        from robofleet.comms.permissions import OPERATOR, UNIT, VIEWER  # noqa: PLC0415
+
+        if kind is not None:
+            raise RefusedError("--kind: it belongs to a name: leave --kind or --from out")
+        config = load_config(source)
+        if config.arena.name != arena:
+            raise RefusedError(f"{source}: its arena is {config.arena.name}, not {arena}")
+        exist = {robot.id for robot in config.robots if robot.driver != "simulated" and robot.twin is None}
+        units = [unit for unit, robots in config.units.items() if exist & {*robots}]
+        if processes := [unit for unit in units if unit in KINDS]:
+            raise RefusedError(f"{source}: {processes[0]} is what a process is called: name the unit otherwise")
+        known = authority.entries()
+        listened = [endpoint.partition("/")[2].rpartition(":")[0].strip("[]") for endpoint in config.bus.listen]
+        at = address or [host for host in listened if host not in ("0.0.0.0", "::")]
+        if ROUTER not in known and not at:
+            raise RefusedError("the router needs the address by which robots reach it: add `--address 192.168.1.10`")
+        for name, its in [*((unit, UNIT) for unit in units), (ROUTER, ROUTER), (OPERATOR, OPERATOR), (VIEWER, VIEWER)]:
+            if name not in known:
+                authority.issue(name, its, addresses=at if its == ROUTER else (), days=days or DAYS)
+                print(f"{name}: {its}, valid until {authority.entries()[name].newest.not_after:%Y-%m-%d}")
+            elif known[name].revoked:
+                print(f"{name}: revoked, and stays so: `robofleet keys add {arena} {name}` lets it in again")
+    if units:
+        print(f"Next: robofleet keys bundle {arena} {units[0]} --router quic/THIS_COMPUTERS_ADDRESS:7447")
 
 
 @keys.command("list")
@@ -133,7 +186,7 @@ def listed(
     from rich.table import Table  # noqa: PLC0415
 
     table = Table("name", "kind", "valid until", "state", box=None, header_style="bold")
-    colours = {"valid": "green", "renew it": "yellow", "ended": "red", "revoked": "red"}
+    colours = {"valid": "green", "ends soon": "yellow", "expired": "red", "revoked": "red"}
     for row in rows:
         table.add_row(row["name"], row["kind"], row["ends"][:10], f"[{colours[row['state']]}]{row['state']}[/]")
     Console().print(table)
@@ -143,7 +196,7 @@ def _row(name: str, entry: "Entry") -> dict[str, Any]:
     from robofleet.clock import utc_now  # noqa: PLC0415
 
     now, told = utc_now(), entry.newest
-    state = "ended" if now > told.not_after else "renew it" if told.ends_soon(now) else "valid"
+    state = "expired" if now > told.not_after else "ends soon" if told.ends_soon(now) else "valid"
     return {
         "name": name, "kind": entry.kind, "common_name": told.common_name, "ends": told.not_after.isoformat(),
         "serial": told.serial, "addresses": list(told.addresses), "state": "revoked" if entry.revoked else state,
@@ -168,6 +221,7 @@ def renew(
         for who in names:
             authority.renew(who, days)
             print(f"{who}: valid until {authority.entries()[who].newest.not_after:%Y-%m-%d}")
+    print(f"Next: robofleet keys bundle {arena} NAME, for whoever is on another computer, and join it there again")
 
 
 @keys.command()
@@ -197,19 +251,17 @@ def bundle(
 
     $ robofleet keys bundle lab r1 --router quic/192.168.1.10:7447
     """
-    import re  # noqa: PLC0415
-
     with _authority(arena) as authority:
+        from robofleet.clock import utc_now  # noqa: PLC0415
         from robofleet.comms import bundle as bundles  # noqa: PLC0415
         from robofleet.comms.credentials import Credentials  # noqa: PLC0415
-        from robofleet.patterns import NETWORK_PATTERN  # noqa: PLC0415
 
         for address in router:
-            if not re.match(NETWORK_PATTERN, address):
-                raise RefusedError(f"--router {address}: write quic/HOST:PORT, or tls/HOST:PORT")
+            _refuse_no_router(address)
         entry = authority.entries().get(name)
         if entry is None or entry.revoked:
             raise RefusedError(f"{name} has no certificate: `robofleet keys add {arena} {name}`")
+        entry.newest.check(utc_now())
         file = out or Path(f"{name}.bundle")
         own = Credentials.at(authority.folder, name)
         try:
@@ -220,35 +272,62 @@ def bundle(
     print(f"{file}: carry it to {name}, and there: robofleet join {shlex.quote(file.name)}")
 
 
+def _refuse_no_router(address: str) -> None:
+    import re  # noqa: PLC0415
+
+    from robofleet.patterns import NETWORK_PATTERN  # noqa: PLC0415
+
+    if not re.fullmatch(NETWORK_PATTERN, address) or not 0 < int(address.rpartition(":")[2]) < 65536:
+        raise RefusedError(f"--router {address!r}: write quic/HOST:PORT or tls/HOST:PORT, as quic/192.168.1.10:7447")
+
+
 @app.command(rich_help_panel=PANEL)
 def join(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="What `robofleet keys bundle` made.")],
     service: Annotated[
         bool, typer.Option("--service", help="Install the systemd service of this unit; as root.")
     ] = False,
+    into: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Another folder: /etc/robofleet of a mounted SD card.")
+    ] = None,
+    driver: Annotated[
+        str | None, typer.Option(metavar="KIND", help="The only kind of driver that a run may ask of this robot.")
+    ] = None,
+    port: Annotated[str | None, typer.Option(metavar="PORT", help="The only port that a run may ask for.")] = None,
+    max_wheel_speed: Annotated[
+        float | None, typer.Option(metavar="RAD_S", help="Fastest wheel that a run may ask for, in rad/s.")
+    ] = None,
 ) -> None:
-    """Put a bundle in place on this computer: in ~/.config/robofleet; for a service in /etc/robofleet.
+    """Put a bundle in place on this computer: as root or with --service in /etc/robofleet, else in ~/.config/robofleet.
+
+    A folder that XDG_CONFIG_HOME names is taken instead of both, but for a service.
 
     $ robofleet join r1.bundle --service
+
+    $ robofleet join r1.bundle --into /media/card/etc/robofleet --driver gternal --max-wheel-speed 12.5
     """
     from robofleet.comms import bundle as bundles  # noqa: PLC0415
-    from robofleet.comms.credentials import own_folder  # noqa: PLC0415
-    from robofleet.comms.permissions import UNIT  # noqa: PLC0415
+    from robofleet.comms.permissions import OPERATOR, UNIT  # noqa: PLC0415
 
     with _refused():
+        allows = _allowed(driver, port, max_wheel_speed)
         made = bundles.read(file)
         told = made.passport
-        base = _SYSTEM if service else own_folder()
+        if allows and told.kind != UNIT:
+            raise RefusedError(f"--driver, --port, --max-wheel-speed: {told.name} is no unit: leave them out")
+        if service:
+            _refuse_service(told.kind, into)
+        base = _base(told.arena, into, service=service)
         if told.kind == UNIT:
             _refuse_other(base, told.arena, told.name)
-        if service:
-            _refuse_service(told.kind)
         bundles.unpack(made, base / "keys" / told.arena)
         print(f"{base}/keys/{told.arena}: the keys of {told.name}, valid until {told.not_after:%Y-%m-%d}")
+        if told.kind == OPERATOR:
+            print(f"Next: on this computer, robofleet stop {told.arena} stops that arena's robots")
         if told.kind != UNIT:
             return
-        written = _write_robot_file(base, made)
-        print(f"{written}: what a run may ask of this robot: write its driver, port and fastest wheel there")
+        written = _write_robot_file(base, made, allows)
+        print(f"{written}: what a run may ask of this robot: its driver, port and fastest wheel")
         if service:
             _install(told.name)
         print(
@@ -276,33 +355,74 @@ def _refuse_other(base: Path, arena: str, unit: str) -> None:
         )
 
 
-def _write_robot_file(base: Path, made: Any) -> Path:
-    """Write robot.yaml; one that is there keeps what it allows."""
+def _allowed(driver: str | None, port: str | None, max_wheel_speed: float | None) -> dict[str, Any]:
+    """Return what robot.yaml is to allow, as the options say; RefusedError where that cannot be."""
+    from math import inf  # noqa: PLC0415
+
+    from robofleet.plugins import known  # noqa: PLC0415
+
+    allows: dict[str, Any] = {}
+    if driver is not None:
+        if ":" not in driver and driver not in (kinds := known("robofleet.drivers")):
+            raise RefusedError(f"--driver {driver}: known: {', '.join(kinds)}, or write module:Class")
+        allows["drivers"] = [driver]
+    if port is not None:
+        if not port.strip():
+            raise RefusedError("--port: name a port, as /dev/ttyUSB0")
+        allows["ports"] = [port]
+    if max_wheel_speed is not None:
+        if not 0 < max_wheel_speed < inf:
+            raise RefusedError(f"--max-wheel-speed {max_wheel_speed:g}: write a speed above 0, in rad/s")
+        allows["max_wheel_speed_rad_s"] = max_wheel_speed
+    return allows
+
+
+def _base(arena: str, into: Path | None, *, service: bool) -> Path:
+    """Return the folder for keys and robot.yaml; RefusedError where keys there would hide this user's authority."""
+    from robofleet.comms.credentials import own_folder  # noqa: PLC0415
+
+    if into is not None:
+        return into
+    if not service and (os.geteuid() != 0 or os.environ.get("XDG_CONFIG_HOME")):
+        return own_folder()
+    own = own_folder() / "keys" / arena
+    if (own / "authority.key").exists() and not (_SYSTEM / "keys" / arena).exists():
+        raise RefusedError(
+            f"{own}: the authority of {arena} is here, and keys in {_SYSTEM} would hide it: join on the robot, "
+            f"or --into {own.parent.parent}"
+        )
+    return _SYSTEM
+
+
+def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
+    """Write robot.yaml; one that is there keeps what it allows, but for what ``allows`` names."""
     from robofleet.config.robot_file import FILE, load_robot_file  # noqa: PLC0415
     from robofleet.files import write_text  # noqa: PLC0415
+    from robofleet.valid_json import dumps  # noqa: PLC0415
 
     file: Path = base / FILE
-    if file.exists() and load_robot_file(file).router == made.router:
-        return file
-    allows = "allows: {}  # for example {drivers: [gternal], ports: [/dev/ttyUSB0], max_wheel_speed_rad_s: 12.5}\n"
     if file.exists():
-        import yaml  # noqa: PLC0415
-
-        kept = load_robot_file(file).allows.model_dump(mode="json", exclude_none=True)
-        allows = yaml.safe_dump({"allows": kept}, default_flow_style=None)
+        there = load_robot_file(file)
+        if there.router == made.router and not allows:
+            return file
+        allows = there.allows.model_dump(mode="json", exclude_none=True) | allows
     told = made.passport
+    example = "# allows: {drivers: [gternal], ports: [/dev/ttyUSB0], max_wheel_speed_rad_s: 12.5}"
     lines = [
         "# This robot's own computer: `robofleet join` has written it.",
-        f"arena: {told.arena}", f"unit: {told.name}", f"router: [{', '.join(made.router)}]",
+        f"arena: {dumps(told.arena)}", f"unit: {dumps(told.name)}", f"router: {dumps(made.router)}",
         "# What a run may ask of this robot, whatever its configuration says; what is not named is allowed.",
+        f"allows: {dumps(allows)}" if allows else example,
     ]  # fmt: skip
-    write_text(file, "\n".join(lines) + "\n" + allows)
+    write_text(file, "\n".join(lines) + "\n")
     return file
 
 
-def _refuse_service(kind: str) -> None:
+def _refuse_service(kind: str, into: Path | None) -> None:
     from robofleet.comms.permissions import UNIT  # noqa: PLC0415
 
+    if into is not None:
+        raise RefusedError("--service: it starts at /etc/robofleet of this computer: leave --service or --into out")
     if kind != UNIT:
         raise RefusedError("--service: only a unit's driver is a service")
     if os.geteuid() != 0:

@@ -15,6 +15,7 @@ import robofleet
 WEB_PACKAGES = ("segno", "starlette", "uvicorn", "websockets")  # the operator's page; of the extra ``lab``
 # of the extra ``lab``, as they are imported
 LAB_MODULES = (
+    "cryptography",
     "cv2",
     "foxglove_schemas_protobuf",
     "google",

@@ -1,0 +1,192 @@
+"""The authority of an arena: whom its certificates let in by TLS, and what its register remembers."""
+
+import ssl
+import stat
+from contextlib import suppress
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from robofleet.clock import utc_now
+from robofleet.comms import authority as authorities
+from robofleet.comms.authority import Authority, identities
+from robofleet.comms.credentials import Credentials, KeysError, session_id
+
+ADDRESS = "192.168.1.10"
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Authority:
+    """Return an arena's authority, with a router and a robot."""
+    made = Authority.create("lab", tmp_path / "lab")
+    made.issue("router", "router", addresses=[ADDRESS, "lab.example"])
+    made.issue("r1", "unit")
+    return made
+
+
+def at(lab: Authority, name: str) -> Credentials:
+    return Credentials.at(lab.folder, name)
+
+
+def context(protocol: int, own: Credentials | None, trusted: Path) -> ssl.SSLContext:
+    made = ssl.SSLContext(protocol)
+    made.check_hostname = protocol == ssl.PROTOCOL_TLS_CLIENT
+    made.verify_mode = ssl.CERT_REQUIRED
+    made.verify_flags |= ssl.VERIFY_X509_STRICT  # as Python 3.13 does by itself
+    made.load_verify_locations(trusted)
+    if own is not None:
+        made.load_cert_chain(own.certificate, own.key)
+    return made
+
+
+def shaken(router: Credentials, unit: Credentials | None, address: str = ADDRESS, trusted: Path | None = None) -> str:
+    """Return the common name by which a router knows who joins; SSLError where either side refuses."""
+    up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
+    server = context(ssl.PROTOCOL_TLS_SERVER, router, router.authority).wrap_bio(up, down, server_side=True)
+    trusts = trusted or (router if unit is None else unit).authority
+    client = context(ssl.PROTOCOL_TLS_CLIENT, unit, trusts).wrap_bio(down, up, server_hostname=address)
+    for side in (client, server, client, server):
+        with suppress(ssl.SSLWantReadError):
+            side.do_handshake()
+    told = server.getpeercert()
+    assert told is not None
+    ((name,),) = told["subject"]
+    return str(name[1])
+
+
+@pytest.mark.parametrize("address", [ADDRESS, "lab.example", "127.0.0.1", "localhost"])
+def test_router_and_unit_know_each_other_by_tls(lab: Authority, address: str) -> None:
+    assert shaken(at(lab, "router"), at(lab, "r1"), address) == "r1"
+
+
+def test_a_router_is_known_by_its_addresses_alone(lab: Authority) -> None:
+    with pytest.raises(ssl.SSLCertVerificationError, match="IP address mismatch"):
+        shaken(at(lab, "router"), at(lab, "r1"), "192.168.1.11")
+
+
+def test_a_robot_cannot_be_the_router(lab: Authority) -> None:
+    lab.issue("r2", "unit", addresses=[ADDRESS])
+    with pytest.raises(ssl.SSLCertVerificationError, match="mismatch"):
+        shaken(at(lab, "r2"), at(lab, "r1"))
+
+
+def test_nobody_joins_without_a_certificate(lab: Authority) -> None:
+    with pytest.raises(ssl.SSLError, match="PEER_DID_NOT_RETURN_A_CERTIFICATE"):
+        shaken(at(lab, "router"), None)
+
+
+def test_nobody_joins_by_the_authority_of_another_arena_or_of_another_lab(lab: Authority, tmp_path: Path) -> None:
+    for arena, folder in (("hall", "hall"), ("lab", "other")):
+        other = Authority.create(arena, tmp_path / folder)
+        stranger = other.issue("r1", "unit")
+        with pytest.raises(ssl.SSLCertVerificationError):  # it believes this router, and the router does not believe it
+            shaken(at(lab, "router"), stranger, trusted=lab.folder / "authority.pem")
+        with pytest.raises(ssl.SSLCertVerificationError):
+            shaken(at(lab, "router"), stranger)
+
+
+def test_nobody_joins_by_a_certificate_that_has_ended(lab: Authority, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as earlier:
+        earlier.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=10))
+        lab.issue("late", "unit", days=9)
+        lab.issue("early", "unit", days=11)
+    assert shaken(at(lab, "router"), at(lab, "early")) == "early"
+    with pytest.raises(ssl.SSLCertVerificationError, match="certificate has expired"):
+        shaken(at(lab, "router"), at(lab, "late"))
+
+
+def test_private_keys_are_their_owners_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "lab"
+    folder.mkdir(mode=0o755)
+    lab = Authority.create("lab", folder)
+    lab.issue("r1", "unit")
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert {file.name: stat.S_IMODE(file.stat().st_mode) for file in folder.iterdir()} == dict.fromkeys(
+        ("authority.key", "authority.pem", "register.json", "r1.key", "r1.pem", "r1.json"), 0o600
+    )
+
+
+def test_each_revocation_gives_the_next_certificate_another_name(lab: Authority) -> None:
+    for common_name in ("r1", "r1#2", "r1#3"):
+        opened = Authority("lab", lab.folder)  # the register remembers
+        assert shaken(at(lab, "router"), at(lab, "r1")) == common_name
+        assert [one.common_name for one in identities(opened)] == [common_name]
+        opened.revoke("r1")
+        assert not at(lab, "r1").key.exists()
+        assert identities(Authority("lab", lab.folder)) == []
+        opened.issue("r1", "unit")
+
+
+def test_a_renewed_certificate_has_the_same_name_and_life_and_a_key_of_its_own(lab: Authority) -> None:
+    lab.issue("page", "web", addresses=[ADDRESS], days=7)
+    before, key = lab.entries()["page"].newest, at(lab, "page").key.read_bytes()
+    lab.renew("page")
+    after = lab.entries()["page"].newest
+    assert (after.common_name, after.addresses) == (before.common_name, (ADDRESS,))
+    assert abs((after.not_after - after.not_before) - (before.not_after - before.not_before)) < timedelta(minutes=1)
+    assert at(lab, "page").key.read_bytes() != key
+    assert session_id(after) != session_id(before)
+    lab.renew("page", days=30)
+    assert timedelta(days=29) < lab.entries()["page"].newest.not_after - utc_now() < timedelta(days=31)
+
+
+def test_no_certificate_outlives_its_authority(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lab = Authority.create("lab", tmp_path, days=5)
+    lab.issue("r1", "unit")
+    assert lab.entries()["r1"].newest.not_after - utc_now() <= timedelta(days=5)
+    monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() + timedelta(days=2000))
+    with pytest.raises(
+        KeysError, match=r"this computer's clock says .*, and the authority of lab ended on .*: set the c"
+    ):
+        lab.renew("r1")
+    assert lab.entries()["r1"].newest.not_after < utc_now() + timedelta(days=6)
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["quic/10.0.0.1:7447", "10.0.0.1:7447", "10.0.0.256", "10.0.0", "müller", "a b", "-lab", "lab.", "", "a" * 254],
+)
+def test_what_is_no_address_is_refused(lab: Authority, address: str) -> None:
+    with pytest.raises(KeysError, match="write a host's IP address or name alone"):
+        lab.issue("page", "web", addresses=[ADDRESS, address])
+    assert "page" not in lab.entries()
+
+
+def test_who_is_reached_needs_an_address(lab: Authority) -> None:
+    with pytest.raises(KeysError, match="add `--address"):
+        lab.issue("page", "web")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda lab: lab.issue("r1", "unit"), "r1 has a certificate: `robofleet keys renew lab r1`"),
+        (lambda lab: lab.renew("r9"), r"r9 has no certificate for the arena lab \(known: r1, router\)"),
+        (lambda lab: lab.revoke("r9"), r"r9 has no certificate"),
+        (lambda lab: (lab.revoke("r1"), lab.revoke("r1")), "r1 is revoked already"),
+        (lambda lab: (lab.revoke("r1"), lab.renew("r1")), "r1 is revoked: `robofleet keys add lab r1`"),
+        (lambda lab: Authority.create("lab", lab.folder), "the arena lab has an authority"),
+        (
+            lambda lab: Authority("hall", lab.folder / "no"),
+            "the arena hall has no authority here: `robofleet keys init",
+        ),
+    ],
+)
+def test_what_cannot_be_says_how_to_mend_it(lab: Authority, wrong: object, says: str) -> None:
+    assert callable(wrong)
+    with pytest.raises(KeysError, match=says):
+        wrong(lab)
+
+
+@pytest.mark.parametrize("name", ["authority.pem", "authority.key", "register.json"])
+def test_a_damaged_authority_is_named(lab: Authority, name: str) -> None:
+    (lab.folder / name).write_text("{")
+    with pytest.raises(KeysError, match="the authority of lab is damaged: take its folder from a backup"):
+        Authority("lab", lab.folder)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "keys").write_text("no folder")
+    with pytest.raises(KeysError, match=r"keys.*: the keys of lab are kept there"):
+        Authority.create("lab", tmp_path / "keys" / "lab")
