@@ -1,12 +1,14 @@
 """No page beyond this computer without keys: what is missing is said in a line, with the commands that bring it."""
 
 import asyncio
+import hashlib
 import shutil
 import socket
 import ssl
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
@@ -15,9 +17,11 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.clock import WallClock
+from robofleet.comms import credentials
 from robofleet.comms.authority import Authority
+from robofleet.comms.bus import MemoryBus
 from robofleet.comms.credentials import keys_folder
-from robofleet.comms.memory_bus import MemoryBus
+from robofleet.comms.endpoint import settled
 from robofleet.comms.permissions import PAGE
 from robofleet.comms.zenoh_bus import open_router
 from robofleet.config.load import resolved_yaml
@@ -26,7 +30,7 @@ from robofleet.processes.arena_file import claimed
 from robofleet.processes.refusal import RefusedError
 from robofleet.processes.web.certificate import page_keys
 from robofleet.processes.web.server import Served, serve
-from tests.endpoints import own_endpoint, short_folder
+from tests.endpoints import short_folder
 from tests.processes.realrun import PLATOON, own_folders, wait
 from tests.processes.secureweb import HOST, trusting
 
@@ -73,7 +77,7 @@ def test_the_commands_that_are_named_bring_the_page(folder: Path) -> None:
         assert result.exit_code == 0, result.stderr
     assert page_keys(ARENA, HOST, "--host") is not None
     other = refused("192.0.2.7")
-    assert f"is for localhost, 127.0.0.1, ::1, {HOST} only" in other or "only: `robofleet keys revoke" in other
+    assert f"web.pem is for 127.0.0.1, ::1, {HOST}, localhost only: `robofleet keys revoke {ARENA} web`, then" in other
     for command in other.split("`")[1::2]:
         result = CliRunner().invoke(app, command.split()[1:])
         assert result.exit_code == 0, result.stderr
@@ -115,10 +119,6 @@ def test_keys_that_prove_nothing_are_refused(folder: Path, how: str) -> None:
 
 
 def test_a_certificate_that_has_ended_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datetime import timedelta  # noqa: PLC0415
-
-    from robofleet.comms import credentials  # noqa: PLC0415
-
     made = Authority.create(ARENA, folder)
     made.issue(PAGE, PAGE, addresses=[HOST])
     ends = made.entries()[PAGE].newest.not_after
@@ -145,8 +145,47 @@ def test_both_commands_refuse_a_page_without_keys_and_leave_nothing(
     assert not (tmp_path / "run").exists()
 
 
+class Elsewhere(socket.socket):
+    """A socket that others reach."""
+
+    def getsockname(self) -> tuple[str, int]:
+        return "192.0.2.7", 8080
+
+
 def test_a_name_of_this_computer_that_others_reach_is_not_served_without_keys(
     tmp_path: Path, platoon_of: Callable[..., Config]
 ) -> None:
-    config, clock = platoon_of(), WallClock()
-    del config, clock
+    clock = WallClock()
+    served = Served(platoon_of(), tmp_path, MemoryBus("platoon", clock, 0), clock, "localhost", lambda: False)
+    with Elsewhere() as listening, pytest.raises(RefusedError, match=r"localhost is 192\.0\.2\.7, which others reach"):
+        asyncio.run(serve(served, listening, lambda _: None, lambda: True))
+
+
+def test_the_command_prints_an_address_for_each_role(
+    folder: Path, tmp_path: Path, platoon_of: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Authority.create(ARENA, folder).issue(PAGE, PAGE, addresses=[HOST])
+    for name, place in own_folders(short_folder()).items():
+        monkeypatch.setenv(name, place)
+    config = settled(platoon_of(f"arena.name={ARENA}"), listen=True)
+    (tmp_path / "config.yaml").write_text(resolved_yaml(config))
+    words = tmp_path / "said"
+    with claimed(config, tmp_path), words.open("wb") as said:
+        router = open_router(config.bus.endpoint)
+        command = [sys.executable, "-W", "error", "-m", "robofleet", "web", ARENA, "--host", HOST]
+        page = subprocess.Popen(command, stderr=said, stdout=said)
+        try:
+            assert wait(lambda: words.read_text().count("\n") >= 3, 60), words.read_text()
+            operator, viewer, certificate = words.read_text().splitlines()
+            for line, role in (operator, "operator"), (viewer, "viewer"):
+                with httpx.Client(verify=trusting(folder)) as browser:
+                    address = line.rpartition(" ")[2]
+                    assert browser.get(address).status_code == 200
+                    root = address.partition("open?")[0]
+                    assert f'<body data-role="{role}">' in browser.get(root).text
+            pem = ssl.PEM_cert_to_DER_cert((folder / "web.pem").read_text())
+            assert certificate.rpartition(" ")[2] == hashlib.sha256(pem).digest().hex(":").upper()
+        finally:
+            page.kill()
+            page.wait()
+            router.close()  # type: ignore[no-untyped-call]

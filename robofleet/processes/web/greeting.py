@@ -7,6 +7,7 @@ TLS says, keeps no place for long and delays nobody: nothing here waits but the 
 import asyncio
 import ssl
 from typing import Any
+from weakref import WeakSet
 
 from uvicorn.protocols.utils import get_remote_addr
 
@@ -15,13 +16,32 @@ from robofleet.processes.web.places import ASKED_WITHIN_S, Connection, Places, u
 _LEFT_WITHIN_S = 1.0  # of our last word: who does not say good-bye is left
 
 
+class Greetings:
+    """Makes the server's end of each connection, and closes what is left of them."""
+
+    def __init__(self, context: ssl.SSLContext, places: Places) -> None:
+        self._context, self._places = context, places
+        self._open: WeakSet[asyncio.Transport] = WeakSet()
+
+    def __call__(self, **of_uvicorn: Any) -> "Greeting":
+        """Return the beginning of a connection."""
+        return Greeting(self._context, self._places, self._open, of_uvicorn)
+
+    def close(self) -> None:
+        """Wait for no other end's good-bye any more."""
+        for transport in list(self._open):
+            transport.abort()
+
+
 class Greeting(asyncio.Protocol):
     """A connection until both ends have agreed on its keys; then it is a ``Connection``."""
 
     acts = False
 
-    def __init__(self, context: ssl.SSLContext, places: Places, **of_uvicorn: Any) -> None:
-        self._context, self._places, self._of_uvicorn = context, places, of_uvicorn
+    def __init__(
+        self, context: ssl.SSLContext, places: Places, its: WeakSet[asyncio.Transport], of_uvicorn: dict[str, Any]
+    ) -> None:
+        self._context, self._places, self._open, self._of_uvicorn = context, places, its, of_uvicorn
         self._early = b""  # a request that came with the last word of the greeting
         self.host = "?"
 
@@ -30,6 +50,7 @@ class Greeting(asyncio.Protocol):
         assert isinstance(transport, asyncio.Transport)
         transport.pause_reading()  # until TLS reads
         self._transport = transport
+        self._open.add(transport)
         self.host = (get_remote_addr(transport) or ("?",))[0]
         self._greeting = asyncio.get_running_loop().create_task(self._greet())
         self._places.take(self)

@@ -37,14 +37,14 @@ USED = (
     "This address has opened its page already",
     "Each address opens the page in one browser only: the one that came first. If that was not you, somebody else has "
     "used it: tell the operator.",
-    "Ask for an address of your own: an operator's page makes one, under \u201cAnother phone or computer\u201d.",
+    "Ask for an address of your own: an operator's page makes one, under <em>Another phone or computer</em>.",
     "So does the terminal: <code>robofleet web --host ADDRESS</code>",
 )
 LOGIN = (
     "This browser is not logged in",
     "Each browser opens the page by an address of its own, once; it stays in until the page ends. It must accept "
     "cookies.",
-    "Ask for an address of your own: an operator's page makes one, under \u201cAnother phone or computer\u201d.",
+    "Ask for an address of your own: an operator's page makes one, under <em>Another phone or computer</em>.",
     "So does the terminal: <code>robofleet web --host ADDRESS</code>",
 )
 HOST = (

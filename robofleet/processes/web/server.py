@@ -31,7 +31,7 @@ from robofleet.processes.web.controls import ASKED, ESTOP, Controls
 from robofleet.processes.web.ending import Ending
 from robofleet.processes.web.feed import Feed, Page
 from robofleet.processes.web.frames import answer
-from robofleet.processes.web.greeting import Greeting
+from robofleet.processes.web.greeting import Greetings
 from robofleet.processes.web.guard import Guard, authorities
 from robofleet.processes.web.places import Complaints, Connection, Places
 from robofleet.processes.web.verdict import REPORT
@@ -84,7 +84,9 @@ async def serve(
     controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
-    server = uvicorn.Server(_settings(guard, _connection(Places(complaints), keys)))
+    places = Places(complaints)
+    secured = None if keys is None else Greetings(keys.context, places)
+    server = uvicorn.Server(_settings(guard, secured or partial(Connection, places)))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
@@ -111,6 +113,8 @@ async def serve(
                 server.should_exit = True
                 await asyncio.shield(serving)
         server.should_exit = True
+        if secured is not None:
+            secured.close()
         feeding.cancel()
         controls.close()
 
@@ -212,11 +216,6 @@ async def _obey(link: WebSocket, page: Page, controls: Controls, role: str) -> b
             case _:
                 return False
     return True
-
-
-def _connection(places: Places, keys: PageKeys | None) -> Any:
-    """Return what makes the server's end of each connection."""
-    return partial(Connection, places) if keys is None else partial(Greeting, keys.context, places)
 
 
 def _settings(app: Any, connection: Any) -> uvicorn.Config:
