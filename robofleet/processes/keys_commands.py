@@ -407,12 +407,12 @@ def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
             return file
         allows = there.allows.model_dump(mode="json", exclude_none=True) | allows
     told = made.passport
-    example = "# allows: {drivers: [gternal], ports: [/dev/ttyUSB0], max_wheel_speed_rad_s: 12.5}"
+    example = "  # for example {drivers: [gternal], ports: [/dev/ttyUSB0], max_wheel_speed_rad_s: 12.5}"
     lines = [
         "# This robot's own computer: `robofleet join` has written it.",
         f"arena: {dumps(told.arena)}", f"unit: {dumps(told.name)}", f"router: {dumps(made.router)}",
         "# What a run may ask of this robot, whatever its configuration says; what is not named is allowed.",
-        f"allows: {dumps(allows)}" if allows else example,
+        f"allows: {dumps(allows)}" + ("" if allows else example),
     ]  # fmt: skip
     write_text(file, "\n".join(lines) + "\n")
     return file

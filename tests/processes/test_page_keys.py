@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+import re
 import shutil
 import socket
 import ssl
@@ -31,7 +32,7 @@ from robofleet.processes.refusal import RefusedError
 from robofleet.processes.web.certificate import page_keys
 from robofleet.processes.web.server import Served, serve
 from tests.endpoints import short_folder
-from tests.processes.realrun import PLATOON, own_folders, wait
+from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders, wait
 from tests.processes.secureweb import HOST, trusting
 
 ARENA = "hall"
@@ -189,3 +190,19 @@ def test_the_command_prints_an_address_for_each_role(
             page.kill()
             page.wait()
             router.close()  # type: ignore[no-untyped-call]
+
+
+@pytest.mark.slow
+def test_a_run_brings_its_page_to_the_network(real_run: Callable[..., RealRun]) -> None:
+    own = Authority.create("platoon", keys_folder("platoon")).issue(PAGE, PAGE, addresses=[HOST])
+    run = real_run(*ALONE, "--web-host", HOST, "--duration", "1")
+    run.wait_for(lambda: "SHA-256" in run.said)
+    operator, viewer = re.findall(rf"https://{re.escape(HOST)}:\S+", run.said)
+    with httpx.Client(verify=trusting(own.authority.parent)) as browser:
+        for address in (operator, viewer):
+            assert browser.get(address).status_code == 200
+        assert browser.get(operator).status_code == 200, "it is in"
+    assert httpx.get(viewer, verify=trusting(own.authority.parent)).status_code == 403
+    assert run.ended() == 0
+    assert run.summary["outcome"] == "completed"
+    assert run.nothing_is_left()
