@@ -3,6 +3,7 @@
 The tests of a file go to one worker, and so do files that compile the same plant: it is compiled once then.
 """
 
+import fcntl
 import os
 import sys
 from collections.abc import Iterator
@@ -66,3 +67,12 @@ def _own_modules() -> Iterator[None]:
         os.environ.pop("PYTHONPATH", None)
     else:
         os.environ["PYTHONPATH"] = given
+
+
+@pytest.fixture
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Wait until no other worker has a fleet of real processes: two on two cores keep each other from their ticks."""
+    shared = tmp_path_factory.getbasetemp().parent / "fleet.lock"
+    with shared.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

@@ -32,7 +32,7 @@ TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
 # In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
 BAD_LINK_NS = 70 * MS
 NO_LINK_NS = S // 2  # it is not a bad one
-HURRY_NS = 60 * S
+HURRY_NS = 10 * S
 LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
 _NEVER_NS = (1 << 63) - 1
 _LATCHES = {int(latch): latch for latch in Latch}

@@ -1,6 +1,5 @@
 """Configurations, lockstep runs, and a bench: one process alone on a bus without delay."""
 
-import fcntl
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -301,15 +300,6 @@ def stand(
     yield Stand(bench, node, recording_driver.made)
     with suppress(ExceptionGroup):  # of robots that a test broke; nobody seeks them any more
         node.close()
-
-
-@pytest.fixture
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Wait until no other worker has a fleet of real processes: two on two cores keep each other from their ticks."""
-    shared = tmp_path_factory.getbasetemp().parent / "fleet.lock"
-    with shared.open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 @pytest.fixture
