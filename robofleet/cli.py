@@ -19,7 +19,7 @@ from robofleet.processes import commands, going, keys_commands, run_commands, us
 from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.outlet import unhindered
-from robofleet.processes.page_address import LOOPBACK, listening, warn_of_network
+from robofleet.processes.page_address import LOOPBACK, listening
 from robofleet.processes.plain_terminal import as_shown, silence_libraries, speak_its_language
 from robofleet.processes.refusal import (
     LAB_MODULES,
@@ -32,6 +32,7 @@ from robofleet.processes.refusal import (
     new_folder,
     unkept,
 )
+from robofleet.processes.web.certificate import page_keys
 from robofleet.studies import commands as studies
 
 if TYPE_CHECKING:
@@ -126,6 +127,8 @@ def run(
         with bad_input():
             page = _page(web, web_host, browser=not no_browser, lockstep=lockstep)
             tree = _checked(config, changes, faults, lockstep=lockstep)
+            if page is not None:
+                page_keys(tree.arena.name, page.host, "--web-host")
             if strict and not tree.run.bounds.model_dump(exclude_none=True):
                 raise RefusedError(f"--strict: {config} has no bounds: write run.bounds, or leave --strict out")
             if junit is not None:
@@ -292,7 +295,6 @@ def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> "Pag
     need_extra("lab", *WEB_PACKAGES)
     if host is not None:
         listening(host, 0, option).close()
-        warn_of_network(host, option)
     return PageWanted(host or LOOPBACK, browser)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robofleet.processes import table
-from robofleet.processes.page_address import LOOPBACK, listening, warn_of_network
+from robofleet.processes.page_address import LOOPBACK, listening
 from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
 from robofleet.valid_json import dumps
 
@@ -297,6 +297,8 @@ def web(
 
     When the run has ended the page shows how, with its report. It is served while somebody looks, ten minutes at most.
     """
+    from robofleet.processes.web.certificate import page_keys  # noqa: PLC0415
+
     with bad_input():
         need_extra("lab", *WEB_PACKAGES)
     if lifeline is not None:
@@ -305,15 +307,16 @@ def web(
         assert run is not None
         tree = _for_one_process(Path(run))
         with bad_input():
-            process.of_run(tree, Path(run).absolute().parent, lifeline, listening(host, port, "--host"), host)
+            place, its = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
+            process.of_run(tree, Path(run).absolute().parent, lifeline, place, host, its)
         return
     from robofleet.processes.web import command  # noqa: PLC0415
 
     with bad_input():
         there = command.there(run, _running, _for_one_process)
         with listening(host, port, "--host") as place:
-            warn_of_network(host, "--host")
-            done, said = command.serve(there, place, host, browser=not no_browser)
+            its = page_keys(there.config.arena.name, host, "--host")
+            done, said = command.serve(there, place, host, its, browser=not no_browser)
         if said:
             _told(done, said)
 

@@ -2,8 +2,8 @@
 
 import os
 import socket
-import sys
 from collections.abc import Mapping
+from typing import NamedTuple, Self
 from urllib.parse import urlsplit
 
 from robofleet.processes.refusal import RefusedError
@@ -13,19 +13,41 @@ _LOCAL = LOOPBACK, "::1", "localhost"
 _ANY = "0.0.0.0", "::"
 
 
+class Addresses(NamedTuple):
+    """Where the page is. Nobody else may see ``page`` and ``viewer``: they let in."""
+
+    page: str  # an operator's; on this computer with its token, beyond it with a ticket that one browser takes
+    once: str  # for the command line of a browser, which others may see: it opens the page once, for this user
+    viewer: str = ""  # the page of who may only look, hold and stop; none on this computer
+    fingerprint: str = ""  # SHA-256 of the page's certificate, where it has one
+
+    def line(self) -> str:
+        """Return them in one line, which ``read`` takes."""
+        return " ".join(filter(None, self))
+
+    @classmethod
+    def read(cls, line: str) -> Self | None:
+        """Return what ``line`` has written; None where that is not all of it."""
+        words = line.split()
+        return cls(*words) if len(words) in (2, len(cls._fields)) else None
+
+
 def is_local(host: str) -> bool:
-    """Whether an address is reached from this computer only."""
+    """Whether an address is reached from this computer only, and its page needs no keys."""
     return host in _LOCAL
 
 
-def address_lines(page: str, *, opened: bool, environment: Mapping[str, str] = os.environ) -> str:
+def address_lines(at: Addresses, *, opened: bool, environment: Mapping[str, str] = os.environ) -> str:
     """Return the page's address and how it is reached."""
-    line = f"the operator's page: {page}"
+    line = f"the operator's page: {at.page}"
+    if at.viewer:
+        line += f"\n  for a viewer: {at.viewer}\n  each opens the page in one browser; SHA-256 of its certificate: "
+        line += at.fingerprint
     if opened:
         return f"{line}\n  your browser opens it"
-    parts = urlsplit(page)
-    if not is_local(parts.hostname or ""):
+    if at.viewer:
         return line
+    parts = urlsplit(at.page)
     if server := _reached_by_ssh(environment):
         forward = f"ssh -N -L {parts.port}:{parts.netloc} {server}"
         return f"{line}\n  from the computer in front of you: `{forward}`, then open it there"
@@ -66,12 +88,6 @@ def listening(host: str, port: int, option: str) -> socket.socket:
             f"{named}: {why}: name an address of this machine{_for_example()}"
             + (", and a port that is free" * bool(port))
         ) from error
-
-
-def warn_of_network(host: str, option: str) -> None:
-    """Say what it means to open the page to a network."""
-    if not is_local(host):
-        print(f"{option} {host}: whoever reads this network's traffic can take the token and drive", file=sys.stderr)
 
 
 def _for_example() -> str:

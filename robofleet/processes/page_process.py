@@ -14,7 +14,7 @@ from typing import NamedTuple
 from robofleet.clock import Clock, S
 from robofleet.processes.browser import open_page
 from robofleet.processes.children import Child
-from robofleet.processes.page_address import address_lines, is_local
+from robofleet.processes.page_address import Addresses, address_lines
 from robofleet.processes.terminal import Terminal
 
 STAYS = "stays"  # what it says after the end of the run, where somebody looks
@@ -85,13 +85,13 @@ class PageProcess:
             said = self._child.lifeline.recv(_LONGEST_WORD)
         except OSError:
             return
-        page, _, once = said.decode(errors="replace").strip().partition(" ")
-        if not once or self._over:
+        at = Addresses.read(said.decode(errors="replace"))
+        if at is None or self._over:
             return
-        opened = self._wanted.browser and sys.stderr.isatty() and open_page(once)
-        self._terminal.page = address_lines(page, opened=opened)
-        if not is_local(self._wanted.host):  # a phone cannot reach the others
-            self._terminal.code = page
+        opened = self._wanted.browser and sys.stderr.isatty() and open_page(at.once)
+        self._terminal.page = address_lines(at, opened=opened)
+        if at.viewer:  # a phone cannot reach the others
+            self._terminal.code = at.page
 
 
 _left: list["subprocess.Popen[bytes]"] = []  # they end by themselves

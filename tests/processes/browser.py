@@ -26,6 +26,7 @@ def chromium() -> Iterator[Chrome]:
     for flag in _FLAGS:
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    options.accept_insecure_certs = True  # it does not know the authority of a test's arena
     opened = Chrome(options=options, service=ChromeService(driver))
     opened.set_script_timeout(10)
     try:

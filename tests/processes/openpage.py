@@ -86,11 +86,11 @@ class Seen:
 
 
 @contextmanager
-def opened(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
+def opened(browser: Chrome, stand: WebStand, address: str = "") -> Iterator[Seen]:
     show_as(browser, DESKTOP)
     stand.asked.clear()
     with Fleet(stand).alive() as fleet:
-        browser.get(stand.url)
+        browser.get(address or stand.url)
         page = Seen(browser, stand, fleet)
         page.becomes(lambda: page.run("return window.robofleet?.state.drawn > 2"))
         yield page

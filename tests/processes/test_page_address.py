@@ -12,12 +12,15 @@ import pytest
 from rich.console import Console
 
 from robofleet.processes.browser import opener
-from robofleet.processes.page_address import address_lines, listening
+from robofleet.processes.page_address import Addresses, address_lines, listening
 from robofleet.processes.qr_code import qr_code
 from robofleet.processes.refusal import RefusedError
 
-PAGE = "http://127.0.0.1:43210/?token=" + "0123456789abcdef" * 2
-PHONE_PAGE = PAGE.replace("127.0.0.1", "192.168.100.105")
+SECRET = "0123456789abcdef" * 2
+PAGE = f"http://127.0.0.1:43210/?token={SECRET}"
+HERE = Addresses(PAGE, PAGE.replace("/?token", "/open?ticket"))
+PHONE_PAGE = f"https://192.168.100.105:43210/open?ticket={SECRET}"
+THERE = Addresses(PHONE_PAGE, f"{PHONE_PAGE}-once", f"{PHONE_PAGE}-viewer", ":".join(["AB"] * 32))
 BY_PYTHON = [sys.executable, "-m", "webbrowser"]
 DESKTOP = {"DISPLAY": ":0"}
 
@@ -50,11 +53,31 @@ def test_a_browser_is_opened_where_a_window_can_be_seen(
 
 
 def test_the_address_comes_with_what_somebody_elsewhere_has_to_do() -> None:
-    assert address_lines(PAGE, opened=True, environment={}).splitlines()[0] == f"the operator's page: {PAGE}"
-    far = address_lines(PAGE, opened=False, environment={"SSH_CONNECTION": "10.0.0.2 5 10.0.0.1 22", "USER": "ada"})
+    assert address_lines(HERE, opened=True, environment={}).splitlines()[0] == f"the operator's page: {PAGE}"
+    far = address_lines(HERE, opened=False, environment={"SSH_CONNECTION": "10.0.0.2 5 10.0.0.1 22", "USER": "ada"})
     assert "`ssh -N -L 43210:127.0.0.1:43210 ada@10.0.0.1`" in far
-    assert "--web-host" in address_lines(PAGE, opened=False, environment={})
-    assert address_lines(PHONE_PAGE, opened=False, environment={}) == f"the operator's page: {PHONE_PAGE}"
+    assert "--web-host" in address_lines(HERE, opened=False, environment={})
+
+
+@pytest.mark.parametrize("environment", [{}, {"SSH_CONNECTION": "10.0.0.2 5 10.0.0.1 22", "USER": "ada"}], ids=str)
+def test_beyond_this_computer_there_is_an_address_for_an_operator_and_one_for_a_viewer(
+    environment: Mapping[str, str],
+) -> None:
+    said = address_lines(THERE, opened=False, environment=environment)
+    assert said.splitlines()[:2] == [f"the operator's page: {THERE.page}", f"  for a viewer: {THERE.viewer}"]
+    assert THERE.fingerprint in said.splitlines()[2]
+    assert THERE.once not in said
+    assert "ssh" not in said
+
+
+@pytest.mark.parametrize("at", [HERE, THERE], ids=["here", "there"])
+def test_a_launcher_reads_the_addresses_that_its_page_says(at: Addresses) -> None:
+    assert Addresses.read(at.line() + "\n") == at
+
+
+@pytest.mark.parametrize("line", ["", "http://127.0.0.1:1/", "one two three"])
+def test_half_a_line_is_no_address(line: str) -> None:
+    assert Addresses.read(line) is None
 
 
 def terminal(encoding: str = "utf-8", width: int = 100, **changes: Any) -> Console:

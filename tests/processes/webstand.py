@@ -22,7 +22,9 @@ from robofleet.comms.zenoh_bus import ZenohBus, open_router
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.web.server import Addresses, Served, serve
+from robofleet.processes.page_address import Addresses
+from robofleet.processes.web.certificate import PageKeys
+from robofleet.processes.web.server import Served, serve
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.comms.alone import ROBOT_STATUS, RobotStatus
@@ -40,14 +42,15 @@ class WebStand:
     def __init__(
         self, config: Config, bus: ZenohBus, addresses: Addresses, end: Callable[[], None], over: threading.Event
     ) -> None:
-        self.config, self._bus, (self.url, self.once), self.end, self.over = config, bus, addresses, end, over
-        url = self.url
-        self.authority, self.token = urlsplit(url).netloc, urlsplit(url).query.removeprefix("token=")
+        self.config, self._bus, self.end, self.over = config, bus, end, over
+        self.addresses, self.url, self.once = addresses, addresses.page, addresses.once
+        self.authority, self.token = urlsplit(self.url).netloc, urlsplit(self.url).query.removeprefix("token=")
         self.robots = [robot.id for robot in config.members]
         self.groups = groups.descriptions(config)
         self.asked: list[bytes] = []
         self.mute = False  # the supervisor does not answer
-        self._served = bus.serve(keys.REQUEST, "supervisor", lambda _: self._answer())
+        asked = keys.REQUEST, keys.SAFE_REQUEST
+        self._served = [bus.serve(topic, "supervisor", lambda _: self._answer()) for topic in asked]
         self._tick, self._state = bus.publisher(keys.TICK), bus.publisher(keys.STATE)
         self._status = {robot: bus.publisher(keys.STATUS, robot) for robot in self.robots}
         self._poses, self._picture = bus.publisher(keys.POSES, keys.CAMERA), bus.publisher(keys.PICTURE, keys.CAMERA)
@@ -61,9 +64,12 @@ class WebStand:
 
     def page(self, **changes: Any) -> "OpenPage":
         """Open the page's WebSocket as a browser does, with what a test changes."""
-        how: dict[str, Any] = {"origin": f"http://{self.authority}", "compression": None, "open_timeout": 5} | changes
+        scheme = changes.pop("scheme", "http")
+        how: dict[str, Any] = {"origin": f"{scheme}://{self.authority}", "compression": None, "open_timeout": 5}
+        how |= changes
         token = how.pop("token", self.token)
-        return OpenPage(lambda: connect(f"ws://{self.authority}/live?token={token}", **how))
+        live = f"{scheme.replace('http', 'ws')}://{self.authority}/live"
+        return OpenPage(lambda: connect(f"{live}?token={token}", **how))
 
     def say_tick(
         self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0, overruns: int = 7,
@@ -112,10 +118,11 @@ class WebStand:
 
     def _answer(self) -> None:
         request: Request | None
-        while (request := self._served()) is not None:
-            self.asked.append(request.payload)
-            if not self.mute:
-                request.reply(b"refused: the fleet is asleep" if request.payload == b"resume" else b"ok")
+        for served in self._served:
+            while (request := served()) is not None:
+                self.asked.append(request.payload)
+                if not self.mute:
+                    request.reply(b"refused: the fleet is asleep" if request.payload == b"resume" else b"ok")
 
 
 class OpenPage:
@@ -173,7 +180,10 @@ def placed(x: float, y: float, **changes: float) -> RobotTick:
 
 
 @contextmanager
-def web_stand(folder: Path, *overrides: str, said: Callable[[], str] = str, file: Path = PLATOON) -> Iterator[WebStand]:
+def web_stand(
+    folder: Path, *overrides: str, said: Callable[[], str] = str, file: Path = PLATOON, host: str = _LOOPBACK,
+    keys: PageKeys | None = None,
+) -> Iterator[WebStand]:  # fmt: skip
     """Start a router, the server and the stand; nothing is left of them."""
     config = load_config(file, ["drivers.robots_per_process=1", f"bus.endpoint={own_endpoint()}", *overrides])
     router = open_router(config.bus.endpoint)
@@ -181,9 +191,9 @@ def web_stand(folder: Path, *overrides: str, said: Callable[[], str] = str, file
     buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
     urls: list[Addresses] = []
     cut, over = threading.Event(), threading.Event()
-    served = Served(config, folder, buses[1], CLOCK, _LOOPBACK, over.is_set, said=said)
+    served = Served(config, folder, buses[1], CLOCK, host, over.is_set, keys, said=said)
     thread = threading.Thread(
-        target=lambda: asyncio.run(serve(served, socket.create_server((_LOOPBACK, 0)), urls.append, cut.is_set))
+        target=lambda: asyncio.run(serve(served, socket.create_server((host, 0)), urls.append, cut.is_set))
     )
     thread.start()
 

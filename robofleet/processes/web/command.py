@@ -12,13 +12,13 @@ from robofleet.comms.endpoint import listens
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import ArenaFile, found
 from robofleet.processes.browser import open_page
-from robofleet.processes.page_address import address_lines, is_local
+from robofleet.processes.page_address import Addresses, address_lines
 from robofleet.processes.qr_code import qr_code
 from robofleet.processes.refusal import RefusedError
 from robofleet.processes.web.verdict import REPORT, verdict_of
 
 if TYPE_CHECKING:  # whether a run has ended is said without the server's packages: they take their time
-    from robofleet.processes.web.server import Addresses
+    from robofleet.processes.web.certificate import PageKeys
 
 _CONFIG = "config.yaml"
 _ANSWERS_WITHIN_S, _BEGINS_WITHIN_S = 1.5, 15.0  # a bus that nobody has started here; one that a launcher brings now
@@ -52,8 +52,10 @@ def there(named: str | None, running: Callable[[str | None], ArenaFile], load: C
     return There(config, folder, None)
 
 
-def serve(there: There, listening: socket.socket, host: str, *, browser: bool) -> tuple[bool, str]:
-    """Serve the page; returns whether it could be, and the last words."""
+def serve(
+    there: There, listening: socket.socket, host: str, keys: "PageKeys | None", *, browser: bool
+) -> tuple[bool, str]:
+    """Serve the page; returns whether it could be, and the last words. ``keys``: None on this computer."""
     from robofleet.comms.joining import joined  # noqa: PLC0415
     from robofleet.processes.web.process import by_hand  # noqa: PLC0415
 
@@ -64,12 +66,12 @@ def serve(there: There, listening: socket.socket, host: str, *, browser: bool) -
         if over():
             raise RefusedError(_ended(config, folder))
 
-    def announce(at: "Addresses") -> str:
+    def announce(at: Addresses) -> str:
         console = Console(stderr=True)
         opened = browser and console.is_terminal and open_page(at.once)
-        if not is_local(host) and (code := qr_code(at.page, console)) is not None:
+        if at.viewer and (code := qr_code(at.page, console)) is not None:
             console.print(code)
-        return address_lines(at.page, opened=opened)
+        return address_lines(at, opened=opened)
 
     clock, arena, endpoint = WallClock(), config.arena.name, config.bus.endpoint
     within_s = _ANSWERS_WITHIN_S if run is None else _BEGINS_WITHIN_S
@@ -82,7 +84,7 @@ def serve(there: There, listening: socket.socket, host: str, *, browser: bool) -
             f"no run of {arena} answers at {endpoint}: start one with `robofleet run CONFIG --web`"
         ) from error
     try:
-        ending = by_hand(config, folder, bus, listening, host, over, announce)
+        ending = by_hand(config, folder, bus, listening, host, keys, over, announce)
     finally:
         bus.close()
     return True, "" if ending.frame is None else _ended(config, folder)

@@ -9,7 +9,7 @@ import fcntl
 import sys
 import termios
 from collections import Counter
-from typing import Any
+from typing import Any, Protocol
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -17,7 +17,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from robofleet.clock import Clock, S
 
 MOST = 256  # connections at once, beside the pages' WebSockets
-_ASKED_WITHIN_S = 3.0  # a whole request, from the connection's beginning or the answer before
+ASKED_WITHIN_S = 3.0  # a whole request, from the connection's beginning or the answer before
 _ANSWERED_WITHIN_S = 10.0  # an answer, taken by who asked
 
 
@@ -39,15 +39,43 @@ class Complaints:
             print(line.encode("ascii", "backslashreplace").decode(), file=sys.stderr)
 
 
+class Guest(Protocol):
+    """Who has a place."""
+
+    @property
+    def host(self) -> str:
+        """Whose it is."""
+
+    @property
+    def acts(self) -> bool:
+        """Whether it asks for something to be done, and is not answered yet."""
+
+    def is_idle(self) -> bool:
+        """Return whether it asks for nothing, and has said nothing that is not read yet."""
+
+    def drop(self, why: str) -> None:
+        """Close it at once."""
+
+
+def unread(transport: asyncio.Transport) -> bool:
+    """Return whether something has come that is not read yet."""
+    if (its := transport.get_extra_info("socket")) is None:  # it is closed
+        return False
+    try:
+        return any(fcntl.ioctl(its.fileno(), termios.FIONREAD, bytes(4)))
+    except OSError:
+        return False
+
+
 class Places:
     """The connections that are no WebSockets, oldest first."""
 
     def __init__(self, complaints: Complaints) -> None:
         self.complaints = complaints
-        self._taken: dict[Connection, None] = {}
+        self._taken: dict[Guest, None] = {}
         self._crowds: Counter[str] = Counter()
 
-    def take(self, connection: "Connection") -> None:
+    def take(self, connection: Guest) -> None:
         """Let a connection in; another one goes where there are too many."""
         self._taken[connection] = None
         self._crowds[connection.host] += 1
@@ -58,7 +86,7 @@ class Places:
         if (goes := next((one for one in its if one.is_idle()), next(iter(its), None))) is not None:
             goes.drop("more connections than there are places")
 
-    def leave(self, connection: "Connection") -> None:
+    def leave(self, connection: Guest) -> None:
         """Take note that a connection is closed, or a WebSocket now."""
         if connection in self._taken:
             del self._taken[connection]
@@ -85,13 +113,7 @@ class Connection(H11Protocol):
 
     def is_idle(self) -> bool:
         """Return whether it asks for nothing, and has said nothing that is not read yet."""
-        if self._asks:
-            return False
-        try:
-            unread = fcntl.ioctl(self.transport.get_extra_info("socket").fileno(), termios.FIONREAD, bytes(4))
-        except OSError:
-            return True
-        return not any(unread)
+        return not self._asks and not unread(self.transport)
 
     def drop(self, why: str) -> None:
         """Close it at once."""
@@ -102,7 +124,7 @@ class Connection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a place."""
         super().connection_made(transport)
-        self._wait(_ASKED_WITHIN_S)
+        self._wait(ASKED_WITHIN_S)
         self._places.take(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -114,11 +136,11 @@ class Connection(H11Protocol):
         """Leave it: pages have places of their own."""
         self._leave()
         super().handle_websocket_upgrade(event)
-        self.loop.call_later(_ASKED_WITHIN_S, self._end_without_page)
+        self.loop.call_later(ASKED_WITHIN_S, self._end_without_page)
 
     def on_response_complete(self) -> None:
         """Wait for the next request."""
-        self._wait(_ASKED_WITHIN_S)
+        self._wait(ASKED_WITHIN_S)
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:

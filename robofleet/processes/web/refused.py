@@ -33,6 +33,20 @@ TICKET = (
     "Open the address that the terminal shows.",
     _NEW_PAGE,
 )
+USED = (
+    "This address has opened its page already",
+    "Each address opens the page in one browser only: the one that came first. If that was not you, somebody else has "
+    "used it: tell the operator.",
+    "Ask for an address of your own: an operator's page makes one, under <em>Another phone or computer</em>.",
+    "So does the terminal: <code>robofleet web --host ADDRESS</code>",
+)
+LOGIN = (
+    "This browser is not logged in",
+    "Each browser opens the page by an address of its own, once; it stays in until the page ends. It must accept "
+    "cookies.",
+    "Ask for an address of your own: an operator's page makes one, under <em>Another phone or computer</em>.",
+    "So does the terminal: <code>robofleet web --host ADDRESS</code>",
+)
 HOST = (
     "This page is known by another name",
     "The page answers only to the address that its run has printed, so that no other site can pass itself off as it.",

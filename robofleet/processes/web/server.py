@@ -1,6 +1,7 @@
 """The server of the operator's page: one port, its guard, and what a page may say."""
 
 import asyncio
+import ipaddress
 import json
 import socket
 from collections.abc import Callable
@@ -9,10 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import segno
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -21,15 +23,19 @@ from robofleet.clock import Clock
 from robofleet.comms.bus import Bus
 from robofleet.config.tree import Config
 from robofleet.files import read_plain
+from robofleet.processes.page_address import LOOPBACK, Addresses
+from robofleet.processes.refusal import RefusedError
+from robofleet.processes.web.access import ROLES, Access, CookieAccess, TokenAccess, permits
+from robofleet.processes.web.certificate import PageKeys
 from robofleet.processes.web.controls import ASKED, ESTOP, Controls
 from robofleet.processes.web.ending import Ending
 from robofleet.processes.web.feed import Feed, Page
-from robofleet.processes.web.guard import OPEN, Guard, authorities, new_token
+from robofleet.processes.web.frames import answer
+from robofleet.processes.web.greeting import Greetings
+from robofleet.processes.web.guard import Guard, authorities
 from robofleet.processes.web.places import Complaints, Connection, Places
-from robofleet.processes.web.ticket import Ticket
 from robofleet.processes.web.verdict import REPORT
 
-LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).parent / "page"
 _LARGEST_REPORT = 1 << 26  # [bytes]
 _OF_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
@@ -42,6 +48,8 @@ _POLL_S = 0.05
 _LEAVE_WITHIN_S = 0.5  # of the end
 _LEAVING_S = 0.005
 _POLICY_VIOLATION, _TRY_LATER, _GOING_AWAY = 1008, 1013, 1001
+_FORBIDDEN = 403
+_NOT_FOR_VIEWERS = "refused (403): a viewer may hold the run and press the emergency stop; ask an operator"
 
 
 class Served(NamedTuple):
@@ -53,40 +61,39 @@ class Served(NamedTuple):
     clock: Clock
     name: str  # how browsers call this host
     over: Callable[[], bool]  # whether the run is
+    keys: PageKeys | None = None  # None: this computer only
     by_hand: bool = False  # somebody waits for this server beside its run
     said: Callable[[], str] = str  # what the launcher does while nobody else speaks
     stays: Callable[[], object] = str  # called when the run is over and somebody looks
-
-
-class Addresses(NamedTuple):
-    """Where the page is."""
-
-    page: str  # with its token: nobody else may see it
-    once: str  # for the command line of a browser, which others may see: it opens the page once
 
 
 async def serve(
     served: Served, listening: socket.socket, ready: Callable[[Addresses], None], cut: Callable[[], bool]
 ) -> Ending:
     """Serve until ``cut`` says so, or until the run is over and nobody looks; returns how the run ended."""
-    config, folder, bus, clock = served.config, served.folder, served.bus, served.clock
+    config, folder, bus, clock, keys = served.config, served.folder, served.bus, served.clock, served.keys
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else an event behind a tick waits for 40 ms
     address, port = listening.getsockname()[:2]
+    if keys is None and not ipaddress.ip_address(address).is_loopback:
+        raise RefusedError(f"{served.name} is {address}, which others reach: name {LOOPBACK}, or {address} itself")
     names = {served.name, address} | ({"localhost"} if address == LOOPBACK else set())
-    token, ticket = new_token(), Ticket()
+    scheme = "http" if keys is None else "https"
+    root = f"{scheme}://{f'[{served.name}]' if ':' in served.name else served.name}:{port}"
+    access = TokenAccess(root, port) if keys is None else CookieAccess(root, port, keys)
     feed = Feed(config, folder, bus, clock, served.said)
     controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
-    guard = Guard(application(feed, controls), authorities(names, port), port, token, ticket, complaints)
-    server = uvicorn.Server(_settings(guard, Places(complaints)))
+    guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
+    places = Places(complaints)
+    secured = None if keys is None else Greetings(keys.context, places)
+    server = uvicorn.Server(_settings(guard, secured or partial(Connection, places)))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
         while not server.started:
             await asyncio.sleep(_POLL_S)
         listening.listen(_QUEUE)
-        root = f"http://{f'[{served.name}]' if ':' in served.name else served.name}:{port}"
-        ready(Addresses(f"{root}/?token={token}", f"{root}{OPEN}?ticket={ticket.secret}"))
+        ready(access.addresses())
         while not (cut() or ending.done or feeding.done() or serving.done()):
             await asyncio.sleep(_POLL_S)
             if ending.look(feed.hearing.state, config.ids, watched=bool(feed.pages)):
@@ -106,15 +113,29 @@ async def serve(
                 server.should_exit = True
                 await asyncio.shield(serving)
         server.should_exit = True
+        if secured is not None:
+            secured.close()
         feeding.cancel()
         controls.close()
 
 
-def application(feed: Feed, controls: Controls) -> Starlette:
-    """Return what is behind the guard."""
+def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
+    """Return what is behind the guard, which has given each request its role."""
+    whole = (_PAGE / "index.html").read_text()
 
-    async def index(_request: Request) -> Response:
-        return FileResponse(_PAGE / "index.html")
+    async def index(request: Request) -> Response:
+        if not isinstance(access, CookieAccess):
+            return FileResponse(_PAGE / "index.html")
+        return HTMLResponse(whole.replace("<body>", f'<body data-role="{request.scope["role"]}">', 1))
+
+    async def invite(request: Request) -> Response:
+        role = request.path_params["role"]
+        if not isinstance(access, CookieAccess) or role not in ROLES:
+            return Response(status_code=404)
+        if not permits(request.scope["role"], "invite"):
+            return Response(status_code=_FORBIDDEN)
+        address = access.invite(role)
+        return JSONResponse({"role": role, "address": address, "code": await asyncio.to_thread(_code, address)})
 
     async def report(_request: Request) -> Response:
         try:
@@ -131,11 +152,13 @@ def application(feed: Feed, controls: Controls) -> Starlette:
             await link.close(_TRY_LATER)
         else:
             await link.accept()
-            await _follow(link, feed, controls)
+            await _follow(link, feed, controls, link.scope["role"])
 
     return Starlette(
         routes=[
             Route("/", index),
+            Route("/index.html", index),
+            Route("/invite/{role}", invite, methods=["POST"]),
             Route("/report", report),
             Route("/estop", stop, methods=["POST"]),
             WebSocketRoute("/live", live),
@@ -144,12 +167,18 @@ def application(feed: Feed, controls: Controls) -> Starlette:
     )
 
 
-async def _follow(link: WebSocket, feed: Feed, controls: Controls) -> None:
+def _code(address: str) -> str:
+    """Return an address as a QR code: the address of an SVG image."""
+    code: str = segno.make(address, error="l", micro=False).svg_data_uri(border=4, light="#fff")
+    return code
+
+
+async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) -> None:
     """Serve one page until it is closed, says what makes no sense, or the run ends."""
     page = Page(feed)
     feed.pages.add(page)
     telling = asyncio.create_task(page.follow(link.send_text))
-    obeying = asyncio.create_task(_obey(link, page, controls))
+    obeying = asyncio.create_task(_obey(link, page, controls, role))
     try:
         await asyncio.wait({telling, obeying}, return_when=asyncio.FIRST_COMPLETED)
         if obeying.done() and not obeying.result():
@@ -166,7 +195,7 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls) -> None:
         await asyncio.gather(telling, obeying, return_exceptions=True)
 
 
-async def _obey(link: WebSocket, page: Page, controls: Controls) -> bool:
+async def _obey(link: WebSocket, page: Page, controls: Controls, role: str) -> bool:
     """Do what a page says, as it says it; returns whether it made sense until it was closed."""
     while (message := await link.receive())["type"] != "websocket.disconnect":
         try:
@@ -175,7 +204,10 @@ async def _obey(link: WebSocket, page: Page, controls: Controls) -> bool:
             return False
         match said:
             case {"do": str(what)} if what == ESTOP or what in ASKED:
-                controls.begin(what, page.tell)
+                if permits(role, what):
+                    controls.begin(what, page.tell)
+                else:
+                    page.tell(answer(what, False, _NOT_FOR_VIEWERS))
             case {"ack": int(seq)}:
                 page.drawn(seq)
             case {"picture": bool(wanted)}:
@@ -186,8 +218,7 @@ async def _obey(link: WebSocket, page: Page, controls: Controls) -> bool:
     return True
 
 
-def _settings(app: Any, places: Places) -> uvicorn.Config:
-    connection: Any = partial(Connection, places)
+def _settings(app: Any, connection: Any) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=connection,

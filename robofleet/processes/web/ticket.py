@@ -6,25 +6,39 @@ Whoever else reads the ticket comes too late, or comes as another user: the syst
 import os
 import secrets
 import socket
+from enum import Enum
 from pathlib import Path
+
+from robofleet.comms.permissions import OPERATOR
 
 _TABLES = Path("/proc/net/tcp"), Path("/proc/net/tcp6")
 _LOCAL, _REMOTE, _UID = 1, 2, 7  # columns of these tables
 
 
-class Ticket:
-    """Is taken once, by a connection of this user."""
+class Taker(Enum):
+    """Who may take a ticket."""
 
-    def __init__(self) -> None:
+    USER = (True, None)  # this user, as far as the system knows whose a connection is
+    USER_HERE = (True,)  # this user, on this computer
+    ANYBODY = ()
+
+
+class Ticket:
+    """Is taken once, and gives a role."""
+
+    def __init__(self, role: str = OPERATOR, taker: Taker = Taker.USER) -> None:
         self.secret = secrets.token_hex(16)
-        self._taken = False
+        self.role = role
+        self._taker, self._taken = taker, False
 
     def take(self, shown: str, client: tuple[str, int] | None, port: int) -> bool:
         """Return whether what is shown is the ticket, and nobody has taken it before."""
         if self._taken or not secrets.compare_digest(shown.encode(), self.secret.encode()):
             return False
-        if client is not None and owner(client, port) not in (None, os.geteuid()):
-            return False
+        if self._taker is not Taker.ANYBODY:
+            user = None if client is None else owner(client, port)
+            if (None if user is None else user == os.geteuid()) not in self._taker.value:
+                return False
         self._taken = True
         return True
 

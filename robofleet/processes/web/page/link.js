@@ -12,7 +12,7 @@ export class Link {
   #everOpen = false;
   #ages = {}; // of the supervisor's and the controller's newest word, as the server said [ms]
   #answered = true; // the newest request for the emergency stop
-  #token = new URLSearchParams(location.search).get("token") ?? "";
+  #token = new URLSearchParams(location.search).get("token") ?? ""; // none beyond this computer: there is a cookie
   ended = null; // how the run ended: the server's frame
 
   /** `onFrame` takes every frame of the server's but its beats. */

@@ -4,6 +4,7 @@ import { Arena } from "./arena.js";
 import { Camera } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
+import { Invitations } from "./invite.js";
 import { Legend } from "./legend.js";
 import { Link } from "./link.js";
 import { Plots } from "./plots.js";
@@ -34,6 +35,7 @@ const link = new Link((frame) => frames[frame.type]?.(frame));
 const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
 const [legend, plots] = [new Legend(), new Plots()];
 const [controls, camera] = [new Controls(link), new Camera(link)];
+new Invitations();
 window.robofleet = { state, place: (x_m, y_m) => arena.place(x_m, y_m) };
 
 let drawing = false;
