@@ -149,7 +149,7 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
         if config.arena.name != arena:
             raise RefusedError(f"{source}: its arena is {config.arena.name}, not {arena}")
         exist = {robot.id for robot in config.robots if robot.driver != "simulated" and robot.twin is None}
-        units = [unit for unit, robots in config.units.items() if exist & {*robots}]
+        units = [unit for unit, robots in config.units.items() if exist & {*robots} or unit in config.daemons]
         if processes := [unit for unit in units if unit in KINDS]:
             raise RefusedError(f"{source}: {processes[0]} is what a process is called: name the unit otherwise")
         known = authority.entries()

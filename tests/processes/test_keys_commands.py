@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from click.testing import Result
 from typer.testing import CliRunner
 
@@ -195,11 +196,24 @@ def test_simulated_robots_get_no_keys(desk: Path) -> None:
     assert {*names("platoon")} == {"router", "operator", "viewer"}
 
 
+@pytest.mark.parametrize(("started_by", "units"), [("run", set()), ("daemon", {"r1"})])
+def test_a_twin_gets_keys_where_a_daemon_drives_it(desk: Path, started_by: str, units: set[str]) -> None:
+    tree = yaml.safe_load((CONFIGS / "platoon.yaml").read_text())
+    tree |= {"drivers": {"started_by": started_by}, "bus": {"listen": [ROUTER]}}
+    tree["robots"][0] |= {"driver": "gternal", "twin": "gternal", "unit": "r1"}
+    for path in CONFIGS.iterdir():
+        if path.name != "platoon.yaml":
+            (desk / path.name).symlink_to(path)
+    (desk / "platoon.yaml").write_text(yaml.safe_dump(tree))
+    said("keys", "init", "platoon")
+    said("keys", "add", "platoon", "--from", "platoon.yaml")
+    assert {*names("platoon")} == {"router", "operator", "viewer", *units}
+
+
 def test_the_routers_address_is_where_the_configuration_listens(desk: Path) -> None:
-    (desk / "configs").symlink_to(CONFIGS)
     text = (CONFIGS / "lab.yaml").read_text()
     for path in CONFIGS.iterdir():
-        if not (desk / path.name).exists() and path.name != "lab.yaml":
+        if path.name != "lab.yaml":
             (desk / path.name).symlink_to(path)
     listen = "bus: {listen: ['quic/192.168.7.1:7447', 'tls/[fd00::1]:7448', 'tls/0.0.0.0:7449']}\n"
     (desk / "lab.yaml").write_text(text + listen)
