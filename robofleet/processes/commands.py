@@ -198,7 +198,11 @@ def driver(
         _wait_for_runs(unit, lifeline)
         return
     if config is None or robots is None:
-        _wrong("name CONFIG and --robots, or on a robot's own computer --unit")
+        missing = "CONFIG" if config is None else "--robots"
+        example = (
+            "`robofleet driver lab.yaml --robots r1,r2`, or on a robot's own computer `robofleet driver --unit r1`"
+        )
+        _wrong(f"{missing}: is missing: {example}")
         return
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
     _be(table.DRIVER, config, lifeline, names)
