@@ -270,7 +270,7 @@ def web(
         str,
         typer.Option(
             metavar="ADDRESS",
-            help="This machine's address to listen at; for a phone, the one in its network: by TLS, with the arena's keys.",
+            help="This machine's address to listen at; for a phone, the one in its network: by TLS.",
         ),
     ] = LOOPBACK,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
