@@ -96,7 +96,7 @@ def run(
     web_host: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Open it at this address of the machine, for a phone too: with a QR code."
+            metavar="ADDRESS", help="Open it at this address of the machine, for a phone too: by TLS, with a QR code."
         ),
     ] = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,

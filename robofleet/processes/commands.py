@@ -287,7 +287,8 @@ def web(
     host: Annotated[
         str,
         typer.Option(
-            metavar="ADDRESS", help="This machine's address to listen at; for a phone, the one in its network."
+            metavar="ADDRESS",
+            help="This machine's address to listen at; for a phone, the one in its network: by TLS.",
         ),
     ] = LOOPBACK,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,

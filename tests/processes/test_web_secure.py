@@ -137,6 +137,16 @@ def test_half_open_greetings_delay_nobody_and_are_closed(stand: WebStand, comes:
         assert all(one.recv(4096) == b"" for one in there)
 
 
+def test_a_page_that_has_left_is_missed_by_nobody(
+    stand: WebStand, comes: Comes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with comes(stand.url).page() as page:
+        assert page.heard_one()["type"] == "hello"
+    with socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S) as later:
+        assert later.recv(1) == b"", "its time is over, and so is the time of the page before"
+    assert [record.getMessage() for record in caplog.records if record.name == "asyncio"] == []
+
+
 def test_an_address_opens_the_page_in_one_browser(stand: WebStand, comes: Comes) -> None:
     first, second = comes(), comes()
     entered = first.enter(stand.url)

@@ -61,7 +61,8 @@ def opened(own: Credentials, host: str) -> PageKeys:
         certificate.verify_directly_issued_by(x509.load_pem_x509_certificate(own.authority.read_bytes()))
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
-        context.options |= ssl.OP_NO_RENEGOTIATION
+        context.options |= ssl.OP_NO_RENEGOTIATION | ssl.OP_NO_TICKET
+        context.num_tickets = 0  # clients that read and write in two threads lose their first request over such a one
         context.set_alpn_protocols(["http/1.1"])
         context.load_cert_chain(own.certificate, own.key)
     except InvalidSignature as error:

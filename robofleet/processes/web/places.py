@@ -164,6 +164,8 @@ class Connection(H11Protocol):
             self.drop("it does not take its answer" if for_answer else "no whole request for seconds")
 
     def _end_without_page(self) -> None:
+        if self.transport.is_closing():  # one of TLS knows no protocol then
+            return
         page = self.transport.get_protocol()
         if not (isinstance(page, WebSocketsSansIOProtocol) and page.handshake_complete and not page.close_sent):
             self.transport.abort()
