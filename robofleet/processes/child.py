@@ -1,5 +1,7 @@
 """The main function of every process of a run: ``robofleet controller CONFIG`` and its siblings."""
 
+import os
+import sys
 import threading
 from contextlib import closing
 from dataclasses import replace
@@ -12,7 +14,7 @@ from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
 from robofleet.processes.keeping import FileKeeping
-from robofleet.processes.log_lines import never_raise
+from robofleet.processes.log_lines import never_raise, say_of_links
 from robofleet.processes.network import network
 from robofleet.processes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError, unkept
@@ -70,10 +72,30 @@ def _new(folder: Path) -> None:
 
 def _route(config: Config, lifeline: Lifeline) -> None:
     """Be Zenoh's router."""
-    with closing(open_router(config.bus.endpoint, network(config))):
+    beyond = network(config)
+    if beyond is not None:
+        _log_links()
+    with closing(open_router(config.bus.endpoint, beyond)):
         lifeline.ready()
         while not lifeline.cut:
             threading.Event().wait(0.05)
+
+
+def _log_links() -> None:
+    """Let the log say which links were refused: Zenoh says so on stdout, and whoever knocks decides how often."""
+    import zenoh  # noqa: PLC0415
+
+    sys.stdout.flush()
+    read, write = os.pipe()
+    os.dup2(write, sys.__stdout__.fileno() if sys.__stdout__ is not None else 1)
+    os.close(write)
+    lines = os.fdopen(read, errors="replace")
+    threading.Thread(target=say_of_links, args=(lines, _say, WallClock().now_ns), daemon=True).start()
+    zenoh.init_log_from_env_or("warn")
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _joined(config: Config, roles: tuple[str, ...], clock: Clock) -> ZenohBus:
