@@ -52,7 +52,7 @@ def _unfailing(stream: TextIO) -> Any:
 
 
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
-_WHERE = re.compile(r"^\S+\s+WARN\s+.*?(?P<room>zenoh\S*): (?P<words>.*?)(?: at /\S+\.rs:\d+\.?)?$")
+_WHERE = re.compile(r"^\S+\s+WARN\s+.*?(?P<room>zenoh\S*): (?P<words>.*?)(?: at /\S+)?$")
 
 
 def say_of_links(lines: IO[str], say: Callable[[str], None], now_ns: Callable[[], int]) -> None:
