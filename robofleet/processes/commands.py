@@ -15,7 +15,7 @@ from robofleet.valid_json import dumps
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.processes.arena_file import ArenaFile
-    from robofleet.processes.operator import Elsewhere
+    from robofleet.processes.elsewhere import Elsewhere
     from robofleet.processes.table import Row
 
 app = typer.Typer()
@@ -52,11 +52,11 @@ def stop(arena: ArenaName = None) -> None:
     Without ARENA every run of yours is stopped; as root, everybody's. It says who has acknowledged, and when. Look at
     the robots; then robofleet reset, or robofleet run --reset.
     """
-    from robofleet.processes import operator  # noqa: PLC0415
+    from robofleet.processes import elsewhere, operator  # noqa: PLC0415
 
     try:
-        there = operator.elsewhere(arena)
-        answers = operator.stop_all(arena) if there is None else [operator.stop_elsewhere(there)]
+        there = elsewhere.joined_arena(arena)
+        answers = operator.stop_all(arena) if there is None else [elsewhere.stop(there)]
     except operator.NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
@@ -70,10 +70,10 @@ def _asking(what: str, described: str, then: str = "") -> None:
     """Make a command that asks the supervisor; ``then``: what the robots do when it says ok."""
 
     def command(arena: ArenaName = None) -> None:
-        from robofleet.processes import operator  # noqa: PLC0415
+        from robofleet.processes import elsewhere, operator  # noqa: PLC0415
 
         there = _elsewhere(arena)
-        done, answer = operator.ask(_running(arena), what) if there is None else operator.ask_elsewhere(there, what)
+        done, answer = operator.ask(_running(arena), what) if there is None else elsewhere.ask(there, what)
         _told(done, f"{answer}: {then}" if done and then else answer)
 
     app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
@@ -119,10 +119,10 @@ def status(
 
 def _elsewhere(arena: str | None) -> "Elsewhere | None":
     """Return the arena of another computer that is meant, if one is."""
-    from robofleet.processes import operator  # noqa: PLC0415
+    from robofleet.processes import elsewhere, operator  # noqa: PLC0415
 
     try:
-        return operator.elsewhere(arena)
+        return elsewhere.joined_arena(arena)
     except operator.NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error

@@ -7,15 +7,12 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from robofleet.clock import MS, WallClock
-from robofleet.comms.credentials import Credentials, KeysError, credentials
-from robofleet.comms.credentials import joined as joined_arenas
 from robofleet.comms.joining import joined
-from robofleet.comms.keys import SAFE_REQUEST, STATE, STATUS, key
+from robofleet.comms.keys import STATE, STATUS, key
 from robofleet.comms.messages import RUN_STATE, UNIT_STATUS, RobotStatus, RunState
-from robofleet.comms.permissions import OPERATOR, UNIT
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import ArenaFile, found
@@ -27,8 +24,6 @@ from robofleet.safety.requests import WAY_OUT
 from robofleet.safety.supervisor import Phase
 
 _CONNECT_WITHIN_S = 1.0
-_CONNECT_ELSEWHERE_S = 3.0
-_STOP_AGAIN_NS, _STOPPED_WITHIN_NS = 40 * MS, 1000 * MS
 _LISTEN_NS = 300 * MS
 _POLL_NS = 2 * MS
 _SILENT = "the robots get no permission to move: end the run with Ctrl-C in its terminal, and see its supervisor's log"
@@ -57,86 +52,6 @@ def chosen(name: str | None) -> ArenaFile:
         if name in (None, run.arena):
             raise NoArenaError(_not_yours(run))
     raise NoArenaError(f"the arena {name} has no run: name one of {names}")
-
-
-class Elsewhere(NamedTuple):
-    """An arena of another computer, which this one has joined."""
-
-    arena: str
-    router: tuple[str, ...]
-    credentials: Credentials
-    role: str  # operator, viewer
-
-
-def elsewhere(name: str | None) -> Elsewhere | None:
-    """Return the arena that this computer has joined and that was named, or the only one; None where there is none.
-
-    Runs of this computer go first. NoArenaError where several are meant, or where the keys cannot be used.
-    """
-    if any(run.mine and name in (None, run.arena) for run in found()[0]):
-        return None
-    there = {arena: told for arena, told in joined_arenas().items() if told.kind != UNIT and name in (None, arena)}
-    if len(there) > 1:
-        raise NoArenaError(f"this computer has joined several arenas: name one of {', '.join(there)}")
-    for arena, told in there.items():
-        try:
-            return Elsewhere(arena, told.router, credentials(arena, told.name), told.kind)
-        except KeysError as error:
-            raise NoArenaError(str(error)) from error
-    return None
-
-
-def ask_elsewhere(there: Elsewhere, what: str) -> tuple[bool, str]:
-    """Ask the supervisor of another computer's arena; returns whether it does so, and its answer."""
-    clock = WallClock()
-    try:
-        with _reached_elsewhere(there, clock) as bus:
-            answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
-            return answer.startswith("ok"), answer
-    except (UnreachableError, TimeoutError) as error:
-        return False, f"{error}: go to {there.arena}'s computer, or as {OPERATOR} if this one may only look"
-
-
-def stop_elsewhere(there: Elsewhere) -> tuple[bool, str]:
-    """Ask for the emergency stop until every robot has acknowledged it; returns whether all have, and what happened."""
-    clock = WallClock()
-    try:
-        with urgent(), _reached_elsewhere(there, clock) as bus:
-            states, began_ns = bus.newest(STATE), clock.now_ns()
-            answer, again_ns = bus.ask(SAFE_REQUEST, "supervisor", b"estop"), began_ns + _STOP_AGAIN_NS
-            left: list[int] | None = None  # rows that have not acknowledged
-            while (now_ns := clock.now_ns()) < began_ns + _STOPPED_WITHIN_NS:
-                payload = states.take()
-                state = None if payload is None else RUN_STATE.decode(payload)
-                if state is not None and state.phase == Phase.ESTOP:
-                    left = [row for row, robot in enumerate(state.robots) if not robot.acknowledged]
-                    if not left:
-                        after_ms = (now_ns - began_ns) / MS
-                        return (
-                            True,
-                            f"emergency stop of {there.arena}: every robot acknowledged, after {after_ms:.0f} ms",
-                        )
-                if answer.take() is None and left is None and now_ns >= again_ns:
-                    answer, again_ns = bus.ask(SAFE_REQUEST, "supervisor", b"estop"), now_ns + _STOP_AGAIN_NS
-                clock.sleep_until(now_ns + _POLL_NS)
-    except UnreachableError as error:
-        return False, f"{error}: no robot has acknowledged: go and look"
-    missing = "the supervisor does not answer" if left is None else f"{len(left)} robots have not acknowledged"
-    return False, f"emergency stop of {there.arena}: {missing}: go and look"
-
-
-@contextmanager
-def _reached_elsewhere(there: Elsewhere, clock: WallClock) -> Iterator[ZenohBus]:
-    try:
-        bus = joined(there.arena, there.router, there.role, clock, _CONNECT_ELSEWHERE_S, credentials=there.credentials)
-    except TimeoutError as error:
-        raise UnreachableError(
-            f"the router of {there.arena} at {', '.join(there.router)} does not answer, or refuses this certificate"
-        ) from error
-    try:
-        yield bus
-    finally:
-        bus.close()
 
 
 def named_runs(name: str | None) -> list[ArenaFile]:
