@@ -239,6 +239,16 @@ def test_a_viewer_sees_holds_and_stops(stand: WebStand, comes: Comes) -> None:
     assert b"estop" in stand.asked
 
 
+def test_viewers_leave_places_for_operators(stand: WebStand, comes: Comes) -> None:
+    viewer, operator = comes(stand.addresses.viewer), comes(stand.url)
+    with ExitStack() as opened:
+        for _ in range(12):
+            opened.enter_context(viewer.page())
+        with pytest.raises(InvalidStatus), viewer.page():
+            pass
+        assert opened.enter_context(operator.page()).heard_one()["type"] == "hello"
+
+
 def test_a_viewer_invites_nobody(stand: WebStand, comes: Comes) -> None:
     assert is_bare(comes(stand.addresses.viewer).post("/invite/viewer"))
 

@@ -21,6 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from robofleet.clock import Clock
 from robofleet.comms.bus import Bus
+from robofleet.comms.permissions import OPERATOR
 from robofleet.config.tree import Config
 from robofleet.files import read_plain
 from robofleet.processes.page_address import LOOPBACK, Addresses
@@ -41,7 +42,7 @@ _LARGEST_REPORT = 1 << 26  # [bytes]
 _OF_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
 _LARGEST_MESSAGE = 1024  # of a page [bytes]
 _LARGEST_HEAD = 16384  # of a request [bytes]
-_PAGES = 16
+_PAGES, _OF_OPERATORS = 16, 4  # at once; those that viewers leave free
 _QUEUE, _AT_ONCE = 1024, 32  # connections that wait to be let in; those that are let in before anybody is answered
 _PING_S, _PONG_WITHIN_S = 5.0, 10.0  # then a page that sleeps is forgotten; it comes back by itself
 _POLL_S = 0.05
@@ -148,11 +149,12 @@ def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
         return JSONResponse(await controls.do(ESTOP))
 
     async def live(link: WebSocket) -> None:
-        if len(feed.pages) >= _PAGES:
+        role = link.scope["role"]
+        if len(feed.pages) >= (_PAGES if role == OPERATOR else _PAGES - _OF_OPERATORS):
             await link.close(_TRY_LATER)
         else:
             await link.accept()
-            await _follow(link, feed, controls, link.scope["role"])
+            await _follow(link, feed, controls, role)
 
     return Starlette(
         routes=[

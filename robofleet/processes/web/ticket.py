@@ -27,7 +27,7 @@ class Ticket:
     """Is taken once, and gives a role."""
 
     def __init__(self, role: str = OPERATOR, taker: Taker = Taker.USER) -> None:
-        self.secret = secrets.token_hex(16)
+        self.secret = secrets.token_urlsafe(16)  # 128 bits, short enough for a QR code in 80 columns
         self.role = role
         self._taker, self._taken = taker, False
 
