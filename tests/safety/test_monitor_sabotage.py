@@ -18,7 +18,7 @@ CHECKS = [
     ("\nLOST_NS = 2 * _S", "\nLOST_NS = 3 * _S"),
     ("\nOPERATOR_NS = _S", "\nOPERATOR_NS = 2 * _S"),
     ("\nINFEASIBLE_NS = 500 * _MS", "\nINFEASIBLE_NS = 520 * _MS"),
-    ("HELD_NS = 120 * _S", "HELD_NS = 61 * _S"),
+    ("HELD_NS = 120 * _S", "HELD_NS = 121 * _S"),
 ]
 
 
