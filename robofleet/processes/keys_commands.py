@@ -459,6 +459,21 @@ LimitNICE=-10
 LimitRTPRIO=20
 OOMScoreAdjust=-500
 
+NoNewPrivileges=yes
+ProtectSystem=strict
+ProtectHome=yes
+ProtectClock=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+ProtectControlGroups=yes
+PrivateTmp=yes
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+UMask=0077
+
 [Install]
 WantedBy=multi-user.target
 """
