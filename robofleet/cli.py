@@ -15,7 +15,7 @@ from robofleet.calibration.commands import entry as laboratory
 from robofleet.clock import utc_now
 from robofleet.doctor import command as doctoring
 from robofleet.experiments import trials
-from robofleet.processes import commands, going, keys_commands, run_commands, usage
+from robofleet.processes import commands, going, join_command, keys_commands, run_commands, usage
 from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.outlet import unhindered
@@ -60,6 +60,7 @@ app.add_typer(studies.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
 app.add_typer(keys_commands.app)
+app.add_typer(join_command.app)
 app.add_typer(laboratory.app)
 
 

@@ -76,6 +76,7 @@ def table(found: dict[str, Any]) -> "Table":
             one["unit"], one["host"] or here, one["version"] or "", one["certificate_ends"] or "",
             "" if one["round_trip_ms"] is None else f"{one['round_trip_ms']:.1f} ms",
             "" if one["loss"] is None else f"{100 * one['loss']:.1f} %",
-            "" if one["battery"] is None else f"{100 * one['battery']:.0f} %", (one["since"] or "")[5:16].replace("T", " "),
+            "" if one["battery"] is None else f"{100 * one['battery']:.0f} %",
+            (one["since"] or "")[5:16].replace("T", " "),
         )  # fmt: skip
     return shown

@@ -21,7 +21,7 @@ from robofleet.comms import authority as authorities
 from robofleet.comms import bundle as bundles
 from robofleet.comms import credentials as places
 from robofleet.config.robot_file import RobotFile, load_robot_file
-from robofleet.processes import keys_commands
+from robofleet.processes import join_command
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 ROUTER = "quic/192.168.1.10:7447"
@@ -34,8 +34,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setattr(places, "_SYSTEM", tmp_path / "etc" / "keys")
-    monkeypatch.setattr(keys_commands, "_SYSTEM", tmp_path / "etc")
-    monkeypatch.setattr(keys_commands, "_SERVICE", tmp_path / "systemd" / "robofleet-unit.service")
+    monkeypatch.setattr(join_command, "_SYSTEM", tmp_path / "etc")
+    monkeypatch.setattr(join_command, "_SERVICE", tmp_path / "systemd" / "robofleet-unit.service")
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     monkeypatch.chdir(tmp_path)
     return tmp_path
