@@ -33,7 +33,7 @@ from robofleet.safety.wiggle import PROBE_RAD_S
 _PERIOD_NS = 40 * MS
 _DRILL = int(Latch.DRILL)
 _ACKNOWLEDGED_WITHIN_NS = 200 * MS
-_MOST_REQUESTS = 32  # of a step: a flood of them does not keep it from publishing
+_MOST_REQUESTS = 16  # of a step and a kind: a flood of them does not keep it from publishing
 _CLEARED_WITHIN_NS = 500 * MS  # some enables and statuses; a latch that is still there was made anew
 
 _REQUESTS = {
@@ -133,8 +133,8 @@ class Supervisor:
 
         In between, robots whose link is bad are told again what was decided, with their newest nonce.
         """
-        request, hurried = self._request(), self._listener.statuses.hurried()
-        if hurried and request is None and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
+        requests, hurried = self._requests(), self._listener.statuses.hurried()
+        if hurried and not requests and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
             self._listener.hear_robots(now_ns)
             for unit in hurried:
                 self._enable(unit)
@@ -149,11 +149,8 @@ class Supervisor:
         self._busy = busy.watch(self._busy, self._status.phase, self._view)
         for happening in self._standing:
             self._happen(happening)
-        served = 0
-        while request is not None:
+        for request in requests:
             self._serve(request)
-            served += 1
-            request = self._request() if served < _MOST_REQUESTS else None
         self._arm()
         self._go_on()
         self._finish_resets()
@@ -167,13 +164,14 @@ class Supervisor:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
         return self._wakes_ns(now_ns)
 
-    def _request(self) -> Request | None:
-        """Take the next request: first of those who may only look, and ask for what makes nothing move."""
-        while (request := self._safe_requests()) is not None:
-            if request.payload in SAFE:
-                return request
-            self._replies.append((request, f"refused: only {SAFE_WORDS} are for everybody: ask as an operator"))
-        return self._orders()
+    def _requests(self) -> list[Request]:
+        """Take what was asked since the last step; what makes nothing move comes last, so no order undoes it."""
+        orders = [request for _ in range(_MOST_REQUESTS) if (request := self._orders()) is not None]
+        safe = [request for _ in range(_MOST_REQUESTS) if (request := self._safe_requests()) is not None]
+        for request in safe:
+            if request.payload not in SAFE:
+                self._replies.append((request, f"refused: only {SAFE_WORDS} are for everybody: ask as an operator"))
+        return [*orders, *(request for request in safe if request.payload in SAFE)]
 
     def _speak(self) -> None:
         """Answer and say what this step left."""

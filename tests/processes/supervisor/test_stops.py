@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.clock import MS, S
 from robofleet.comms import bus
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, REQUEST, SAFE_REQUEST, STATUS, Topic
 from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.safety.gate import Latch, LeaseAction
 from robofleet.safety.supervisor import NOBODY, Event, Phase
@@ -38,6 +38,19 @@ def test_an_emergency_stop_reaches_every_gate_at_once_and_is_acknowledged(stand:
     assert [robot.acknowledged for robot in stand.state.robots] == [1, 1, 1, 1]
     stand.run(S)
     assert not [line for line in stand.said if "acknowledged" in line]
+
+
+@pytest.mark.parametrize("order", [b"reset", b"resume", b"start"])
+@pytest.mark.parametrize("first", [REQUEST, SAFE_REQUEST], ids=["the order first", "the stop first"])
+def test_of_an_order_and_a_stop_that_came_together_the_stop_counts(stand: Stand, order: bytes, first: Topic) -> None:
+    """A supervisor that stood still finds both: no order of before undoes a stop."""
+    stand.running()
+    asked = {REQUEST: order, SAFE_REQUEST: b"estop"}
+    for topic in sorted(asked, key=lambda topic: topic is not first):
+        stand.bench.bus.ask(topic, "supervisor", asked[topic])
+    stand.run(S)
+    assert stand.cause[0] == Phase.ESTOP
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
 
 
 @pytest.mark.parametrize("deaf", [("r2",), ("r1", "r4")])
