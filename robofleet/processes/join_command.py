@@ -184,7 +184,8 @@ StateDirectory=robofleet
 Environment=XDG_STATE_HOME=/var/lib PYTHONUNBUFFERED=1
 TimeoutStartSec=infinity
 TimeoutStopSec=2
-WatchdogSec=1
+# Longer than a robot's port takes to open. The dead man's process stops the wheels long before.
+WatchdogSec=15
 WatchdogSignal=SIGKILL
 KillMode=process
 Restart=always
