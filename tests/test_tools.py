@@ -19,6 +19,7 @@ NEEDED = {  # a package that each needs, and the extras that bring it
     "bench": ("cv2", ".[bench,lab]"),
     "calibrate": ("cv2", ".[lab]"),
     "config_reference": ("typer", "."),
+    "large_fleet": ("cv2", ".[bench,lab]"),
     "picture": ("cv2", ".[lab]"),
     "tag_sheet": ("matplotlib", ".[lab]"),
 }

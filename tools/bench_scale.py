@@ -1,12 +1,5 @@
-"""The rows ``scale`` of ``bench.py``: what grows with the number of robots.
+"""The rows ``scale`` of ``bench.py``: what grows with the number of robots."""
 
-Run by itself it writes the configuration of such a fleet, for runs in real time:
-
-    python tools/bench_scale.py 100 --units 4 --out hundred.yaml
-    python tools/bench_scale.py 50 --units 2 --camera --out fifty.yaml
-"""
-
-import argparse
 import json
 import math
 import os
@@ -17,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from bench_tracker import Row, percentiles
 from numpy.typing import NDArray
 
@@ -189,38 +181,3 @@ def _driven(poses: Array, record: bytes | None, radius: float, base: float, dura
     heading = poses[:, 2] + turn / 2
     way = np.column_stack([v * duration * np.cos(heading), v * duration * np.sin(heading), turn])
     return np.asarray(poses + way)
-
-
-def as_file(count: int, units: int, *, camera: bool) -> str:
-    """Return the configuration of a fleet whose robots share so many units.
-
-    ``camera``: one of 1920 x 1080 pixels, as high as it must hang, sees them all, with tags that it finds from there.
-    """
-    tree = fleet(count).model_dump(mode="json", exclude_defaults=True)
-    for k, robot in enumerate(tree["robots"]):
-        robot["unit"] = f"u{k % units + 1}"
-    if camera:
-        width, height, shipped = 1920, 1080, tree["camera"]["model"]
-        larger = width / shipped["width"]
-        shipped |= {"width": width, "height": height}
-        shipped |= {name: [larger * value for value in shipped[name]] for name in ("focal_px", "centre_px")}
-        high = max(tree["arena"]["size_m"][0] / width, tree["arena"]["size_m"][1] / height) * shipped["focal_px"][0]
-        shipped["T_world_camera"]["position_m"] = [0.0, 0.0, 1.03 * high]
-        tree["camera"] |= {"width": width, "height": height, "trigger": "tick"}
-        tree["tracker"] |= {"source": "camera", "tag_side_m": 0.085}
-    return yaml.safe_dump(tree, sort_keys=False)
-
-
-def main() -> None:
-    """Write a configuration."""
-    parser = argparse.ArgumentParser(description="Write the configuration of a large fleet.")
-    parser.add_argument("robots", type=int)
-    parser.add_argument("--units", type=int, default=1)
-    parser.add_argument("--camera", action="store_true")
-    parser.add_argument("--out", type=Path, required=True)
-    asked = parser.parse_args()
-    asked.out.write_text(as_file(asked.robots, asked.units, camera=asked.camera))
-
-
-if __name__ == "__main__":
-    main()
