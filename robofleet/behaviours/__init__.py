@@ -15,6 +15,8 @@ from robofleet.behaviours.interface import (
     Situation,
     Start,
     Team,
+    Wish,
+    WishKind,
 )
 from robofleet.settings import Model as Settings
 
@@ -34,4 +36,6 @@ __all__ = [
     "Situation",
     "Start",
     "Team",
+    "Wish",
+    "WishKind",
 ]

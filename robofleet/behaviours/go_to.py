@@ -104,7 +104,7 @@ class GoTo(Behaviour):
         self._distance = max(apart(team.keepout, a, b) for a in team.bodies for b in team.bodies) + ahead
         self._beside = self._distance - radius  # of a centre from the edge of another body
         self._edge = max(from_edge(team.keepout, body) for body in team.bodies) + ahead / 2
-        self._rehearsed = False
+        self.rehearsed = False  # in this process
         self._follower = Follower(self._following(settings, team), [body.drive for body in team.bodies])
         self.restart()
 
@@ -116,6 +116,12 @@ class GoTo(Behaviour):
             team.tick, team.point_ahead, team.flow.horizon, gain, speeds, s.position_accuracy_m,
             math.radians(s.heading_accuracy_deg), s.slowest_wheel_rad_s,
         )  # fmt: skip
+
+    def rehearse(self) -> None:
+        """Load or compile every kernel: no later decision waits for that."""
+        if not self.rehearsed:
+            self._follower.rehearse()
+            self.rehearsed = True
 
     def restart(self) -> None:
         """Begin from where the robots stand then."""
@@ -147,9 +153,7 @@ class GoTo(Behaviour):
 
     def decide(self, now: Situation) -> Decision:
         """See ``Behaviour``."""
-        if not self._rehearsed:
-            self._follower.rehearse()
-            self._rehearsed = True
+        self.rehearse()
         moved = np.hypot(*(now.poses - self._poses)[:, :2].T)
         self._still = np.where(moved < _STILL * self.team.tick / 0.033, self._still + 1, 0)
         self._poses = now.poses.copy()

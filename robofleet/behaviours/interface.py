@@ -12,6 +12,7 @@ group's robots, in the group's order. The *point ahead* p of a robot is ``point_
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from robofleet.safety.barrier import Body, Keepout
 from robofleet.safety.starts import Reason
+from robofleet.safety.supervisor import Event
 from robofleet.settings import Model
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -61,6 +63,29 @@ class Team:
         return len(self.robots)
 
 
+class WishKind(IntEnum):
+    """What a script wishes that its robots do."""
+
+    STAND = 0  # until it says something else, however long that takes
+    BODY = 1  # v [m/s] and omega [rad/s] of the bodies
+    POINT = 2  # velocities of the points ahead: x, y [m/s; world]
+    POSES = 3  # to go to poses: x, y [m], psi [rad] of the centres [world]
+    DONE = 4  # nothing more: the script has done all that it was to do
+    FAILED = 5  # nothing more: the script has ended by an error
+
+
+class Wish(NamedTuple):
+    """The newest word of a script that drives a group from a process of its own."""
+
+    kind: WishKind
+    values: Array  # (N, 3), as ``kind`` says: of BODY and POINT the last column means nothing
+    told: Flags  # (N,) which robots it is about: the others stand
+    order: int  # counts the script's journeys: of POSES with the same number there is one plan
+    age: float  # since the tick by which the script wished it, by the controller's ticks [s]
+    epoch: int  # drawn when the script began
+    seq: int
+
+
 class Situation(NamedTuple):
     """What a behaviour decides by: everything at the moment when the tick's commands act."""
 
@@ -69,6 +94,7 @@ class Situation(NamedTuple):
     driving: Flags  # (N,) which robots may drive: the others stand, whatever is decided
     disturbance: Array  # (N, 2) velocity of the points ahead beyond what was asked, as estimated [m/s; world]; else 0
     others: Array  # (M, 3): x, y, body radius [m] of every other robot in the arena that was seen
+    wish: Wish | None = None  # of a behaviour that ``takes_wishes``: the newest since the run went on; None: none yet
 
     def points(self, ahead: float) -> Array:
         """Return the points (N, 2) that are ``ahead`` [m] in front of the axles [m]."""
@@ -92,6 +118,7 @@ class Decision(NamedTuple):
     of: Literal["point", "body"] = "point"
     references: Array | None = None  # (N, 2) where each robot's followed point is to be [m; world]; NaN: nowhere
     figures: Mapping[str, Array | float] = {}  # by the figures' names: (N,), or one value for all; missing: NaN
+    hold: Event | None = None  # why the group stands at once and the run is to be held, where it is
 
 
 class Figure(NamedTuple):
@@ -225,6 +252,7 @@ class Behaviour:
         """Keys of ``groups[].settings``, with units in their names, limits and defaults."""
 
     figures: ClassVar[Sequence[Figure]] = ()
+    takes_wishes: ClassVar[bool] = False  # of a script: ``Situation.wish``
 
     def __init__(self, settings: Any, team: Team) -> None:
         """Keep what it is made of: ``settings`` is an instance of the class's own ``Settings``.

@@ -27,11 +27,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from robofleet.clock import utc_now
 from robofleet.comms.bundle import APassport, write_private
 from robofleet.comms.credentials import AUTHORITY, Credentials, KeysError, Passport, session_id
-from robofleet.comms.permissions import OPERATOR, PAGE, PROCESSES, UNIT, VIEWER, Identity
+from robofleet.comms.permissions import OPERATOR, PAGE, PROCESSES, SCRIPT, UNIT, VIEWER, Identity
 from robofleet.valid_json import dumps
 
 ROUTER = "router"
-KINDS = (UNIT, ROUTER, *PROCESSES, OPERATOR, VIEWER)
+KINDS = (UNIT, ROUTER, *PROCESSES, OPERATOR, VIEWER, SCRIPT)
 AUTHORITY_DAYS, DAYS = 3650, 90
 _KEY, _REGISTER = "authority.key", "register.json"
 _HERE = "localhost", "127.0.0.1", "::1"

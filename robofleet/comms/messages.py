@@ -1,5 +1,6 @@
 """What crosses processes. Units are in the field names; ``layouts.py`` decodes."""
 
+from enum import IntEnum
 from typing import NamedTuple
 
 from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
@@ -240,6 +241,44 @@ class Picture(NamedTuple):
     jpeg: bytes
 
 
+class ScriptWish(NamedTuple):
+    """Script to controller: what the robots of a group are to do."""
+
+    epoch: int  # drawn when the script began
+    seq: int
+    kind: int  # behaviours.interface.WishKind
+    order: int  # counts the script's journeys
+    echo_tick: int  # tick of the controller's by which the script wished it
+    robots: tuple["RobotWish", ...]  # in the group's order
+
+
+class RobotWish(NamedTuple):
+    """One robot's part of a wish."""
+
+    told: int  # 1: it is about this robot; 0: this robot stands
+    first: float  # as the kind says: v [m/s]; velocity along x [m/s]; x [m]
+    second: float  # omega [rad/s]; velocity along y [m/s]; y [m]
+    third: float  # psi [rad] of a pose
+
+
+class Note(NamedTuple):
+    """Script to all who look: something for people, that moves nothing."""
+
+    epoch: int  # of the script
+    seq: int
+    echo_tick: int  # newest tick that the script knew; 0: none yet
+    kind: int  # NoteKind
+    text: bytes  # JSON
+
+
+class NoteKind(IntEnum):
+    """What a note is."""
+
+    SAY = 0  # a line: text
+    MARK = 1  # a shape on the floor: an object, as behaviours.described has it; without points it is taken away
+    KEEP = 2  # figures of the run: an object
+
+
 class RecorderStatus(NamedTuple):
     """Recorder to all."""
 
@@ -285,6 +324,8 @@ UNIT_ENABLE = ListLayout(UnitEnable, "QQqB", Enable, "QBQd")
 UNIT_TRUTH = ListLayout(UnitTruth, "Qq", Truth, "H" + "d" * 5)
 UNIT_LEASES = ListLayout(UnitLeases, "", LeaseAnswer, "BQQ")
 TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
+SCRIPT_WISH = ListLayout(ScriptWish, "IQBQQ", RobotWish, "B" + "d" * 3)
+NOTE = BlobLayout(Note, "IQQB")
 RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
 HANDED = BlobLayout(Handed, "I")
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 from robofleet.comms.keys import ALIVE, ASKED, TOPICS, Topic, key
 from robofleet.patterns import driver_role
 
-UNIT, PAGE, OPERATOR, VIEWER = "unit", "web", "operator", "viewer"
+UNIT, PAGE, OPERATOR, VIEWER, SCRIPT = "unit", "web", "operator", "viewer", "script"
 PROCESSES = "controller", "supervisor", "tracker", "recorder", PAGE
-ROLES = (*PROCESSES, OPERATOR, VIEWER)
+ROLES = (*PROCESSES, OPERATOR, VIEWER, SCRIPT)
 LOCAL = "unixsock-stream"  # the link of this user's own processes
 SAYS, HEARS, ASKS, ANSWERS, LIVES, LOOKS = "says", "hears", "asks", "answers", "lives", "looks"
 _SAYING = {"put", "delete"}

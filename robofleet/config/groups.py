@@ -93,6 +93,11 @@ def behaviours(config: Config) -> tuple[Behaviour, ...]:
     return tuple(behaviour(config, group) for group in config.groups)
 
 
+def scripted(config: Config) -> tuple[str, ...]:
+    """Return the names of the groups whose behaviours take a script's wishes."""
+    return tuple(group.title for group in config.groups if kind(group).takes_wishes)
+
+
 def descriptions(config: Config) -> tuple[described.Group, ...]:
     """Return the groups as others see them."""
     return tuple(

@@ -28,6 +28,7 @@ from robofleet.processes import fleet
 from robofleet.processes.compiling import Say, on_stderr, told
 from robofleet.processes.deciding import Deciding, Judge, untimed
 from robofleet.processes.leases import Leases
+from robofleet.processes.wishes import Wishes
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
@@ -117,6 +118,7 @@ class Controller:
         self._said = _Parts.of(self._record)
         self._nobody = np.zeros(len(robots), dtype=np.bool_)
         self._deciding = Deciding(config, judge)
+        self._wishes = Wishes(config, bus)
         self._unknown = np.zeros((len(robots), 2))
         self._begin()
 
@@ -179,7 +181,8 @@ class Controller:
             pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
             turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
             unseen_s = np.concatenate([unseen_s, estimator.ages(self._bystanders.measured_ns, tick_ns)])
-        self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving)
+        wishes = self._wishes.at(self._index, running=self._phase is Phase.RUNNING)
+        self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving, wishes=wishes)
         self._said.filtered[:], self._said.blocked[:] = self._barrier.filter(
             bodies, turning, unseen_s, driving, self._deciding.wheels, self._deciding.u, pushed
         )

@@ -2,14 +2,14 @@
 
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.behaviours import described
-from robofleet.behaviours.interface import Behaviour, Decision, Situation
+from robofleet.behaviours.interface import Behaviour, Decision, Situation, Wish
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.control import wheels as wheel_limits
@@ -113,20 +113,27 @@ class Deciding:
         for k, (behaviour, own) in enumerate(self._crew):
             self._heard(k, behaviour.changed, u[own])
 
-    def tick(self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool) -> None:
+    def tick(
+        self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool,
+        wishes: Sequence[Wish | None] = (),
+    ) -> None:  # fmt: skip
         """Ask every behaviour; then find what the wheels can do of it.
 
         bodies (M, 3): poses of the members when the commands act, then of the bystanders; seen (M,): which of them ever
         were. driving (N,), disturbance (N, 2): of the members. ``moving``: time goes on for the behaviours.
+        ``wishes``: of the groups' scripts; none where empty.
         """
         n = len(self.u)
         self._ticks += moving
         self.numbers.fill(np.nan)
-        said = self._asked(bodies, seen, driving, disturbance)
+        wished = wishes if self.phase is Phase.RUNNING else ()
+        said = self._asked(bodies, seen, driving, disturbance, wished)
         self._check(said, driving)
         for k, decision in said.items():
             if k not in self._stopped:
                 self._tell(k, decision)
+                if decision.hold is not None:
+                    self._stop(k, 0, decision.hold, "holds the run")
         if self._stopped:
             driving = driving & (self.failed == 0.0)
         wheel_limits.commanded(
@@ -134,7 +141,9 @@ class Deciding:
             self.u, self.wheels, self.saturated, self.points,
         )  # fmt: skip
 
-    def _asked(self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array) -> dict[int, Decision]:
+    def _asked(
+        self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, wishes: Sequence[Wish | None]
+    ) -> dict[int, Decision]:
         """Return what each group decides, by its row of the crew."""
         poses, may, w = bodies[: len(self.u)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
         others = self._others(bodies, seen)
@@ -142,6 +151,8 @@ class Deciding:
         for k, (behaviour, own) in enumerate(self._crew):
             if k not in self._stopped:
                 now = Situation(t + behaviour.team.delay, poses[own], may[own], w[own], others(own))
+                if wishes:
+                    now = now._replace(wish=wishes[k])
                 if (decision := self._ask(k, now)) is not None:
                     said[k] = decision
         return said
@@ -221,11 +232,15 @@ class Deciding:
         self._fail(k, 0, Event.BEHAVIOUR_RAISED, "nothing but this error")
 
     def _fail(self, k: int, row: int, why: Event, what: str) -> None:
+        self._stop(k, row, why, f"returned {what}")
+
+    def _stop(self, k: int, row: int, why: Event, what: str) -> None:
+        """Let a group stand until the run is resumed."""
         behaviour, own = self._crew[k]
         team = behaviour.team
         self.u[own], self.wheels[own] = 0.0, 0.0
         self._stopped.add(k)
         self.failed[own] = Event.BEHAVIOUR_STANDS
         self.failed[own.start + row] = why
-        said = f"group {team.name}, {team.robots[row]}: {type(behaviour).__name__} returned {what}: the group stands"
+        said = f"group {team.name}, {team.robots[row]}: {type(behaviour).__name__} {what}: the group stands"
         print(said, file=sys.stderr)

@@ -42,7 +42,7 @@ _TAG_NEWS = {
     TrackerEvent.TAG_JUMPED: Event.POSE_JUMPED,
     TrackerEvent.TAG_CARRIED: Event.POSE_JUMPED,
 }
-_FAILURES = np.array([event for event in Event if event.name.startswith("BEHAVIOUR_")])
+_FAILURES = np.array([event for event in Event if event.name.startswith(("BEHAVIOUR_", "SCRIPT_"))])
 _TAGS = 1 << 16  # so many numbers can a message name
 _UNKNOWN = -1  # as a row: nobody's tag
 

@@ -18,9 +18,9 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Decision
 from robofleet.clock import S, SimulatedClock, TickGrid
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
+from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, WISH, Topic, key
 from robofleet.comms.layouts import ListLayout
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, RobotTick
+from robofleet.comms.messages import FLEET_POSES, RUN_STATE, SCRIPT_WISH, TICK_RECORD, RobotTick
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller
@@ -36,6 +36,7 @@ NO_NAME = (0, 0)
 
 _ELSEWHERE = 1e-9  # other versions, or another processor: sums may be in another order
 _SHOWN = 5  # differences
+_ALWAYS = 2  # of what a tick takes: its head names the state and the poses; a wish is named by its group's figures
 _HEAD = ("run_tick", "phase", "exposure_ns")  # the rest of a record's head is whose it is, and what the time was
 _WHEELS = [RobotTick._fields.index(name) for name in ("left_rad_s", "right_rad_s")]
 
@@ -110,11 +111,16 @@ def replay(recording: Recording, within: float) -> Verdict:
     if not len(ticks):
         raise RecordingError("no tick of a controller was recorded: there is nothing to replay")
     names = described.names(recording.groups)
-    takings = _Takings(recording, STATE, "", RUN_STATE), _Takings(recording, POSES, CAMERA, FLEET_POSES)
+    scripted = _scripted(recording)
+    takings = (
+        _Takings(recording, STATE, "", RUN_STATE), _Takings(recording, POSES, CAMERA, FLEET_POSES),
+        *(_Takings(recording, WISH, name, SCRIPT_WISH) for name in scripted),
+    )  # fmt: skip
     for epoch in dict.fromkeys(ticks["epoch"].tolist()):
         _, once = np.unique(ticks["tick"][(of_it := np.flatnonzero(ticks["epoch"] == epoch))], return_index=True)
         recorded = ticks[of_it[once]]
-        known, now = _driven(recording.config, recorded, takings, verdict.holes)
+        wished = [_wished(recorded["figures"], at) for at in scripted.values()]
+        known, now = _driven(recording.config, recorded, takings, wished, verdict.holes)
         _compare_ticks(recording.config, names, recorded[known], now, verdict)
         _compare_commands(recording, recorded, known, now, verdict)
     verdict.differences.sort(key=lambda difference: difference.tick)
@@ -134,6 +140,22 @@ class _Takings:
     def of(self, name: Name) -> bytes | None:
         """Return a message, None where it was not recorded."""
         return self._messages.get(name)
+
+
+def _scripted(recording: Recording) -> dict[str, tuple[int, int]]:
+    """Return the groups that scripts drive, and where in a tick's numbers their wish is named: epoch, number."""
+    names, found = described.names(recording.groups), {}
+    for group in recording.groups:
+        own = [f"{group.robots[0]}: {figure}" for figure in ("wish_epoch", "wish")]
+        if set(own) <= {*names}:
+            found[group.name] = names.index(own[0]), names.index(own[1])
+    return found
+
+
+def _wished(numbers: Array, at: tuple[int, int]) -> list[Name]:
+    """Return the wish that each tick did, by its name."""
+    told = np.nan_to_num(np.clip(numbers[:, at], 0, 2**53), nan=0.0).astype(np.int64)
+    return [(int(epoch), int(seq)) for epoch, seq in told]
 
 
 class _Player:
@@ -164,7 +186,7 @@ class _Player:
         self._clock.advance_to(self._grid.instant(index))
         self._late = late
         for k, (its, publish) in enumerate(self._give):
-            if taken[k] != self._given[k]:
+            if taken[k] != self._given[k] and (k < _ALWAYS or taken[k] != NO_NAME):
                 payload = its.of(taken[k])
                 if payload is None:
                     return None
@@ -175,7 +197,7 @@ class _Player:
 
 
 def _driven(
-    config: Config, recorded: Rows, takings: tuple[_Takings, ...], holes: list[Hole]
+    config: Config, recorded: Rows, takings: tuple[_Takings, ...], wished: list[list[Name]], holes: list[Hole]
 ) -> tuple[NDArray[np.bool_], Rows]:
     """Replay the records of one controller, in order; returns which of them could be, and what it says of those."""
     period_ns = round(config.controller.tick_s * S)
@@ -184,11 +206,12 @@ def _driven(
     head = ["tick", "overruns", "stamp_ns", "state_epoch", "state_seq", "poses_epoch", "poses_seq"]
     firsts = [own.start for own in groups.rows(config.groups)]
     failed = recorded["items"]["failed"][:, firsts] == Event.BEHAVIOUR_LATE
-    for row, late in zip(recorded[head], failed, strict=True):
+    for k, (row, late) in enumerate(zip(recorded[head], failed, strict=True)):
         tick, overruns, stamp_ns, *names = row.item()
-        done, taken = tick - overruns, ((names[0], names[1]), (names[2], names[3]))
+        taken = (names[0], names[1]), (names[2], names[3]), *(of_group[k] for of_group in wished)
+        done = tick - overruns
         if done != before + 1 or player is None:
-            if done == 1 or taken == (NO_NAME, NO_NAME):
+            if done == 1 or taken[:_ALWAYS] == (NO_NAME, NO_NAME):
                 player = _Player(config, TickGrid(stamp_ns - tick * period_ns, period_ns), takings)
             elif done != before + 1:
                 missing = done - before - 1

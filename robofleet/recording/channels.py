@@ -2,8 +2,11 @@
 
 from collections.abc import Iterator
 
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, OF_UNITS, PICTURE, POSES, RECORDER, STATE, TICK, key, named
+from robofleet.comms.keys import (
+    BUSY, CAMERA, NEWS, OF_SCRIPTS, OF_UNITS, PICTURE, POSES, RECORDER, STATE, TICK, key, named,
+)  # fmt: skip
 from robofleet.comms.layouts import VERSION
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.valid_json import dumps
 
@@ -19,6 +22,7 @@ def keys(config: Config) -> Iterator[str]:
     yield from (key(arena, topic) for topic in _ABOUT_ALL)
     yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, unit) for unit in config.units for topic in OF_UNITS)
+    yield from (key(arena, topic, group) for group in groups.scripted(config) for topic in OF_SCRIPTS)
 
 
 def schema(full: str) -> tuple[str, bytes]:

@@ -113,6 +113,9 @@ class Event(IntEnum):
     BEHAVIOUR_SHAPE = 74
     BEHAVIOUR_LATE = 75
     BEHAVIOUR_STANDS = 76  # with the robot of its group of which one of the events above is told
+    # a script that drives a group; told of one of its robots
+    SCRIPT_SILENT = 85
+    SCRIPT_FAILED = 86
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
@@ -194,6 +197,8 @@ CAUSES = {
     Event.BEHAVIOUR_SHAPE: "{group} returned velocities of a wrong shape",
     Event.BEHAVIOUR_LATE: "{group} took longer than its share of a tick",
     Event.BEHAVIOUR_STANDS: "{group} failed, and all its robots stand",
+    Event.SCRIPT_SILENT: "{group} no longer hears from its script: it has ended, hangs, or was stopped",
+    Event.SCRIPT_FAILED: "the script of {group} has ended by an error",
     Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
     Event.NOT_STARTED: "nobody started the fleet in time, and its checks are too old",
@@ -278,6 +283,8 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.BEHAVIOUR_SHAPE:      (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_LATE:       (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_STANDS:     (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
+    Event.SCRIPT_SILENT:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.SCRIPT_FAILED:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.ARMED_TOO_LONG:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.HELD_TOO_LONG:        (_SAME, _SAME, _SAME, _F,    _SAME, _SAME),
     Event.NOT_STARTED:          (_SAME, _I,    _SAME, _SAME, _SAME, _SAME),

@@ -1,0 +1,81 @@
+"""What scripts wish of their groups, as the controller takes it: checked, the newest alone, of one script a group.
+
+A wish says by which tick its script decided. So its age is known without a comparison of clocks, and what a network
+or a stopped script held back is old when it comes.
+"""
+
+import numpy as np
+
+from robofleet.behaviours.interface import Wish, WishKind
+from robofleet.comms.bus import Bus, Subscription
+from robofleet.comms.keys import WISH
+from robofleet.comms.messages import SCRIPT_WISH, ScriptWish
+from robofleet.config import groups
+from robofleet.config.tree import Config
+
+_BEYOND = 1e6  # [m/s, rad/s, m]: nobody wishes that
+_GONE_S = 0.5  # after its newest wish a script that says no more has left its place to another one
+_PARTED = WishKind.STAND, WishKind.DONE, WishKind.FAILED  # whoever said this is not in another's way
+_KINDS = frozenset(WishKind)
+
+
+class Wishes:
+    """The newest wish of each group, in the order of the groups."""
+
+    def __init__(self, config: Config, bus: Bus) -> None:
+        scripted = groups.scripted(config)
+        tick_s = config.controller.tick_s
+        self._groups = [
+            _OfGroup(bus.newest(WISH, group.title), len(group.robots), tick_s) if group.title in scripted else None
+            for group in config.groups
+        ]
+        self.nobody: tuple[Wish | None, ...] = (None,) * len(self._groups)
+        self._some = any(self._groups)
+
+    def at(self, tick: int, *, running: bool) -> tuple[Wish | None, ...]:
+        """Return what is wished at a tick; while nobody may drive, whatever comes is forgotten."""
+        if not self._some:
+            return self.nobody
+        return tuple(None if one is None else one.at(tick, running=running) for one in self._groups)
+
+
+class _OfGroup:
+    def __init__(self, said: Subscription, robots: int, tick_s: float) -> None:
+        self._said, self._robots, self._tick_s = said, robots, tick_s
+        self._newest: tuple[int, Wish] | None = None  # and the tick that it echoes
+
+    def at(self, tick: int, *, running: bool) -> Wish | None:
+        payload = self._said.take()
+        if not running:
+            self._newest = None
+            return None
+        if payload is not None:
+            self._take(payload, tick)
+        if self._newest is None:
+            return None
+        echoed, wish = self._newest
+        return wish._replace(age=(tick - echoed) * self._tick_s)
+
+    def _take(self, payload: bytes, tick: int) -> None:
+        """Take a wish that can be one, of the script that drives this group."""
+        if (message := SCRIPT_WISH.view(payload)) is None:
+            return
+        head, robots = message
+        known = head.kind in _KINDS and len(robots) == self._robots and 1 <= head.echo_tick <= tick
+        if not known or not self._follows(head, tick):
+            return
+        values = SCRIPT_WISH.floats(robots).copy()
+        if (np.abs(values) > _BEYOND).any():
+            return
+        told = robots["told"] != 0
+        wish = Wish(WishKind(head.kind), values, told, head.order, 0.0, head.epoch, head.seq)
+        self._newest = head.echo_tick, wish
+
+    def _follows(self, head: ScriptWish, tick: int) -> bool:
+        """Return whether a wish is the next word of the script that drives the group, or the first of the next one."""
+        if self._newest is None:
+            return True
+        echoed, before = self._newest
+        if head.epoch == before.epoch:
+            return head.seq > before.seq
+        return before.kind in _PARTED or (tick - echoed) * self._tick_s > _GONE_S
