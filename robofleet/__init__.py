@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.control.flow import FlowSettings, MemorylessFlow, NewtonRaphsonFlow
     from robofleet.control.prediction import Plant
+    from robofleet.fleet import Fleet, FleetError
     from robofleet.tracking.sources import Camera
     from robofleet.vehicles.interface import Driver, DriverContext, DriverError, DriverReading, WheelSpeeds
 
@@ -26,6 +27,8 @@ __all__ = [
     "DriverContext",
     "DriverError",
     "DriverReading",
+    "Fleet",
+    "FleetError",
     "FlowSettings",
     "MemorylessFlow",
     "NewtonRaphsonFlow",
@@ -40,6 +43,7 @@ _ROOMS = {
     "robofleet.config.tree": ("Config",),
     "robofleet.control.flow": ("FlowSettings", "MemorylessFlow", "NewtonRaphsonFlow"),
     "robofleet.control.prediction": ("Plant",),
+    "robofleet.fleet": ("Fleet", "FleetError"),
     "robofleet.tracking.sources": ("Camera",),
     "robofleet.vehicles.interface": ("Driver", "DriverContext", "DriverError", "DriverReading", "WheelSpeeds"),
 }

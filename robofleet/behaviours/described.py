@@ -30,22 +30,28 @@ class Group(NamedTuple):
 
     def plain(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        shapes = [
-            {"kind": type(s).__name__, **s._asdict(), "points": np.round(s.points, 6).tolist()} for s in self.shapes
-        ]
+        shapes = [plain_shape(shape) for shape in self.shapes]
         figures = [figure._asdict() for figure in self.figures]
         return {**self._asdict(), "robots": list(self.robots), "figures": figures, "shapes": shapes}
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> "Group":
         """Return what ``plain`` returned; KeyError or TypeError where it is something else."""
-        shapes = []
-        for given in plain["shapes"]:
-            shape = dict(given)
-            kind = {"Line": Line, "Dots": Dots}[shape.pop("kind")]
-            shapes.append(kind(**shape | {"points": np.array(shape["points"]).reshape(-1, 2)}))
+        shapes = [shape_from_plain(given) for given in plain["shapes"]]
         figures = tuple(Figure(**figure) for figure in plain["figures"])
         return cls(plain["name"], plain["behaviour"], tuple(plain["robots"]), figures, tuple(shapes))
+
+
+def plain_shape(shape: Shape) -> dict[str, Any]:
+    """Return a shape as JSON has it."""
+    return {"kind": type(shape).__name__, **shape._asdict(), "points": np.round(shape.points, 6).tolist()}
+
+
+def shape_from_plain(plain: Mapping[str, Any]) -> Shape:
+    """Return what ``plain_shape`` returned; KeyError, TypeError or ValueError where it is something else."""
+    shape = dict(plain)
+    kind: type[Line] | type[Dots] = {"Line": Line, "Dots": Dots}[shape.pop("kind")]
+    return kind(**shape | {"points": np.array(shape["points"]).reshape(-1, 2)})
 
 
 class Told(NamedTuple):

@@ -1,0 +1,132 @@
+"""A script's run in lockstep, in the script's own process: the simulated clock waits for the script."""
+
+import gc
+from pathlib import Path
+from typing import Any
+
+from robofleet.clock import S, stopwatch_ns, utc_now
+from robofleet.comms.keys import NOTE, STATUS, TICK, WISH, key
+from robofleet.config.tree import Config
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.readiness import why
+from robofleet.processes.script_link import ended, held, refuse
+from robofleet.recording.log import FILE, RunLog
+from robofleet.recording.metrics import summary
+from robofleet.safety.supervisor import Phase, RunStatus
+
+_ANSWER_S = 1.0
+_ARMED_S = 600.0  # the supervisor's own patience is shorter
+_TICK_WITHIN_S = 1.0
+_REST_S = 1.0  # after the stop: wheels come to rest
+
+
+class LockstepLink:
+    """A run that goes on while its script waits for a tick, and at no other time."""
+
+    def __init__(self, config: Config, group: str, name: str, folder: Path | None) -> None:
+        """Put the run together; ``name``: the configuration's, for the summary."""
+        self.config, self.folder, self._name = config, folder, name
+        self._began, self._began_ns = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}", stopwatch_ns()
+        # In this process: a script may have threads, and a fork of those is none that works.
+        self._log = None if folder is None else RunLog(folder / FILE, config, batched=True)
+        try:
+            self._run = Lockstep(config, log=self._log)
+        except BaseException:
+            self._close_log()
+            raise
+        self.wish = self._run.bus.publisher(WISH, group)
+        self.note = self._run.bus.publisher(NOTE, group)
+        self._messages = self._run.recording.messages
+        self._ticks = self._messages[key(config.arena.name, TICK)]
+        self._left = False
+
+    def begin(self) -> None:
+        """Arm and start; FleetError where the checks fail."""
+        run = self._run
+        gc.freeze()  # what was loaded so far is not looked at again
+        try:
+            run.request(b"start")
+            run.advance(_ANSWER_S, lambda: run.status.phase is not Phase.IDLE)
+            run.advance(_ARMED_S, lambda: run.status.phase is not Phase.ARMED)
+            while run.status.phase is Phase.POSITIONING:
+                run.advance(_ANSWER_S, lambda: run.status.phase is not Phase.POSITIONING)
+            if run.status.phase is not Phase.RUNNING:
+                error = ended(run.status, self.config)
+                error.args = (f"the run did not begin: {why(run.recording, run.status)}",)
+                raise error
+        except BaseException as error:
+            self._end("fault", str(error))
+            raise
+
+    @property
+    def status(self) -> RunStatus:
+        """Where the run is."""
+        return self._run.status
+
+    @property
+    def tick(self) -> bytes:
+        """The newest tick's record."""
+        return self._ticks[-1]
+
+    def next_tick(self) -> bytes:
+        """Let simulated time pass until the next tick."""
+        ticks, count, run = self._ticks, len(self._ticks), self._run
+        phase = run.status.phase
+        if phase is Phase.HOLD:
+            raise held(run.status, self.config)  # nobody else could resume it
+        if phase is not Phase.RUNNING or not run.advance(_TICK_WITHIN_S, lambda: len(ticks) > count):
+            raise ended(run.status, self.config)
+        return ticks[-1]
+
+    def unit_status(self, unit: str) -> bytes | None:
+        """Return the newest status of a unit."""
+        said = self._messages.get(key(self.config.arena.name, STATUS, unit))
+        return said[-1] if said else None
+
+    def ask(self, what: bytes) -> None:
+        """Ask the supervisor, and let the time pass in which it answers and the controller hears of it."""
+        answer, said = self._run.request(what), b""
+
+        def answered() -> bool:
+            nonlocal said
+            said = answer.take() or said
+            return bool(said)
+
+        self._run.advance(_ANSWER_S, answered)
+        if not said.startswith(b"ok"):
+            refuse(said.decode() or "the supervisor does not answer", what)
+        self._run.advance(2 * self.config.controller.tick_s)
+
+    def done(self, parting: bytes) -> dict[str, Any]:
+        """End the run."""
+        run = self._run
+        if run.status.phase is Phase.RUNNING:
+            self.wish(parting)
+            run.advance(_ANSWER_S, lambda: run.status.phase is not Phase.RUNNING)
+        phase = run.status.phase
+        if phase in (Phase.RUNNING, Phase.IDLE):  # other groups may have more to do
+            return self._end("completed", None)
+        return self._end("stopped" if phase is Phase.HOLD else "fault", run.status.describe(self.config.ids))
+
+    def failed(self, parting: bytes, why: str) -> dict[str, Any]:
+        """End the run."""
+        phase = self._run.status.phase
+        self.wish(parting)
+        return self._end("fault" if phase in (Phase.FAULT, Phase.ESTOP) else "stopped", why)
+
+    def _end(self, outcome: str, cause: str | None) -> dict[str, Any]:
+        run, recording = self._run, self._run.recording
+        try:
+            run.request(b"stop")
+            run.advance(_REST_S)
+        finally:
+            run.close()
+            gc.unfreeze()
+            recording.outcome, recording.cause = outcome, cause
+            recording.elapsed_s = (stopwatch_ns() - self._began_ns) / S
+            self._close_log(recording.ending())
+        return summary(recording, name=self._name, mode="lockstep", outcome=outcome, cause=cause, began=self._began)
+
+    def _close_log(self, ending: bytes = b"") -> None:
+        if self._log is not None:
+            self._log.end(ending)
