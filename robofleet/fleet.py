@@ -358,7 +358,8 @@ class Fleet:
             raise ValueError(f"{what}: the shape is {found.shape}, must be {wanted}")
         if not (np.abs(found) < _BEYOND).all():  # not so of NaN
             row = int((~(np.abs(found) < _BEYOND)).any(axis=1).argmax())
-            raise ValueError(f"{what}: {found[row].tolist()} of {self.robots[row]} is not finite, or beyond every limit")
+            said = f"{found[row].tolist()} of {self.robots[row]}"
+            raise ValueError(f"{what}: {said} is not finite, or beyond every limit")
         return found
 
     def _goals(self, poses: Mapping[str, Goal]) -> dict[str, tuple[float, float, float]]:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from robofleet.behaviours.go_to import GoTo, Goal
+from robofleet.behaviours.go_to import Goal, GoTo
 from robofleet.behaviours.interface import (
     Array,
     Behaviour,

@@ -44,7 +44,9 @@ CONFIG = Topic("unit/{}/config", "supervisor", "unit", 0.0, "DATA", _LONG, messa
 HOST = Topic("unit/{}/host", "operator viewer", "unit", 0.0, "DATA_LOW", 1024, None, reliable=True)
 REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
 # What makes nothing move: who may only look may ask for it too.
-SAFE_REQUEST = Topic("request/{}/safe", "operator viewer script", "process", 0.0, "REAL_TIME", _FIXED, None, reliable=True)
+SAFE_REQUEST = Topic(
+    "request/{}/safe", "operator viewer script", "process", 0.0, "REAL_TIME", _FIXED, None, reliable=True
+)
 ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 
 CAMERA = "overhead"  # the one camera's name, in the key of its poses

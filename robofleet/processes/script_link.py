@@ -1,4 +1,4 @@
-"""How a script of the user's own reaches a run: what ``robofleet.Fleet`` needs of one in lockstep, and of a real one."""
+"""How a script of the user's own reaches a run: what ``robofleet.Fleet`` needs of one, in lockstep and in real time."""
 
 from pathlib import Path
 from typing import Any, NoReturn, Protocol

@@ -1,18 +1,26 @@
 """A script's run in lockstep, in the script's own process: the simulated clock waits for the script."""
 
 import gc
+import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 from robofleet.clock import S, stopwatch_ns, utc_now
 from robofleet.comms.keys import NOTE, STATUS, TICK, WISH, key
+from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.files import write_text
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.readiness import why
 from robofleet.processes.script_link import ended, held, refuse
+from robofleet.recording.after import SUMMARY, report
+from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
+from robofleet.recording.reading import RecordingError
 from robofleet.safety.supervisor import Phase, RunStatus
+from robofleet.valid_json import dumps
 
 _ANSWER_S = 1.0
 _ARMED_S = 600.0  # the supervisor's own patience is shorter
@@ -27,12 +35,12 @@ class LockstepLink:
         """Put the run together; ``name``: the configuration's, for the summary."""
         self.config, self.folder, self._name = config, folder, name
         self._began, self._began_ns = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}", stopwatch_ns()
-        # In this process: a script may have threads, and a fork of those is none that works.
-        self._log = None if folder is None else RunLog(folder / FILE, config, batched=True)
+        self._log = None if folder is None else _log(folder / FILE, config)
         try:
             self._run = Lockstep(config, log=self._log)
         except BaseException:
-            self._close_log()
+            if self._log is not None:
+                self._log.end(b"")
             raise
         self.wish = self._run.bus.publisher(WISH, group)
         self.note = self._run.bus.publisher(NOTE, group)
@@ -125,8 +133,30 @@ class LockstepLink:
             recording.outcome, recording.cause = outcome, cause
             recording.elapsed_s = (stopwatch_ns() - self._began_ns) / S
             self._close_log(recording.ending())
-        return summary(recording, name=self._name, mode="lockstep", outcome=outcome, cause=cause, began=self._began)
+        made = summary(recording, name=self._name, mode="lockstep", outcome=outcome, cause=cause, began=self._began)
+        if self.folder is not None:
+            self._keep(self.folder, made)
+        return made
+
+    def _keep(self, folder: Path, made: dict[str, Any]) -> None:
+        """Write what a run leaves beside its recording; what cannot be written is said."""
+        try:
+            write_text(folder / SUMMARY, dumps(made, indent=1) + "\n")
+            report(folder, imports=groups.own(self.config).__contains__)
+        except (OSError, RecordingError) as error:
+            print(f"results are lost: {folder}: {error}", file=sys.stderr)
 
     def _close_log(self, ending: bytes = b"") -> None:
         if self._log is not None:
             self._log.end(ending)
+            self._run.recording.dropped = self._log.dropped
+
+
+def _log(file: Path, config: Config) -> RunLog | LogBeside:
+    """Return what writes the run's file: a fork, which takes no time of the run, unless the script has threads.
+
+    OSError where the file cannot be written.
+    """
+    if threading.active_count() > 1:  # a notebook's: a fork of those is none that works
+        return RunLog(file, config, batched=True)
+    return LogBeside(file, config)

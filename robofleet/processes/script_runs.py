@@ -5,12 +5,17 @@ from pathlib import Path
 from typing import Literal
 
 from robofleet.clock import utc_now
+from robofleet.comms.permissions import SCRIPT
 from robofleet.config import groups
+from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked
+from robofleet.processes.operator import NoArenaError, chosen
 from robofleet.processes.refusal import RefusedError, new_folder
 from robofleet.processes.script_link import FleetError, Link, scripted
 from robofleet.vehicles.interface import DriverError
+
+_CONFIGURATIONS = ".yaml", ".yml"
 
 Out = str | Path | Literal[False] | None
 
@@ -21,11 +26,16 @@ def opened(
     """Return a run that is on; ConfigError or FleetError where there is none."""
     file = Path(where)
     try:
-        if file.suffix not in (".yaml", ".yml"):
-            raise FleetError(f"{where}: not yet")
+        if file.suffix not in _CONFIGURATIONS:
+            if lockstep or changes:
+                raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
+            return _joined(str(where), group, copy)
         config = load_checked(file, changes, lockstep=lockstep, change=scripted)
-        return _in_lockstep(config, group_of(config, group), file.stem, _folder(out, file.stem))
-    except (RefusedError, DriverError) as error:
+        mine = group_of(config, group)
+        if lockstep:
+            return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
+        return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
+    except (RefusedError, DriverError, NoArenaError) as error:
         raise FleetError(str(error)) from error
 
 
@@ -56,3 +66,32 @@ def _in_lockstep(config: Config, group: str, name: str, folder: Path | None) -> 
     link = LockstepLink(config, group, name, folder)
     link.begin()
     return link
+
+
+def _in_real_time(config: Config, group: str, name: str, folder: Path | None) -> Link:
+    from robofleet.processes.script_live import OwnRunLink  # noqa: PLC0415 - it loads Zenoh
+
+    link = OwnRunLink(config, group, name, folder)
+    link.begin()
+    return link
+
+
+def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:
+    """Return a run of this user on this computer, or of an arena of another computer that this one has joined."""
+    from robofleet.processes.elsewhere import joined_arena  # noqa: PLC0415
+    from robofleet.processes.script_live import LiveLink  # noqa: PLC0415
+
+    there = joined_arena(arena)
+    if there is None:
+        run = chosen(arena)
+        config = load_config(Path(run.folder) / "config.yaml" if copy is None else Path(copy))
+        return LiveLink(config, group_of(config, group), run.endpoint)
+    if copy is None:
+        raise FleetError(f"{arena} is another computer's: name a copy of its configuration in `config`")
+    if there.role != SCRIPT:
+        raise FleetError(
+            f"this computer has joined {arena} as {there.role}: join as a script: "
+            f"`robofleet keys add {arena} NAME --kind {SCRIPT}` there, then bundle and `robofleet join`"
+        )
+    config = load_config(Path(copy))
+    return LiveLink(config, group_of(config, group), there.router, there.credentials)

@@ -3,7 +3,18 @@
 from collections.abc import Iterator
 
 from robofleet.comms.keys import (
-    BUSY, CAMERA, NEWS, OF_SCRIPTS, OF_UNITS, PICTURE, POSES, RECORDER, STATE, TICK, key, named,
+    BUSY,
+    CAMERA,
+    NEWS,
+    OF_SCRIPTS,
+    OF_UNITS,
+    PICTURE,
+    POSES,
+    RECORDER,
+    STATE,
+    TICK,
+    key,
+    named,
 )  # fmt: skip
 from robofleet.comms.layouts import VERSION
 from robofleet.config import groups
