@@ -122,7 +122,6 @@ class Fleet:
         self._wished = False
         self._strange = 0  # ticks in which another script's wishes were done
         self._record = link.tick
-        self.robots: tuple[str, ...] = self._team.robots
         self.folder: Path | None = link.folder
 
     def close(self, failed: str | None = None) -> None:
@@ -132,7 +131,8 @@ class Fleet:
         """
         link, self._link = self._link, None
         if link is not None:
-            kind = WishKind.DONE if failed is None else WishKind.FAILED
+            done = WishKind.DONE if link.ends else WishKind.STAND
+            kind = done if failed is None else WishKind.FAILED
             parting = self._encoded(kind)
             self.summary = (link.done(parting) if failed is None else link.failed(parting, failed)) or {}
 
@@ -151,6 +151,11 @@ class Fleet:
             self.close(f"the script ended by {type(error).__name__}{words and f': {words}'}")
 
     # What is known
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots' ids."""
+        return self._opened._team.robots
 
     @property
     def poses(self) -> Array:

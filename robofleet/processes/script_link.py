@@ -21,6 +21,7 @@ class Link(Protocol):
 
     config: Config
     folder: Path | None  # in which the run is recorded
+    ends: bool  # the run ends with the script
 
     @property
     def status(self) -> RunStatus:

@@ -34,6 +34,7 @@ _WORD_WITHIN_S = 5.0  # of a run that is there: a tick, the supervisor's word
 _READY_WITHIN_S = 300.0  # of all processes of a run that begins: they may compile kernels
 _OVER_WITHIN_S = 5.0  # after the script's last wish
 _ENDED_WITHIN_S = 120.0  # of a launcher: on a busy machine it writes the report for long
+_SAID_S = 0.1  # for which a script says good-bye: one word may be lost on a radio
 _HEARD_WITHIN_S = 0.3  # of a parting wish
 _OVER = Phase.IDLE, Phase.FAULT, Phase.ESTOP
 
@@ -42,6 +43,7 @@ class LiveLink:
     """A run that is on: an arena's, which stays when the script leaves."""
 
     folder: Path | None = None
+    ends = False
 
     def __init__(
         self, config: Config, group: str, endpoint: str | Sequence[str], credentials: Credentials | None = None,
@@ -123,7 +125,7 @@ class LiveLink:
 
     def done(self, parting: bytes) -> dict[str, Any] | None:
         """Leave; the robots stand, and the run goes on."""
-        self._part(parting, lambda: False)
+        self._part(parting, lambda: False, _SAID_S)
         self._bus.close()
         return None
 
@@ -230,6 +232,8 @@ class OwnRun:
 
 class OwnRunLink(LiveLink):
     """A run of the script's own, which ends with the script."""
+
+    ends = True
 
     def __init__(self, config: Config, group: str, name: str, folder: Path | None) -> None:
         """Start it, and join; FleetError where it does not come to it."""

@@ -31,6 +31,8 @@ _REST_S = 1.0  # after the stop: wheels come to rest
 class LockstepLink:
     """A run that goes on while its script waits for a tick, and at no other time."""
 
+    ends = True
+
     def __init__(self, config: Config, group: str, name: str, folder: Path | None) -> None:
         """Put the run together; ``name``: the configuration's, for the summary."""
         self.config, self.folder, self._name = config, folder, name
