@@ -38,6 +38,7 @@ Goal = Sequence[float]  # x, y [m], and the heading [deg]
 _BEYOND = 1e6  # [m/s, rad/s]: as the controller refuses it
 _LONGEST_NOTE = 100_000  # [bytes]
 _OTHERS_S = 1.0  # for which another script's wishes are done and not ours
+_EPOCH_BITS = 30  # a figure of the group tells it, and no figure is beyond 1e9
 _ROUNDING = 1e-9
 _COLUMNS = len(RobotTick._fields)
 
@@ -79,7 +80,7 @@ class Fleet:
     # The run
 
     def open(self) -> Self:
-        """Begin the run, or join it; returns when its robots may drive.
+        """Begin a run, and return when its robots may drive; or join an arena's, which may be held.
 
         Raises:
             ConfigError: if the configuration cannot work: a line for each fault.
@@ -94,7 +95,8 @@ class Fleet:
         )
         self._begin(link, script_runs.group_of(link.config, self._group))
         try:
-            self._next()
+            if link.ends:  # an arena's may be held: the script can resume it
+                self._next()
         except BaseException as error:
             self.close(f"the run did not go on: {error}")
             raise
@@ -114,7 +116,7 @@ class Fleet:
         self._arrival = before + 2 + columns.index("arrived")
         self._items_at, self._count = TICK_RECORD.head_dtype.itemsize, len(config.members)
         rng = slices.generator(config.run.seed, "script", group)
-        self._epoch = slices.drawn_id(rng, 32) if self._lockstep else secrets.randbits(31) + 1
+        self._epoch = slices.drawn_id(rng, _EPOCH_BITS) if self._lockstep else 1 + secrets.randbits(_EPOCH_BITS - 1)
         self._seq = self._notes = self._order = 0
         self._tick_s: float = config.controller.tick_s
         self._told = np.zeros(len(self._team), SCRIPT_WISH.item_dtype)

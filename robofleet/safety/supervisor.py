@@ -198,7 +198,7 @@ CAUSES = {
     Event.BEHAVIOUR_LATE: "{group} took longer than its share of a tick",
     Event.BEHAVIOUR_STANDS: "{group} failed, and all its robots stand",
     Event.SCRIPT_SILENT: "{group} no longer hears from its script: it has ended, hangs, or was stopped",
-    Event.SCRIPT_FAILED: "the script of {group} has ended by an error",
+    Event.SCRIPT_FAILED: "{group} has lost its script: it ended by an error",
     Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
     Event.NOT_STARTED: "nobody started the fleet in time, and its checks are too old",

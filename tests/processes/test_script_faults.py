@@ -1,0 +1,152 @@
+"""A script that fails in real time: its robots stand at once, the run is held with a cause, another one goes on."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS
+from robofleet.comms.keys import WISH, key
+from robofleet.comms.messages import SCRIPT_WISH
+from robofleet.recording.reading import read
+from robofleet.recording.run import Recording, Run
+from robofleet.safety.supervisor import Event
+from tests.processes.realrun import RealRun, own_folders, wait
+
+CONFIG = Path(__file__).parents[2] / "configs" / "script.yaml"
+TARGET_MS, OUTPUT_MS = 230, 330  # after the newest wish's tick; the output follows along a ramp
+WITHIN_S = 60.0
+SCRIPT = """
+import sys, time
+import numpy as np
+from robofleet import Fleet
+
+def body(fleet, t):
+{body}
+
+with Fleet("script") as fleet:
+    if fleet.phase == "hold":
+        fleet.resume()
+    for t in fleet.ticks():
+        fleet.drive(np.tile([0.05, 0.4], (4, 1)))
+        if t > 1.0:
+            print("driving", flush=True)
+            body(fleet, t)
+"""
+
+
+class Scripts:
+    """A run, and the scripts that join it, one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.run = RealRun(folder, "--set", "tracker.source=truth", config=CONFIG)
+        self._environment = own_folders(folder)
+        self.said = 0
+        self._started: list[subprocess.Popen[str]] = []
+
+    def start(self, body: str) -> "subprocess.Popen[str]":
+        """Start a script and wait until it has driven for a second."""
+        self.said += 1
+        file = self._folder / f"script{self.said}.py"
+        file.write_text(SCRIPT.format(body="".join(f"    {line}\n" for line in body.splitlines())))
+        with (self._folder / f"script{self.said}.stderr").open("w") as errors:
+            script = subprocess.Popen(
+                [sys.executable, str(file)], stdout=subprocess.PIPE, stderr=errors, text=True, env=self._environment
+            )
+        self._started.append(script)
+        assert script.stdout is not None
+        assert script.stdout.readline() == "driving\n", self.errors
+        return script
+
+    def clean_up(self) -> None:
+        for script in self._started:
+            script.kill()
+            script.communicate()
+        self.run.clean_up()
+
+    @property
+    def errors(self) -> str:
+        return (self._folder / f"script{self.said}.stderr").read_text()
+
+    def status(self) -> str:
+        return self.run.robofleet("status", "--json").stdout
+
+    def wait_until_held(self, cause: str) -> None:
+        assert wait(lambda: cause in self.status() and "hold" in self.status(), WITHIN_S), self.status()
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scripts]:
+    one = Scripts(tmp_path_factory.mktemp("scripts"))
+    try:
+        one.run.wait_until_running()
+        yield one
+    finally:
+        one.clean_up()
+
+
+def stops(recording: Recording) -> list[tuple[Event, float, float]]:
+    """Return of each hold its cause, and from the newest wish's tick to zero targets and to zero outputs [ms]."""
+    arena = recording.config.arena.name
+    run = Run(recording, every_tick=True)
+    ticks = dict(zip(run.ticks["tick"].tolist(), run.ticks["stamp_ns"].tolist(), strict=True))
+    failed = run.items["failed"][:, 0]
+    found = []
+    for k in np.flatnonzero((failed > 0) & (np.roll(failed, 1) == 0)).tolist():
+        newest = run.told[0].figures["wish"][k, 0]
+        wishes = [SCRIPT_WISH.decode_head(p) for p in recording.messages[key(arena, WISH, "script")]]
+        epoch = run.told[0].figures["wish_epoch"][k, 0]
+        said = next(w for w in wishes if w is not None and (w.epoch, w.seq) == (epoch, newest))
+        since_ns = ticks[said.echo_tick]
+        assert not np.abs(run.items["left_rad_s"][k:][:3]).any()  # what is commanded from that tick on
+        target_ms = (int(run.ticks["stamp_ns"][k]) + int(run.ticks["lateness_ns"][k]) - since_ns) / MS
+        output_ms = (
+            max(
+                int(rows["stamp_ns"][(rows["stamp_ns"] > since_ns) & (rows["left_output_rad_s"] == 0.0)][0]) - since_ns
+                for rows in run.statuses
+            )
+            / MS
+        )
+        found.append((Event(int(failed[k])), target_ms, output_ms))
+    return found
+
+
+CASES: dict[str, tuple[str, Callable[["subprocess.Popen[str]"], object], Event]] = {
+    "killed": ("pass", lambda script: script.kill(), Event.SCRIPT_SILENT),
+    "stopped as in a debugger": ("pass", lambda script: script.send_signal(signal.SIGSTOP), Event.SCRIPT_SILENT),
+    "hangs": ("time.sleep(1000)", lambda _: None, Event.SCRIPT_SILENT),
+    "raises": ("raise RuntimeError('no solution')", lambda _: None, Event.SCRIPT_FAILED),
+    "sends at 1 kHz, then dies": (
+        "end = time.monotonic() + 2\nwhile time.monotonic() < end:\n"
+        "    fleet.drive(np.tile([0.05, -0.4], (4, 1)))\n    time.sleep(0.001)\nimport os; os._exit(1)",
+        lambda _: None,
+        Event.SCRIPT_SILENT,
+    ),
+}  # fmt: skip
+WORDS = {
+    Event.SCRIPT_SILENT: "r1: the behaviour of its group no longer hears from its script",
+    Event.SCRIPT_FAILED: "r1: the behaviour of its group has lost its script: it ended by an error",
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scripts: Scripts, case: str) -> None:
+    body, strike, event = CASES[case]
+    before = len(stops(read(scripts.run.folder)))
+    script = scripts.start(body)
+    strike(script)
+    scripts.wait_until_held(WORDS[event])
+    script.kill()
+    script.wait()
+    if event is Event.SCRIPT_FAILED:
+        assert "RuntimeError: no solution" in scripts.errors
+    (stop,) = stops(read(scripts.run.folder))[before:]
+    print(case, stop)
+    assert stop[0] is event
+    assert stop[1] <= TARGET_MS
+    assert stop[2] <= OUTPUT_MS
