@@ -8,14 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
 import robofleet
 from robofleet import Fleet, FleetError
 from robofleet.cli import app
 from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD, RobotWish, ScriptWish
+from robofleet.recording import notes
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
+from robofleet.recording.timeline import Timeline
 from robofleet.safety.supervisor import Event
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -245,3 +249,36 @@ def test_who_is_not_open_and_what_is_no_run_is_refused_in_a_line(tmp_path: Path)
     (tmp_path / "file").touch()
     with pytest.raises(FleetError, match="exists already and is not empty"):
         fleet(out=tmp_path).open()
+
+
+def test_what_a_script_says_marks_and_keeps_is_in_the_recording_the_report_and_the_summary(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with fleet(out=out) as driven:
+        for k, _ in enumerate(driven.ticks(0.3)):
+            driven.drive(np.zeros((4, 2)))
+            driven.mark("centre", driven.points.mean(axis=0))
+            driven.mark("gone", [[0.0, 0.0]] if k < 3 else [])
+        driven.mark("wall", [[-0.2, 0.3], [0.2, 0.3], [0.2, 0.4]], line=True)
+        driven.say("formation\nclosed")
+        driven.keep(rounds=3, error_mm=np.float64(1.5), gains=np.array([1.0, np.nan]))
+        driven.keep(rounds=4, law="consensus")
+    kept = driven.summary["groups"]["script"]["kept"]
+    assert kept == {"rounds": 4, "error_mm": 1.5, "gains": [1.0, None], "law": "consensus"}
+    assert json.loads((out / "summary.json").read_text())["groups"]["script"]["kept"] == kept
+    recording = read(out)
+    marks = notes.marks(recording, "script")
+    assert [(type(mark).__name__, mark.name, len(mark.points)) for mark in marks] == [
+        ("Dots", "centre", 1), ("Line", "wall", 3),
+    ]  # fmt: skip
+    assert [note.line for note in notes.of_group(recording, "script") if note.line] == [r"formation\nclosed"]
+    assert "formation\\nclosed" in [entry.what for entry in Timeline(Run(recording), ()).entries]
+    drawn = {entity.id: entity for entity in shown(out, "/arena")}
+    assert {"script/centre", "script/wall"} <= drawn.keys()
+    assert len(drawn["script/wall"].lines[0].points) == 3
+
+
+def shown(out: Path, topic: str) -> list[Any]:
+    """Return the entities that viewers draw of a topic, in their order."""
+    with (out / "run.mcap").open("rb") as stream:
+        messages = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=[topic])
+        return [entity for message in messages for entity in message.decoded_message.entities]

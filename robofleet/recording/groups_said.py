@@ -25,7 +25,9 @@ class _Figure(_Believed):
     live: bool = True
 
 
-class _Shape(_Believed):
+class ShapeSaid(_Believed):
+    """A shape on the floor."""
+
     kind: Literal["Line", "Dots"]
     name: _Text
     points: Annotated[list[tuple[_Number, _Number]], Field(max_length=_MOST_POINTS)]
@@ -38,7 +40,7 @@ class _Group(_Believed):
     behaviour: _Text
     robots: list[_Text]
     figures: Annotated[list[_Figure], Field(max_length=_MOST_FIGURES)]
-    shapes: Annotated[list[_Shape], Field(max_length=_MOST_SHAPES)]
+    shapes: Annotated[list[ShapeSaid], Field(max_length=_MOST_SHAPES)]
 
 
 _GROUPS = TypeAdapter(list[_Group])

@@ -59,6 +59,11 @@ def news_line(news: TrackerNews) -> Line:
     return Line(level, "tracker", describe(news.event, news.tag, news.value))
 
 
+def said_line(group: str, words: str) -> Line:
+    """Return what the script of a group said."""
+    return Line(Level.INFO, group, words)
+
+
 def busy_line(message: BusyMachine, robots: tuple[str, ...]) -> Line:
     """Return that the machine is too busy for the run: the first message says so."""
     return Line(Level.WARNING, "supervisor", busy_machine.notice(message, robots))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.comms.keys import BUSY, key
-from robofleet.recording import busy_machine
+from robofleet.recording import busy_machine, notes
 from robofleet.recording.bounds import judged
 from robofleet.recording.causes import named
 from robofleet.recording.measures import compute_us, delays_ms, pose_errors
@@ -46,7 +46,7 @@ def summary(
     """
     run, config = run or Run(recording), recording.config
     duration_s = float(run.t[-1]) if len(run.t) else 0.0
-    groups = _groups(run)
+    groups = _groups(run, recording)
     figures = {
         "version": 1,
         "config": name,
@@ -81,11 +81,13 @@ def summary(
     return figures | {"bounds": judged(figures, config.run.bounds)}
 
 
-def _groups(run: Run) -> Figures:
-    """Each group's own figures; ``asked``: what a measure should be, where the behaviour says so."""
+def _groups(run: Run, recording: Recording) -> Figures:
+    """Each group's own figures; ``asked``: what a measure should be, where the behaviour says so; ``kept``: what its
+    scripts kept."""
     return {
         part.said.name: part.summary()
         | {"behaviour": part.said.behaviour, "robots": list(part.said.robots), "asked": part.gauge.asked}
+        | ({"kept": own} if (own := notes.kept(recording, part.said.name)) else {})
         for part in run.parts
     }
 

@@ -9,6 +9,7 @@ from matplotlib.patheffects import withStroke
 from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config.robots import Robot
 from robofleet.figures import INK, QUIET, robot_colours
+from robofleet.recording import notes
 from robofleet.recording.canvas import ALARM, WIDTH, View, phase_colour, sheet
 from robofleet.recording.run import Array
 from robofleet.recording.timeline import CONTROLLER, FAULTS, TRACKER, Entry
@@ -51,7 +52,7 @@ def floor(view: View) -> tuple[Figure, Axes]:
     axes.axis("off")
     axes.add_patch(Rectangle((-width / 2, -height / 2), width, height, fc="none", ec=QUIET, lw=1.0))
     for group in view.series.run.groups:
-        for shape in group.shapes:
+        for shape in (*group.shapes, *notes.marks(view.recording, group.name)):
             _shape(axes, shape, dict(zip(view.series.robots, view.colours, strict=True)))
     below = -height / 2 - _AROUND_M / 2
     axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)

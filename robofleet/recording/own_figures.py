@@ -30,7 +30,10 @@ def own_figures(group: Mapping[str, Any]) -> Iterator[OwnFigure]:
     """Yield what can be shown of a group's part of the summary."""
     robots = len(group["robots"])
     for key, value in group.items():
-        if key in ("behaviour", "robots", "asked"):
+        if key == "kept":  # by the group's script: plain numbers are shown
+            numbers = {name: number for name, number in value.items() if _is_number(number)}
+            yield from (OwnFigure(name, *words(name), number, None, ()) for name, number in numbers.items())
+        if key in ("behaviour", "robots", "asked", "kept"):
             continue
         label, unit = words(key)
         if value is None or _is_number(value):

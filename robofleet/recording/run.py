@@ -218,7 +218,7 @@ class Run:
     """
 
     def __init__(self, recording: Recording, *, every_tick: bool = False) -> None:
-        self._recording = recording
+        self.recording = recording
         config = self.config = recording.config
         arena, robots = config.arena.name, config.members
         dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups))
@@ -260,7 +260,7 @@ class Run:
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
         parts = []
-        for gauge, told, of in zip(self._recording.gauges, self.told, groups.rows(config.groups), strict=True):
+        for gauge, told, of in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
             figures = {name: values[running] for name, values in told.figures.items()}
             past = Past(
                 t, poses[:, of], points[:, of], self.known[of], settled, spaced, told.references[running], figures
@@ -278,7 +278,7 @@ class Run:
         """For each robot the row of the newest status that came before each tick (K,); -1: there was none."""
         if not len(self.ticks):
             return []
-        size, placed = self.all_ticks.dtype.itemsize, self._recording.placed(key(self.config.arena.name, TICK))
+        size, placed = self.all_ticks.dtype.itemsize, self.recording.placed(key(self.config.arena.name, TICK))
         ticks = np.array([place for place, p in placed if len(p) == size], np.uint64)[self._counted]
         return [np.searchsorted(places, ticks) - 1 for places in self.status_places]
 

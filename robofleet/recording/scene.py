@@ -21,13 +21,14 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from robofleet.behaviours import described
 from robofleet.clock import S
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import BUSY, CAMERA, NEWS, NOTE, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import BUSY_MACHINE, FLEET_POSES, RUN_STATE, TRACKER_NEWS, UNIT_STATUS, FleetPoses
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
 from robofleet.recording import shapes
 from robofleet.recording.fleet_scene import FleetScene, Said, pose_topic, stamp
-from robofleet.recording.lines import Line, busy_line, latch_line, news_line, state_lines
+from robofleet.recording.lines import Line, busy_line, latch_line, news_line, said_line, state_lines
+from robofleet.recording.notes import noted
 from robofleet.recording.overlay import Overlay
 
 _PERIOD_NS = S // 10
@@ -100,7 +101,20 @@ class Scene:
         for unit, robots in self._config.units.items():
             takes[key(arena, STATUS, unit)] = partial(self._status, [rows[robot] for robot in robots])
             takes[key(arena, TRUTH, unit)] = partial(self._fleet.truth, unit)
+        for group in self._said:
+            takes[key(arena, NOTE, group.name)] = partial(self._noted, group.name)
         return takes
+
+    def _noted(self, group: str, payload: bytes, date_ns: int) -> Said:
+        note = noted(payload)
+        if note is None:
+            return ()
+        if note.line is not None:
+            return _log([said_line(group, note.line)], date_ns)
+        if note.mark is None:
+            return ()
+        robots = [robot.id for robot in self._config.members]
+        return (("/arena", shapes.mark(group, note.mark, robots, stamp(date_ns))),)
 
     def _unchanging(self, date_ns: int) -> Said:
         at = stamp(date_ns)

@@ -17,6 +17,8 @@ from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
@@ -62,6 +64,14 @@ def arena(config: Config, said: Sequence[described.Group], at: Timestamp) -> lis
         SceneEntity(timestamp=at, frame_id=WORLD, id="arena", lines=[edge]),
         *(_shape(f"{group.name}/{shape.name}", shape, robots, at) for group in said for shape in group.shapes),
     ]
+
+
+def mark(group: str, shape: Shape, robots: list[str], at: Timestamp) -> SceneUpdate:
+    """Return a mark of a script; one without points is taken away."""
+    name = f"{group}/{shape.name}"
+    if not len(shape.points):
+        return SceneUpdate(deletions=[SceneEntityDeletion(timestamp=at, id=name)])
+    return SceneUpdate(entities=[_shape(name, shape, robots, at)])
 
 
 def _shape(name: str, shape: Shape, robots: list[str], at: Timestamp) -> SceneEntity:

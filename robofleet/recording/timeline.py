@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.troubles import InjectedFault
+from robofleet.recording import notes
 from robofleet.recording.causes import named, run_cause
 from robofleet.recording.run import Run
 from robofleet.safety.supervisor import Phase
@@ -56,7 +57,7 @@ class Timeline:
         self.shown_s = max(self.begin_s, awake - _IDLE_SHOWN_S)  # kernels may have been compiled for a minute before
         said = [Entry(s.t_s, s.t_s, RUN, f"{s.name}: {s.cause}" if s.cause else s.name) for s in self.phases]
         halts = [Entry(s["t_s"], s["t_s"], s["robot"], s["cause"], stop=True) for s in stops]
-        found = *said, *halts, *self._news(), *self._overruns(), *self._barrier(), *self._faults()
+        found = *said, *halts, *self._news(), *self._overruns(), *self._barrier(), *self._faults(), *self._said()
         self.entries = sorted(found, key=lambda entry: entry.t_s)
 
     def _seconds(self, stamps: NDArray[Any]) -> NDArray[np.float64]:
@@ -77,6 +78,15 @@ class Timeline:
             until = changes[k + 1][0] if k + 1 < len(changes) else max(t, self.end_s)
             cause = run_cause(state, robots) if state.cause else ""
             yield Span(t, until, state.phase, named(Phase, state.phase), cause)
+
+    def _said(self) -> Iterator[Entry]:
+        """Yield what scripts said; a note has no stamp of its own: it knows the newest tick."""
+        ticks = self._run.all_ticks
+        stamps = dict(zip(ticks["tick"].tolist(), self._seconds(ticks["stamp_ns"]).tolist(), strict=True))
+        for group in self._run.groups:
+            for note in notes.of_group(self._run.recording, group.name):
+                if note.line is not None and (t := stamps.get(note.echo_tick)) is not None:
+                    yield Entry(t, t, group.name, note.line)
 
     def _news(self) -> Iterator[Entry]:
         robots = {robot.tag: robot.id for robot in self._run.config.robots}

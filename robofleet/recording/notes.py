@@ -1,0 +1,91 @@
+"""What scripts noted for people: lines, marks on the floor, figures of the run. It may come from a stranger."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field, JsonValue, TypeAdapter, ValidationError
+
+from robofleet.behaviours.described import shape_from_plain
+from robofleet.behaviours.interface import Shape
+from robofleet.comms.keys import NOTE, key
+from robofleet.comms.messages import NOTE as LAYOUT
+from robofleet.comms.messages import NoteKind
+from robofleet.config.yamlfile import printable
+from robofleet.recording.groups_said import ShapeSaid
+from robofleet.recording.run import Recording
+
+_MOST_MARKS = 100  # of a group, by name: more are not drawn
+_TEXT = TypeAdapter(Annotated[str, Field(max_length=100_000)])
+_FIGURES = TypeAdapter(dict[Annotated[str, Field(max_length=100)], JsonValue])
+
+
+class Noted(NamedTuple):
+    """A note: one of the three."""
+
+    echo_tick: int  # the newest tick that the script knew
+    line: str | None = None
+    mark: Shape | None = None  # without points: it is taken away
+    figures: dict[str, Any] | None = None
+
+
+def noted(payload: bytes) -> Noted | None:
+    """Return what a message notes; None where it cannot be read."""
+    note = LAYOUT.decode(payload)
+    if note is None:
+        return None
+    try:
+        if note.kind == NoteKind.SAY:
+            return Noted(note.echo_tick, line=printable(_TEXT.validate_json(note.text)))
+        if note.kind == NoteKind.MARK:
+            told = ShapeSaid.model_validate_json(note.text).model_dump(exclude_unset=True)
+            return Noted(note.echo_tick, mark=shape_from_plain(told))
+        if note.kind == NoteKind.KEEP:
+            return Noted(note.echo_tick, figures=_FIGURES.validate_json(note.text))
+    except (ValidationError, TypeError, ValueError):
+        pass
+    return None
+
+
+def of_group(recording: Recording, group: str) -> Iterator[Noted]:
+    """Yield a group's notes, in their order."""
+    for payload in recording.messages.get(key(recording.config.arena.name, NOTE, group), ()):
+        if (note := noted(payload)) is not None:
+            yield note
+
+
+def kept(recording: Recording, group: str) -> dict[str, Any]:
+    """Return the figures that a group's scripts kept: of one name the newest."""
+    found: dict[str, Any] = {}
+    for note in of_group(recording, group):
+        found |= note.figures or {}
+    return found
+
+
+class Marks:
+    """The marks of a group that are on the floor, by their names."""
+
+    def __init__(self) -> None:
+        self._shapes: dict[str, Shape] = {}
+
+    def take(self, mark: Shape) -> bool:
+        """Take a mark; returns whether it changes what is drawn."""
+        if not len(mark.points):
+            return self._shapes.pop(mark.name, None) is not None
+        if mark.name not in self._shapes and len(self._shapes) >= _MOST_MARKS:
+            return False
+        self._shapes[mark.name] = mark
+        return True
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """What is drawn."""
+        return tuple(self._shapes.values())
+
+
+def marks(recording: Recording, group: str) -> tuple[Shape, ...]:
+    """Return the marks that were on the floor when the run ended."""
+    found = Marks()
+    for note in of_group(recording, group):
+        if note.mark is not None:
+            found.take(note.mark)
+    return found.shapes
