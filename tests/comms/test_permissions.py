@@ -11,7 +11,7 @@ import zenoh
 from robofleet.clock import WallClock
 from robofleet.comms.authority import ROUTER, Authority, identities
 from robofleet.comms.credentials import Credentials, session_id
-from robofleet.comms.keys import ALIVE, ASKED, CAMERA, TOPICS, Topic, key
+from robofleet.comms.keys import ALIVE, ASKED, CAMERA, NOTE, SAFE_REQUEST, TOPICS, WISH, Topic, key
 from robofleet.comms.permissions import (
     ANSWERS,
     ASKS,
@@ -30,7 +30,13 @@ from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"
 UNITS = "r1", "r2"
-NAMES = {"unit": UNITS, "sim": UNITS, "poses": (CAMERA,), "request": ("supervisor", "tracker")}
+NAMES = {
+    "unit": UNITS,
+    "sim": UNITS,
+    "poses": (CAMERA,),
+    "request": ("supervisor", "tracker"),
+    "group": ("left", "right"),
+}
 CLOCK = WallClock()
 WITHIN_S = 5.0
 
@@ -241,6 +247,10 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     ]
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
+    wishes = {key(ARENA, WISH, group) for group in NAMES["group"]}
+    assert [one.name for one in who if may[one.name, SAYS] & wishes] == ["script"]
+    assert may["script", SAYS] - wishes == {key(ARENA, NOTE, group) for group in NAMES["group"]}
+    assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
     assert may["viewer", SAYS] == may["operator", SAYS] == set()
     assert set(PROCESSES) < set(ROLES)
     assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])

@@ -12,7 +12,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from robofleet.clock import MS, S
-from robofleet.comms.messages import TagPose
+from robofleet.comms import keys, messages
+from robofleet.comms.messages import Note, NoteKind, TagPose
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
@@ -90,6 +91,24 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
     assert (second["gate"], second["halted"]) == ("open", None)
     assert 0 <= second["age_ms"] < 1000
     assert (third["lost"], third["x_m"], third["gate"], third["age_ms"]) == (1, None, None, None)
+
+
+SCRIPT = Path(__file__).parents[2] / "configs" / "script.yaml"
+
+
+def test_what_a_script_says_is_a_line_and_what_it_marks_is_on_the_floor(tmp_path: Path) -> None:
+    marks = [("Dots", "centre", [[0.1, 0.2]]), ("Line", "wall", [[0.0, 0.0], [1.0, 0.0]]), ("Dots", "centre", [])]
+    with web_stand(tmp_path, file=SCRIPT) as stand, stand.page() as page:
+        page.next("hello")
+        note = stand._bus.publisher(keys.NOTE, "script")
+        for k, (kind, name, points) in enumerate(marks):
+            text = json.dumps({"kind": kind, "name": name, "points": points})
+            note(messages.NOTE.encode(Note(1, k, 0, NoteKind.MARK, text.encode())))
+        note(messages.NOTE.encode(Note(1, 9, 0, NoteKind.MARK, b"{}")))  # it is nothing
+        note(messages.NOTE.encode(Note(1, 10, 0, NoteKind.SAY, b'"<b>closed</b>"')))
+        shapes = page.next("shapes", lambda frame: [one["name"] for one in frame["groups"][0]] == ["wall"])
+        assert shapes["groups"][0][0]["points"] == [[0.0, 0.0], [1.0, 0.0]]
+        assert page.next("event", lambda event: "closed" in event["text"])["text"] == "script: <b>closed</b>"
 
 
 TWO = Path(__file__).with_name("two_groups.yaml")

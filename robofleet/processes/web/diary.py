@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from robofleet.comms.messages import RunState, TrackerNews
 from robofleet.processes.web.frames import Frame, event
 from robofleet.processes.web.hearing import Hearing
-from robofleet.recording.lines import Line, busy_line, latch_line, news_line, state_lines
+from robofleet.recording.lines import Line, busy_line, latch_line, news_line, said_line, state_lines
 from robofleet.safety.gate import Latch
 
 _KEPT = 100  # lines, for who opens the page later
@@ -39,6 +39,7 @@ class Diary:
             lines.append(busy_line(hearing.busy, self._robots))
         lines += self._gates(hearing)
         lines += map(news_line, news)
+        lines += [said_line(group, note.line) for group, note in hearing.notes if note.line is not None]
         for level, name, words in lines:
             told = words if name == "supervisor" else f"{name}: {words}"
             self._lines.append(event(hearing.t_s, level.name.lower(), told))

@@ -19,6 +19,7 @@ from robofleet.processes.web.diary import Diary
 from robofleet.processes.web.frames import Frame
 from robofleet.processes.web.hearing import Hearing
 from robofleet.processes.web.words import phase_name
+from robofleet.recording.notes import Marks
 from robofleet.tracking.outlines import TagOutlines
 from robofleet.valid_json import dumps
 
@@ -42,6 +43,8 @@ class Feed:
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
         self._groups = groups.descriptions(config)
         self.hello = dumps(frames.hello(config, self._groups, folder))
+        self._marks = [Marks() for _ in self._groups]  # of each group's scripts
+        self.marked = 0  # changes of them
         self.hearing = Hearing(config, bus, clock, self._wake)
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
@@ -84,6 +87,17 @@ class Feed:
             self._picture = shown.picture.exposure_ns, dumps(frame, compact=True)
         return self._picture
 
+    def shapes(self) -> str:
+        """Return what is drawn on the floor now."""
+        return dumps(frames.shapes(self._groups, [marks.shapes for marks in self._marks]), compact=True)
+
+    def _mark(self) -> None:
+        """Take the scripts' new marks."""
+        places = {group.name: k for k, group in enumerate(self._groups)}
+        for group, note in self.hearing.notes:
+            if note.mark is not None:
+                self.marked += self._marks[places[group]].take(note.mark)
+
     def beat(self) -> str:
         """Return the ages of the newest words."""
         return dumps(frames.beat(self.hearing, self._clock.now_ns()))
@@ -113,6 +127,7 @@ class Feed:
             return
         self._looked_ns = now_ns
         self.diary.look(self.hearing, self.hearing.hear_the_rest())
+        self._mark()
         self.seq += 1
         self.record_ns = self.hearing.record_ns if self.hearing.record_ns != before_ns else 0
         for page in self.pages:
@@ -131,6 +146,8 @@ class Page:
         self._sent_ns = 0
         self._phase = ""  # that it was sent last
         self._beat_ns = 0
+        self._marked = 0  # of the feed's changes of marks that it was sent
+        self._marked_ns = 0
         self._written = 0  # lines of the diary sent
         self._exposure_ns = 0  # of the newest picture sent
         self._ended: Frame | None = None  # that it was told
@@ -180,6 +197,9 @@ class Page:
             self._seq, self._sent_ns, self._phase = feed.seq, feed.now_ns(), feed.phase
             self._undrawn.append((feed.seq, feed.record_ns))
             yield feed.tick()
+        if feed.marked != self._marked and feed.now_ns() - self._marked_ns >= _BEAT_NS:
+            self._marked, self._marked_ns = feed.marked, feed.now_ns()
+            yield feed.shapes()
         if feed.now_ns() - self._beat_ns >= _BEAT_NS:
             self._beat_ns = feed.now_ns()
             yield feed.beat()

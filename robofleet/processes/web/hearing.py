@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Inbox, Wake
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, PICTURE, POSES, STATE, TICK, key
+from robofleet.comms.keys import BUSY, CAMERA, NEWS, NOTE, PICTURE, POSES, STATE, TICK, key
 from robofleet.comms.messages import (
     BUSY_MACHINE,
     FLEET_POSES,
@@ -23,12 +23,15 @@ from robofleet.comms.messages import (
 )
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.comms.statuses import Statuses
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.processes.on_the_way import OnTheWay
+from robofleet.recording.notes import Noted, noted
 from robofleet.safety.supervisor import Phase
 
 _IMAGES = 64  # two seconds of a camera, by which its rate is told
 _NEWS = 64
+_NOTES = 256  # of a group's script, between two looks
 _POSES_WITHIN_NS = 200 * MS  # of a picture's arrival; it is shown without outlines then
 _SILENT_NS = S  # a controller that says nothing for so long is not there
 
@@ -52,6 +55,8 @@ class Hearing:
         self.statuses: list[RobotStatus | None] = [None] * len(robots)  # the newest ones
         self._frames = bus.stream(key(arena, POSES, CAMERA), capacity=_IMAGES)
         self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_NEWS)
+        self._notes = {group: bus.stream(key(arena, NOTE, group), capacity=_NOTES) for group in groups.scripted(config)}
+        self.notes: list[tuple[str, Noted]] = []  # that came since the look before, and of which group
         self._pictures = bus.newest(PICTURE, CAMERA)
         self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE.decode)
         self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
@@ -100,6 +105,8 @@ class Hearing:
                 seen = (pose for pose in image.poses if pose.tag in self._parked and pose.coasted_ns == 0)
                 self.standing.update((self._parked[pose.tag], pose) for pose in seen)
         self._show(now_ns)
+        came = ((group, noted(payload)) for group, notes in self._notes.items() for *_, payload in notes.drain())
+        self.notes = [(group, note) for group, note in came if note is not None]
         news = (TRACKER_NEWS.decode(payload) for *_, payload in self._news.drain())
         return [item for item in news if item is not None]
 

@@ -43,6 +43,11 @@ export class Arena {
     this.#resize();
   }
 
+  /** Draw again what is on the floor. */
+  redraw() {
+    this.#see();
+  }
+
   /** Draw a tick; while nobody tells any robot's place the last ones stay. */
   draw(robots) {
     if (this.#tick && robots.every((robot) => robot.x_m === null)) return;

@@ -59,6 +59,11 @@ const frames = {
     }
     enter(tick);
   },
+  shapes({ groups }) {
+    groups.forEach((shapes, k) => (state.hello.groups[k].shapes = shapes));
+    arena.redraw();
+    legend.begin(state.hello);
+  },
   event: addEvent,
   answer: (answer) => controls.answered(answer),
   picture: (picture) => camera.draw(picture),
