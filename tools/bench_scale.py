@@ -13,6 +13,7 @@ import numpy as np
 from bench_tracker import Row, percentiles
 from numpy.typing import NDArray
 
+from robofleet import Fleet
 from robofleet.behaviours.platoon import Platoon
 from robofleet.clock import MS, S, SimulatedClock, processor_ns
 from robofleet.comms.bus import MemoryBus
@@ -28,7 +29,8 @@ from robofleet.safety.supervisor import NOBODY, Phase
 
 Array = NDArray[np.float64]
 
-PLATOON = Path(__file__).resolve().parents[1] / "configs" / "platoon.yaml"
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+PLATOON, SCRIPT = CONFIGS / "platoon.yaml", CONFIGS / "script.yaml"
 _IN_A_PLATOON = 20
 _MOST_AT_THE_ROBOTARIUM = 22  # its barrier fails beyond
 _ARMED_WITHIN_S, _LASTING_S = 120.0, 5.0
@@ -39,7 +41,7 @@ _NOISE = 3e-4, 3e-4, 4e-3  # of a pose [m, m, rad]
 
 def rows() -> list[Row]:
     """Return the rows."""
-    return [*controller_ticks(), *lockstep_seconds()]
+    return [*controller_ticks(), *lockstep_seconds(), *script_seconds()]
 
 
 def lockstep_seconds() -> list[Row]:
@@ -63,6 +65,49 @@ def lockstep_seconds() -> list[Row]:
             other = statistics.median(theirs)
             found.append({"what": what, "who": "Robotarium", "value": other, "unit": "ms", "ratio": other / value})
     return found
+
+
+def script_seconds() -> list[Row]:
+    """The CPU time of a simulated second in which a script drives circles in lockstep, medians of three.
+
+    With the barrier, without a camera and a recording; beside it the Robotarium's simulator, as above.
+    """
+    found = []
+    for count in (4, 20):
+        peer, ours, theirs = os.environ.get("ROBOTARIUM"), [], []
+        with Fleet(SCRIPT, lockstep=True, out=False, settings=_in_rows(count)) as driven:
+            _script_second_ms(driven)
+            for _ in range(3):
+                ours.append(_script_second_ms(driven))
+                theirs += [_robotarium_ms(Path(peer), count)] if peer else []
+        what, value = f"a simulated second of a script, {count} robots, CPU", statistics.median(ours)
+        found.append({"what": what, "who": "robofleet", "value": value, "unit": "ms", "ratio": 1.0})
+        if theirs:
+            other = statistics.median(theirs)
+            found.append({"what": what, "who": "Robotarium", "value": other, "unit": "ms", "ratio": other / value})
+    return found
+
+
+def _in_rows(count: int) -> list[str]:
+    """Return the keys of so many robots that stand as those of ``bench_robotarium.py``."""
+    columns = math.ceil(math.sqrt(count * 1.6))
+    robots = [
+        {"id": f"r{k + 1}", "tag": k + 1, "vehicle": "gternal", "start": {
+            "x_m": k % columns * 2.4 / max(1, columns - 1) - 1.2, "y_m": k // columns * 0.38 - 0.6, "heading_deg": 0}}
+        for k in range(count)
+    ]  # fmt: skip
+    ids = [robot["id"] for robot in robots]
+    return ["tracker.source=truth", f"robots={json.dumps(robots)}", f"groups.0.robots={json.dumps(ids)}"]
+
+
+def _script_second_ms(driven: Fleet) -> float:
+    """Return the CPU time of the script's next second, its own loop with it."""
+    circles = np.tile([0.08, 0.4], (len(driven.robots), 1))
+    began_ns = processor_ns()
+    for _ in driven.ticks(_LASTING_S):
+        assert len(driven.poses)
+        driven.drive(circles)
+    return (processor_ns() - began_ns) / MS / _LASTING_S
 
 
 class _Drives:
