@@ -143,14 +143,14 @@ class Fleet:
         return self.open()
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
+        self, _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
     ) -> None:
         """End."""
-        if error is None or kind is GeneratorExit:
-            self.close()
-        else:
-            words = " ".join(str(error).split())
-            self.close(f"the script ended by {type(error).__name__}{words and f': {words}'}")
+        well = error is None or (isinstance(error, SystemExit) and not error.code)
+        why = f"the script ended by {type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+        if isinstance(error, KeyboardInterrupt):  # an arena's run goes on
+            well, why = self._link is None or not self._link.ends, "the operator interrupted"
+        self.close(None if well else why)
 
     # What is known
 

@@ -7,6 +7,7 @@ import fcntl
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,19 @@ def _own_modules() -> Iterator[None]:
 @pytest.fixture
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Wait until no other worker has a fleet of real processes: two on two cores keep each other from their ticks."""
+    with _nobody_else(tmp_path_factory):
+        yield
+
+
+@pytest.fixture(scope="module")
+def alone_for_a_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Wait as ``alone``, for all tests of a module: its tests do not use that one."""
+    with _nobody_else(tmp_path_factory):
+        yield
+
+
+@contextmanager
+def _nobody_else(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     shared = tmp_path_factory.getbasetemp().parent / "fleet.lock"
     with shared.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

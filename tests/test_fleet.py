@@ -242,9 +242,9 @@ def test_who_is_not_open_and_what_is_no_run_is_refused_in_a_line(tmp_path: Path)
     for use in (lambda f: f.poses, lambda f: f.phase, lambda f: f.drive([])):
         with pytest.raises(FleetError, match="not open"):
             use(Fleet(SCRIPT, lockstep=True))
-    with pytest.raises(FleetError, match="has a run|has no run"):
+    with pytest.raises(FleetError, match=r"has a run|has no run"):
         Fleet("nowhere").open()
-    with pytest.raises(robofleet.ConfigError, match="did you mean .fresh_s."):
+    with pytest.raises(robofleet.ConfigError, match="did you mean 'fresh_s'"):
         fleet("groups.0.settings.fresh=1").open()
     (tmp_path / "file").touch()
     with pytest.raises(FleetError, match="exists already and is not empty"):

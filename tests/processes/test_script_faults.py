@@ -1,5 +1,6 @@
 """A script that fails in real time: its robots stand at once, the run is held with a cause, another one goes on."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -37,6 +38,38 @@ with Fleet("script") as fleet:
             print("driving", flush=True)
             body(fleet, t)
 """
+
+
+OWN = """
+import json
+import numpy as np
+from robofleet import Fleet
+
+with Fleet({config!r}, out={out!r}, settings=["tracker.source=truth"]) as fleet:
+    fleet.go_to({{"r1": (-0.8, 0.5, 0)}})
+    for t in fleet.ticks(1):
+        fleet.drive(np.tile([0.05, 0.4], (4, 1)))
+    fleet.keep(rounds=3)
+print(json.dumps(fleet.summary))
+"""
+
+
+def test_a_run_of_its_own_begins_and_ends_with_the_script(alone_for_a_module: None, tmp_path: Path) -> None:
+    environment = own_folders(tmp_path)
+    file = tmp_path / "own.py"
+    file.write_text(OWN.format(config=str(CONFIG), out=str(tmp_path / "run")))
+    command = [sys.executable, "-W", "error", str(file)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert (said["outcome"], said["cause"]) == ("completed", None)
+    assert said["groups"]["script"]["kept"] == {"rounds": 3}
+    assert said == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert np.abs(Run(read(tmp_path / "run")).items["left_rad_s"]).max() > 0.0
+    listed = subprocess.run(
+        [sys.executable, "-m", "robofleet", "status"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert "no arena has a run" in listed.stderr
 
 
 class Scripts:
@@ -81,7 +114,7 @@ class Scripts:
 
 
 @pytest.fixture(scope="module")
-def scripts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scripts]:
+def scripts(alone_for_a_module: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scripts]:
     one = Scripts(tmp_path_factory.mktemp("scripts"))
     try:
         one.run.wait_until_running()
@@ -150,3 +183,18 @@ def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scr
     assert stop[0] is event
     assert stop[1] <= TARGET_MS
     assert stop[2] <= OUTPUT_MS
+
+
+def test_a_script_that_ends_well_leaves_a_run_that_goes_on_with_robots_that_stand(scripts: Scripts) -> None:
+    before = len(stops(read(scripts.run.folder)))
+    script = scripts.start("sys.exit()")
+    assert script.wait(WITHIN_S) == 0, scripts.errors
+    run = Run(read(scripts.run.folder))
+    assert wait(lambda: stands(scripts.run.folder), WITHIN_S)
+    assert '"phase": "running"' in scripts.status()
+    assert len(stops(read(scripts.run.folder))) == before
+    assert np.abs(run.items["left_rad_s"]).max() > 0.0
+
+
+def stands(folder: Path) -> bool:
+    return all(not rows["left_output_rad_s"][-1] for rows in Run(read(folder), every_tick=True).statuses)
