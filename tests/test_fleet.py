@@ -1,6 +1,7 @@
 """A script of one's own in lockstep: what it wishes is done, checked, recorded, and repeated to the bit."""
 
 import json
+import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -282,3 +283,17 @@ def shown(out: Path, topic: str) -> list[Any]:
     with (out / "run.mcap").open("rb") as stream:
         messages = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=[topic])
         return [entity for message in messages for entity in message.decoded_message.entities]
+
+
+def test_the_guides_first_script_works_as_it_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = re.search(r"^```python\n(.*?)^```$", (CONFIGS / "SCRIPTS.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert found is not None
+    assert len(found[1].splitlines()) <= 15
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "configs").symlink_to(CONFIGS)
+    exec(compile(found[1].replace("fleet.ticks(20)", "fleet.ticks(1)"), "SCRIPTS.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("completed ")
+    (run,) = (tmp_path / "runs").iterdir()
+    assert "spread_m" in json.loads((run / "summary.json").read_text())["groups"]["script"]["kept"]
