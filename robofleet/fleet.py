@@ -14,6 +14,7 @@ import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from struct import Struct
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -41,6 +42,7 @@ _OTHERS_S = 1.0  # for which another script's wishes are done and not ours
 _EPOCH_BITS = 30  # a figure of the group tells it, and no figure is beyond 1e9
 _ROUNDING = 1e-9
 _COLUMNS = len(RobotTick._fields)
+_NUMBER = Struct("<d")
 
 
 class Fleet:
@@ -120,10 +122,11 @@ class Fleet:
         self._seq = self._notes = self._order = 0
         self._tick_s: float = config.controller.tick_s
         self._told = np.zeros(len(self._team), SCRIPT_WISH.item_dtype)
+        self._values = SCRIPT_WISH.floats(self._told)  # of the same memory (N, 3)
         self._kind = WishKind.STAND
         self._wished = False
         self._strange = 0  # ticks in which another script's wishes were done
-        self._record = link.tick
+        self._read(link.tick)
         self.folder: Path | None = link.folder
 
     def close(self, failed: str | None = None) -> None:
@@ -337,24 +340,26 @@ class Fleet:
         items = np.frombuffer(record, "<f8", self._count * _COLUMNS, self._items_at)
         return items.reshape(self._count, _COLUMNS)[self._rows]
 
-    @property
-    def _run_tick(self) -> int:
-        return int(TICK_RECORD.head_of(self._record, "run_tick"))
-
     def _number(self, place: int) -> float:
         """Return one of the numbers that groups tell, of this group's first robot."""
-        at = self._items_at + 8 * (self._count * _COLUMNS + place)
-        return float(np.frombuffer(self._record, "<f8", 1, at)[0])
+        return float(_NUMBER.unpack_from(self._record, self._items_at + 8 * (self._count * _COLUMNS + place))[0])
+
+    def _read(self, record: bytes) -> None:
+        """Take a tick's record."""
+        self._record = record
+        self._tick: int = TICK_RECORD.head_of(record, "tick")
+        self._run_tick: int = TICK_RECORD.head_of(record, "run_tick")
 
     def _next(self) -> None:
         """Wait for a tick of a run that is not held."""
         link = self._running
         while True:
-            self._record = link.next_tick()
+            self._read(link.next_tick())
             if self._run_tick >= 0:
                 break
-        other = self._number(self._followed) not in (self._epoch, 0.0) and not math.isnan(self._number(self._followed))
-        self._strange = self._strange + 1 if other and self._kind is not WishKind.STAND else 0
+        followed = self._number(self._followed)  # NaN: nobody
+        other = followed > 0 and followed != self._epoch and self._kind is not WishKind.STAND
+        self._strange = self._strange + 1 if other else 0
         if self._strange * self._tick_s > _OTHERS_S:
             raise FleetError("another script drives these robots: end that one first")
 
@@ -363,7 +368,7 @@ class Fleet:
         if found.shape != (len(self.robots), 2):
             wanted = f"({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
             raise ValueError(f"{what}: the shape is {found.shape}, must be {wanted}")
-        if not (np.abs(found) < _BEYOND).all():  # not so of NaN
+        if not np.abs(found).max() < _BEYOND:  # not so of NaN
             row = int((~(np.abs(found) < _BEYOND)).any(axis=1).argmax())
             said = f"{found[row].tolist()} of {self.robots[row]}"
             raise ValueError(f"{what}: {said} is not finite, or beyond every limit")
@@ -392,10 +397,10 @@ class Fleet:
         return goals
 
     def _wish(self, kind: WishKind, values: Array) -> None:
-        told = self._told
-        told["told"], told["third"] = 1, 0.0
-        told["first"], told["second"] = values[:, 0], values[:, 1]
-        self._kind = kind
+        if self._kind is not kind:
+            self._told["told"], self._kind = 1, kind
+            self._values[:, 2] = 0.0
+        self._values[:, :2] = values
         self._send()
 
     def _send(self) -> None:
@@ -404,8 +409,7 @@ class Fleet:
 
     def _encoded(self, kind: WishKind) -> bytes:
         self._seq += 1
-        echo = TICK_RECORD.head_of(self._record, "tick")
-        return SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._order, echo), self._told)
+        return SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._order, self._tick), self._told)
 
     def _stand(self) -> None:
         """Wish that the robots stand until something else is wished."""
@@ -418,8 +422,7 @@ class Fleet:
         if len(text) > _LONGEST_NOTE:
             raise ValueError(f"{kind.name.lower()}: it has {len(text)} bytes, must be at most {_LONGEST_NOTE}")
         self._notes += 1
-        echo = TICK_RECORD.head_of(self._record, "tick")
-        link.note(NOTE.encode(Note(self._epoch, self._notes, echo, kind, text)))
+        link.note(NOTE.encode(Note(self._epoch, self._notes, self._tick, kind, text)))
 
 
 def _plain(name: str, value: Any) -> Any:

@@ -78,7 +78,7 @@ class Wish(NamedTuple):
     """The newest word of a script that drives a group from a process of its own."""
 
     kind: WishKind
-    values: Array  # (N, 3), as ``kind`` says: of BODY and POINT the last column means nothing
+    values: Array  # (N, 3), as ``kind`` says: of BODY and POINT the last column means nothing; 0 where not ``told``
     told: Flags  # (N,) which robots it is about: the others stand
     order: int  # counts the script's journeys: of POSES with the same number there is one plan
     age: float  # since the tick by which the script wished it, by the controller's ticks [s]

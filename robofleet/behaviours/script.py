@@ -58,6 +58,7 @@ class Script(Behaviour):
         self._rehearsed = False
         self._done = False
         self._journey: _Journey | None = None
+        self._stand = np.zeros((len(team), 2))
 
     def restart(self) -> None:
         """Wait for a script."""
@@ -85,10 +86,9 @@ class Script(Behaviour):
             self._rehearsed = True
             journey(self.team, dict.fromkeys(self.team.robots, (0.0, 0.0, 0.0))).rehearse()
         wish = now.wish
-        stand = np.zeros((len(self.team), 2))
         if wish is None:
             self._journey = None
-            return Decision(stand, "body")
+            return Decision(self._stand, "body")
         self._done = wish.kind is WishKind.DONE
         figures: dict[str, Array | float] = {
             "wish_epoch": wish.epoch, "wish": wish.seq, "wish_age": wish.age, "arrived": 0.0
@@ -96,16 +96,15 @@ class Script(Behaviour):
         if wish.kind is not WishKind.POSES:
             self._journey = None
         if wish.kind is WishKind.FAILED:
-            return Decision(stand, "body", figures=figures, hold=Event.SCRIPT_FAILED)
+            return Decision(self._stand, "body", figures=figures, hold=Event.SCRIPT_FAILED)
         if wish.kind in (WishKind.STAND, WishKind.DONE):
-            return Decision(stand, "body", figures=figures)
+            return Decision(self._stand, "body", figures=figures)
         if wish.age > self.settings.fresh_s + _ROUNDING:
             self._journey = None
-            return Decision(stand, "body", figures=figures, hold=Event.SCRIPT_SILENT)
+            return Decision(self._stand, "body", figures=figures, hold=Event.SCRIPT_SILENT)
         if wish.kind is WishKind.POSES:
             return self._travel(now, wish, figures)
-        velocities = np.where(wish.told[:, None], wish.values[:, :2], 0.0)
-        return Decision(velocities, "body" if wish.kind is WishKind.BODY else "point", figures=figures)
+        return Decision(wish.values[:, :2], "body" if wish.kind is WishKind.BODY else "point", figures=figures)
 
     def _travel(self, now: Situation, wish: Wish, figures: dict[str, Array | float]) -> Decision:
         """Go on with a journey, or begin another one."""

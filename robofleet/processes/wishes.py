@@ -54,7 +54,7 @@ class _OfGroup:
         if self._newest is None:
             return None
         echoed, wish = self._newest
-        return wish._replace(age=(tick - echoed) * self._tick_s)
+        return Wish(*wish[:4], (tick - echoed) * self._tick_s, *wish[5:])
 
     def _take(self, payload: bytes, tick: int) -> None:
         """Take a wish that can be one, of the script that drives this group."""
@@ -64,10 +64,11 @@ class _OfGroup:
         known = head.kind in _KINDS and len(robots) == self._robots and 1 <= head.echo_tick <= tick
         if not known or not self._follows(head, tick):
             return
-        values = SCRIPT_WISH.floats(robots).copy()
-        if (np.abs(values) > _BEYOND).any():
+        values, told = SCRIPT_WISH.floats(robots).copy(), robots["told"] != 0
+        if np.abs(values).max() > _BEYOND:
             return
-        told = robots["told"] != 0
+        if not told.all():
+            values[~told] = 0.0
         wish = Wish(WishKind(head.kind), values, told, head.order, 0.0, head.epoch, head.seq)
         self._newest = head.echo_tick, wish
 
