@@ -201,7 +201,7 @@ class Lockstep:
             add(full, payload)
             if full == self._tick_key and (run_tick := TICK_RECORD.head_of(payload, "run_tick")) is not None:
                 self._run_tick = run_tick
-            elif full == self._state_key and (state := RUN_STATE.decode(payload)) is not None:
+            elif full == self._state_key and (state := RUN_STATE.decode_head(payload)) is not None:
                 if (told := state[2:6]) != self.status[:4]:
                     self.status = RunStatus(Phase(told[0]), Event(told[1]), *told[2:])
                 if self.faults is not None and not self.faults.begun and self.status.phase is Phase.RUNNING:
