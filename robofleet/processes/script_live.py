@@ -1,6 +1,7 @@
 """A script's run in real time: the script is one more client of the run's bus."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from robofleet.comms.requests import asked
 from robofleet.config import groups
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.processes import script_own
 from robofleet.processes.arena_file import ArenaFile, running
 from robofleet.processes.script_link import FleetError, ended, held, refuse
 from robofleet.recording.after import SUMMARY
@@ -181,10 +183,13 @@ class OwnRun:
         file = place / f"{name}.yaml"
         file.write_text(resolved_yaml(config))
         self._said = (place / "stderr").open("w+b")
-        command = [sys.executable, "-m", "robofleet", "run", str(file), "--out", str(self.folder), "--quiet"]
+        theirs, self._lifeline = os.pipe()
+        command = [sys.executable, "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._said, start_new_session=True
-        )
+            [*command, "--out", str(self.folder.absolute())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=self._said, start_new_session=True, pass_fds=[theirs],
+        )  # fmt: skip
+        os.close(theirs)
 
     def check(self) -> None:
         """Raise FleetError where it has ended."""
@@ -225,6 +230,7 @@ class OwnRun:
             self._process.wait()
         file = self.folder / SUMMARY
         found = json.loads(file.read_text()) if file.is_file() else None
+        os.close(self._lifeline)
         self._said.close()
         self._kept.cleanup()
         return found

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from robofleet.clock import MS
@@ -70,6 +71,28 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script(alone_for_a_module: No
         [sys.executable, "-m", "robofleet", "status"], env=environment, capture_output=True, text=True, check=False
     )
     assert "no arena has a run" in listed.stderr
+
+
+def test_a_run_of_its_own_ends_with_a_script_that_is_killed(alone_for_a_module: None, tmp_path: Path) -> None:
+    environment, folder = own_folders(tmp_path), tmp_path / "run"
+    file = tmp_path / "own.py"
+    loop = "fleet.ticks():\n        print(t, flush=True)"
+    told = OWN.format(config=str(CONFIG), out=str(folder)).replace("fleet.ticks(1):", loop)
+    file.write_text(told)
+    script = subprocess.Popen([sys.executable, str(file)], stdout=subprocess.PIPE, text=True, env=environment)
+    assert script.stdout is not None
+    script.stdout.readline()
+    script.kill()
+    script.communicate()
+    assert wait((folder / "report.html").exists, WITHIN_S)
+    assert json.loads((folder / "summary.json").read_text())["outcome"] == "stopped"
+    assert wait(lambda: not left(folder), WITHIN_S)
+
+
+def left(folder: Path) -> list[str]:
+    """Return what is left of a run's processes."""
+    lines = (process.info["cmdline"] or [] for process in psutil.process_iter(["cmdline"]))
+    return [" ".join(line) for line in lines if any(str(folder) in word for word in line)]
 
 
 class Scripts:
