@@ -102,6 +102,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_tag_sizes(config),
         *_calibrations(config),
         *_simulated(config),
+        *_sensors(config),
         *bodies.complaints(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
@@ -268,6 +269,15 @@ def no_errors(robot: int) -> Complaint:
         "is missing: say what a simulated robot of this kind gets wrong: `simulated: {...}`, "
         "configs/robots/ideal.yaml has none",
     )
+
+
+def _sensors(config: Config) -> Iterator[Complaint]:
+    """Whoever is to tell what its sensors measure has some."""
+    for i, robot in enumerate(config.robots):
+        kind = robot.vehicle.sensors
+        if robot.sensors and (kind is None or not kind.model_dump(exclude={"period_s"}, exclude_none=True)):
+            message = "its vehicle has no sensors: describe them in vehicle.sensors, or remove this key"
+            yield f"robots.{i}.sensors", message
 
 
 def _simulated(config: Config) -> Iterator[Complaint]:
