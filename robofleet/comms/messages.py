@@ -143,6 +143,24 @@ class Truth(NamedTuple):
     omega_rad_s: float
 
 
+class UnitSensors(NamedTuple):
+    """Unit to all: what its robots' sensors measure, beside their wheels. ``comms.sensors`` reads it."""
+
+    seq: int
+    stamp_ns: int  # [unit's clock]
+    robots: tuple["RobotSensors", ...]  # those of the unit whose sensors are read
+    numbers: tuple[float, ...]  # of each robot those that it has: gyro x, y, z [rad/s], accelerometer x, y, z [m/s^2],
+    # magnetometer x, y, z [T], heading [rad], distances [m; NaN: nothing seen]; axes of the robot frame
+
+
+class RobotSensors(NamedTuple):
+    """Which of a message's numbers are one robot's."""
+
+    place: int  # in the unit's order
+    parts: int  # vehicles.sensors.GYRO, ACCELEROMETER, MAGNETOMETER, HEADING, added up
+    distances: int  # how many
+
+
 class TagPose(NamedTuple):
     """One robot in an image: planar pose of its centre in the world frame.
 
@@ -283,6 +301,7 @@ UNIT_COMMAND = ListLayout(UnitCommand, "QQQqq", WheelCommand, "Qdd")
 UNIT_STATUS = ListLayout(UnitStatus, "QIQqqB", RobotStatus, "QQqqQBBQIqq" + "d" * 9)
 UNIT_ENABLE = ListLayout(UnitEnable, "QQqB", Enable, "QBQd")
 UNIT_TRUTH = ListLayout(UnitTruth, "Qq", Truth, "H" + "d" * 5)
+UNIT_SENSORS = ListLayout(UnitSensors, "Qq", RobotSensors, "HBB", numbers=True)
 UNIT_LEASES = ListLayout(UnitLeases, "", LeaseAnswer, "BQQ")
 TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
 RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)

@@ -24,7 +24,6 @@ from robofleet.settings import (
 )
 from robofleet.vehicles.interface import Wiring
 
-
 DISTANCES = 32  # sensors of a robot, at most
 Microtesla = Annotated[float, within(-1e6, 1e6)]
 

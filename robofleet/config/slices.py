@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from robofleet.clock import S
-from robofleet.config.robots import Robot, Vehicle
+from robofleet.config.robots import Distances, Robot, Vehicle
 from robofleet.config.tree import Arena, Config
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation
@@ -109,17 +109,19 @@ def sensors(robot: Robot) -> SensorKind | None:
     gyro, accelerometer, magnetometer, heading, d = s.gyro, s.accelerometer, s.magnetometer, s.heading, s.distances
     return SensorKind(
         s.period_s,
-        gyro and Errors(gyro.noise_rad_s, gyro.bias_rad_s),
-        accelerometer and Errors(accelerometer.noise_m_s2, accelerometer.bias_m_s2),
-        (accelerometer.x_m, accelerometer.y_m) if accelerometer else (0.0, 0.0),
-        magnetometer and Errors(_tesla(magnetometer.noise_ut), magnetometer.bias_ut * _UT),
-        _tesla(magnetometer.field_ut) if magnetometer else (0.0, 0.0, 0.0),
-        heading and Errors((heading.noise_rad,), heading.bias_rad),
-        d and DistanceSensors(
-            tuple((place.x_m, place.y_m, math.radians(place.heading_deg)) for place in d.places),
-            d.range_m, d.noise, d.dropout, d.outliers,
-        ),
-    )  # fmt: skip
+        None if gyro is None else Errors(gyro.noise_rad_s, gyro.bias_rad_s),
+        None if accelerometer is None else Errors(accelerometer.noise_m_s2, accelerometer.bias_m_s2),
+        (0.0, 0.0) if accelerometer is None else (accelerometer.x_m, accelerometer.y_m),
+        None if magnetometer is None else Errors(_tesla(magnetometer.noise_ut), magnetometer.bias_ut * _UT),
+        (0.0, 0.0, 0.0) if magnetometer is None else _tesla(magnetometer.field_ut),
+        None if heading is None else Errors((heading.noise_rad,), heading.bias_rad),
+        None if d is None else _distances(d),
+    )
+
+
+def _distances(d: Distances) -> DistanceSensors:
+    places = tuple((place.x_m, place.y_m, math.radians(place.heading_deg)) for place in d.places)
+    return DistanceSensors(places, d.range_m, d.noise, d.dropout, d.outliers)
 
 
 def sensing_period_ns(config: Config, unit: str) -> int | None:

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock
+from robofleet.comms import sensors
 from robofleet.comms.bus import Bus, Inbox, Publish, Request, Wake
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, SENSORS, STATUS, TRUTH
 from robofleet.comms.messages import (
     LEASE_REQUEST,
     UNIT_COMMAND,
@@ -20,6 +21,7 @@ from robofleet.comms.messages import (
     UnitStatus,
     UnitTruth,
 )
+from robofleet.comms.sensors import SensorsSaid
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.processes.drivers import Drivers, behind_gates
@@ -75,6 +77,9 @@ class Robots(Protocol):
     def truths(self) -> NDArray[Any] | None:
         """Return the part of a truth of each that is simulated; None where all exist."""
 
+    def sensors(self) -> SensorsSaid:
+        """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
+
     def say(self) -> None:
         """Say in the log what there is to complain about."""
 
@@ -100,6 +105,7 @@ class DriverProcess:
         """Open every robot; DriverError where one does not answer."""
         self._clock, self._build = clock, slices.build(config)
         self._newest_ns = clock.now_ns()
+        self._sensing_ns = slices.sensing_period_ns(config, unit)
         boot_id = slices.drawn_id(rng, 64)
         self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
         try:
@@ -111,6 +117,7 @@ class DriverProcess:
         self._seq = 0
         self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
         self._loops = 0
+        self._sense_ns = self._loop_ns
 
     def _join(self, unit: str, bus: Bus, wake: Wake) -> None:
         """Take the unit's place on the bus."""
@@ -118,6 +125,7 @@ class DriverProcess:
         self._enables = Inbox(bus.newest(ENABLE, unit, wake), UNIT_ENABLE.arrays)
         self._requests = bus.serve(LEASE, unit, wake)
         self._publish_status = bus.publisher(STATUS, unit)
+        self._publish_sensors: Publish | None = None if self._sensing_ns is None else bus.publisher(SENSORS, unit)
         self._publish_truth: Publish | None = None if self._robots.truths() is None else bus.publisher(TRUTH, unit)
 
     def step(self, now_ns: int) -> int:
@@ -139,6 +147,8 @@ class DriverProcess:
                 self._tell_truth()
             if self._loops % 2 == 1 or robots.hurries:
                 self._tell()
+            if self._publish_sensors is not None and self._sensing_ns is not None:
+                self._tell_sensors(now_ns, self._sensing_ns, self._publish_sensors)
             robots.say()
         return min(self._loop_ns, robots.deadline_ns)
 
@@ -184,6 +194,13 @@ class DriverProcess:
         if self._publish_truth is not None and (truths := self._robots.truths()) is not None:
             self._seq += 1
             self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
+
+    def _tell_sensors(self, now_ns: int, period_ns: int, publish: Publish) -> None:
+        """Publish what the robots' sensors say, if it is time to."""
+        if not self._sense_ns - period_ns <= now_ns < self._sense_ns:  # also when the clock was set back
+            self._sense_ns += period_ns * (1 + (now_ns - self._sense_ns) // period_ns)
+            self._seq += 1
+            publish(sensors.encoded(self._seq, self._now(), self._robots.sensors()))
 
     def _tell(self) -> None:
         """Publish what every robot says of itself."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S
+from robofleet.comms import sensors
 from robofleet.comms.messages import (
     UNIT_STATUS,
     UNIT_TRUTH,
@@ -22,11 +23,20 @@ from robofleet.comms.messages import (
     UnitCommand,
     UnitEnable,
 )
+from robofleet.comms.sensors import SensorsSaid
 from robofleet.processes.health import Health
 from robofleet.processes.keeping import Keeping, Memory, kept
 from robofleet.safety import gate
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
-from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
+from robofleet.vehicles.interface import (
+    STOP,
+    Driver,
+    DriverContext,
+    DriverError,
+    SensorReading,
+    SimulatedDriver,
+    WheelSpeeds,
+)
 
 TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
 # In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
@@ -117,6 +127,11 @@ class GatedRobots:
         """Return the part of a truth of each that is simulated; None where all exist."""
         truths = [self._robots[place].truth(place) for place in self._simulated]
         return np.array(truths, UNIT_TRUTH.item_dtype) if truths else None
+
+    def sensors(self) -> SensorsSaid:
+        """Return what is said of the sensors of each that tells of them, and answers."""
+        readings = ((place, robot.sensors) for place, robot in enumerate(self._robots))
+        return sensors.said((place, reading) for place, reading in readings if reading is not None)
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""
@@ -242,6 +257,11 @@ class GatedRobot:
         """Return where the robot really is, if it is simulated; ``place``: in its unit."""
         assert isinstance(self._driver, SimulatedDriver)
         return Truth(place, *self._driver.truth())
+
+    @property
+    def sensors(self) -> SensorReading | None:
+        """What its sensors say; None where they say nothing, and where its driver has lost it."""
+        return None if self._health.failed else self._health.reading.sensors
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""

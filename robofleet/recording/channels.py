@@ -2,7 +2,20 @@
 
 from collections.abc import Iterator
 
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, OF_UNITS, PICTURE, POSES, RECORDER, STATE, TICK, key, named
+from robofleet.comms.keys import (
+    BUSY,
+    CAMERA,
+    NEWS,
+    OF_UNITS,
+    PICTURE,
+    POSES,
+    RECORDER,
+    SENSORS,
+    STATE,
+    TICK,
+    key,
+    named,
+)
 from robofleet.comms.layouts import VERSION
 from robofleet.config.tree import Config
 from robofleet.valid_json import dumps
@@ -19,6 +32,7 @@ def keys(config: Config) -> Iterator[str]:
     yield from (key(arena, topic) for topic in _ABOUT_ALL)
     yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, unit) for unit in config.units for topic in OF_UNITS)
+    yield from (key(arena, SENSORS, unit) for unit in config.sensing)
 
 
 def schema(full: str) -> tuple[str, bytes]:

@@ -1,5 +1,6 @@
 """A firmware's twin: a simulated body, the firmware that moves it, and a serial port that a driver opens."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from robofleet.clock import MS, S
@@ -11,7 +12,10 @@ from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
 from robofleet.vehicles.body import SimulatedBody
-from robofleet.vehicles.interface import STOP, TruePose
+from robofleet.vehicles.interface import STOP, SensorReading, TruePose
+from robofleet.vehicles.sensors import SimulatedSensors
+
+Others = Callable[[], Sequence[tuple[TruePose, float]]]  # where other robots are, and their bodies' radii [m]
 
 _UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
 _BUFFER = 64  # bytes that wait for a firmware that hangs
@@ -20,13 +24,21 @@ _BUFFER = 64  # bytes that wait for a firmware that hangs
 class Twin:
     """One robot's twin, switched on at ``now_ns`` with its port at ``port``. The caller's clock is its time."""
 
-    def __init__(self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None) -> None:
+    def __init__(
+        self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None,
+        others: Others = lambda: (),
+    ) -> None:  # fmt: skip
+        """Put it there; ``others`` tells the bodies that its distance sensors see."""
         kind = config.robot(robot)
         simulation = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
         self._body = SimulatedBody(simulation, now_ns)
         self._hardware, spare = (
             Hardware(simulation.drive, simulation.imperfections, self._body.plant) for _ in range(2)
         )
+        self.radius, self._others = simulation.radius, others
+        if simulation.sensing is not None:
+            self._sensors = SimulatedSensors([0], [simulation.sensing])
+            self._hardware.sense = self._sense
         make = load("robofleet.twins", str(kind.twin))
         self._firmware: Firmware = make(self._hardware)
         self._target = STOP
@@ -46,6 +58,11 @@ class Twin:
     def truth(self) -> TruePose:
         """Return the true pose at the last step."""
         return self._body.plant.truth()
+
+    def _sense(self, now_ns: int) -> SensorReading:
+        others = self._others()
+        truths, radii = [self.truth(), *(true for true, _ in others)], [0.0, *(radius for _, radius in others)]
+        return self._sensors.first(now_ns, truths, radii)
 
     def step(self, now_ns: int) -> int:
         """Let time pass until ``now_ns``; returns when the next step is due [ns], if nothing is heard before."""

@@ -53,7 +53,7 @@ class SensorReading(NamedTuple):
     gyro: tuple[float, float, float] | None = None  # turning about x, y, z [rad/s; CCW +]
     accelerometer: tuple[float, float, float] | None = None  # specific force along x, y, z [m/s^2]; at rest z is +9.8
     magnetometer: tuple[float, float, float] | None = None  # magnetic field along x, y, z [T]
-    heading: float | None = None  # by a compass or the like [rad; CCW +, in [-pi, pi), from a zero of its own]
+    heading: float | None = None  # by a compass or the like [rad; CCW +, in (-pi, pi], from a zero of its own]
     distances: tuple[float, ...] | None = None  # [m], in the order of its kind's sensors; NaN: one sees nothing
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.interface import SensorReading, TruePose
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class SimulatedSensors:
         self.rows = np.array(rows, np.intp)
         self.parts = np.array([kind.parts for kind in kinds], np.int64)
         self.counts = np.array([len(kind.places) for kind in kinds], np.int64)
-        self.period = min(kind.period for kind in kinds)
+        self.period_ns = round(min(kind.period for kind in kinds) * 1e9)
         self._rngs = [one.rng for one in sensing]
         self._noise, self._bias = np.zeros((n, _INERTIAL)), np.zeros((n, _INERTIAL))
         self.has = np.zeros((n, _INERTIAL + most), np.bool_)  # the numbers that are a robot's own
@@ -122,15 +122,19 @@ class SimulatedSensors:
         self._inertial(now_ns, own, said)
         for row, rng in enumerate(self._rngs):
             said[row, :_INERTIAL] += self._bias[row] + self._noise[row] * rng.standard_normal(_INERTIAL)
-        said[:, 9] = np.remainder(said[:, 9] + math.pi, math.tau) - math.pi
+        said[:, 9] = math.pi - np.remainder(math.pi - said[:, 9], math.tau)
         if said.shape[1] > _INERTIAL:
             self._see(self.true_distances(truths, radii), said[:, _INERTIAL:])
         return said
 
     def readings(self, said: Array) -> list[SensorReading]:
         """Return the rows of ``read`` as each robot's reading (n,)."""
-        numbers = (row[has].tolist() for row, has in zip(said, self.has, strict=True))
-        return [unpacked(int(p), int(c), n) for p, c, n in zip(self.parts, self.counts, numbers, strict=True)]
+        own = (row[has].tolist() for row, has in zip(said, self.has, strict=True))
+        return [unpacked(int(p), int(c), n) for p, c, n in zip(self.parts, self.counts, own, strict=True)]
+
+    def first(self, now_ns: int, truths: Sequence[TruePose], radii: Sequence[float]) -> SensorReading:
+        """Return what the first of these robots' sensors says, among all of which something is known."""
+        return self.readings(self.read(now_ns, np.array(truths), np.array(radii)))[0]
 
     def true_distances(self, truths: Array, radii: Array) -> Array:
         """Return how far away along each ray the first wall or body is (n, most) [m]; inf where there is none."""
@@ -195,34 +199,32 @@ def packed(reading: SensorReading) -> tuple[int, int, list[float]]:
     return parts, len(distances), [number for said in (*four, distances) for number in said or ()]
 
 
+def numbers(parts: int, distances: int) -> int:
+    """Return how many numbers a packed reading has."""
+    return sum(place.stop - place.start for part, place in _PARTS if parts & part) + distances
+
+
 def unpacked(parts: int, distances: int, numbers: Sequence[float]) -> SensorReading:
-    """Return the reading that was packed; ValueError where these are not as many numbers as it has."""
-    said: list[tuple[float, ...] | None] = []
-    at = 0
-    for part, place in _PARTS:
-        count = place.stop - place.start if parts & part else 0
-        said.append(tuple(numbers[at : at + count]) if count else None)
-        at += count
-    if len(numbers) != at + distances:
-        raise ValueError(f"{len(numbers)} numbers of {at + distances}")
-    gyro, accelerometer, magnetometer, heading = said
-    return SensorReading(
-        _axes(gyro), _axes(accelerometer), _axes(magnetometer), None if heading is None else heading[0],
-        tuple(numbers[at:]) if distances else None,
-    )  # fmt: skip
+    """Return the reading that was packed."""
+    rest = iter(numbers)
+
+    def axes(part: int) -> tuple[float, float, float] | None:
+        return (next(rest), next(rest), next(rest)) if parts & part else None
+
+    gyro, accelerometer, magnetometer = axes(GYRO), axes(ACCELEROMETER), axes(MAGNETOMETER)
+    heading = next(rest) if parts & HEADING else None
+    return SensorReading(gyro, accelerometer, magnetometer, heading, tuple(rest) if distances else None)
 
 
 def is_sound(reading: SensorReading) -> bool:
     """Return whether each axis has its number, finite but for a distance that is NaN."""
     axes = [said for said in reading[:3] if said is not None]
     finite = [number for said in axes for number in said] + [reading.heading or 0.0]
-    return all(len(said) == 3 for said in axes) and math.isfinite(sum(finite)) and not any(
-        map(math.isinf, reading.distances or ())
+    return (
+        all(len(said) == 3 for said in axes)
+        and math.isfinite(sum(finite))
+        and not any(map(math.isinf, reading.distances or ()))
     )
-
-
-def _axes(said: tuple[float, ...] | None) -> tuple[float, float, float] | None:
-    return None if said is None else (said[0], said[1], said[2])
 
 
 def _cross(a: Array, b: Array) -> Array:
