@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from robofleet.clock import S
-from robofleet.config.robots import Distances, Robot, Vehicle
+from robofleet.config.robots import Robot, Vehicle
+from robofleet.config.sensors import Distances
 from robofleet.config.tree import Arena, Config
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation

@@ -14,6 +14,7 @@ from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
 from robofleet.recording.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.recording.canvas import View
+from robofleet.recording import sensors
 from robofleet.recording.columns import CSV, write_csv
 from robofleet.recording.own_figures import OwnFigure, asked, heading, own_figures
 from robofleet.recording.paper_figures import FigureFiles
@@ -57,6 +58,8 @@ def write(
     _robots(page, summary)
     _origin(page, recording, folder, linked=figures is not None)
     write_csv(view.series, folder / CSV)
+    if recording.config.sensing:
+        sensors.write_csv(recording, folder / sensors.CSV)
     page.write(folder / PAGE)
     return folder / PAGE
 

@@ -154,7 +154,7 @@ class SimulatedSensors:
         if len(self._walls):
             to_wall = self._walls - origin
             across = _cross(ray, self._along)
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
                 t, u = _cross(to_wall, self._along) / across, _cross(to_wall, ray) / across
             met = (np.abs(across) > _PARALLEL) & (t >= 0.0) & (u >= 0.0) & (u <= 1.0)
             nearest = np.minimum(nearest, np.where(met, t, np.inf).min(axis=2))
@@ -182,13 +182,13 @@ class SimulatedSensors:
     def _see(self, distances: Array, said: Array) -> None:
         """Fill in what the distance sensors say of true distances (n, most)."""
         count = distances.shape[1]
-        for row, rng in enumerate(self._rngs):
-            reach, noise, dropout, outliers = self._distances[row]
-            normal, (lost, wrong, anything) = rng.standard_normal(count), rng.random((3, count))
-            true = distances[row]
-            noisy = np.clip(true + np.where(np.isfinite(true), noise * true, 0.0) * normal, 0.0, reach)
-            seen = np.where(wrong < outliers, reach * anything, noisy)
-            said[row] = np.where((true > reach) | (lost < dropout), np.nan, seen)
+        normal = np.array([rng.standard_normal(count) for rng in self._rngs])
+        lost, wrong, anything = np.array([rng.random((3, count)) for rng in self._rngs]).transpose(1, 0, 2)
+        reach, noise, dropout, outliers = self._distances.T[:, :, None]
+        near = np.minimum(distances, reach)
+        noisy = np.clip(near * (1.0 + noise * normal), 0.0, reach)
+        noisy = np.where(wrong < outliers, reach * anything, noisy)
+        said[:] = np.where((distances > reach) | (lost < dropout), np.nan, noisy)
 
 
 def packed(reading: SensorReading) -> tuple[int, int, list[float]]:
