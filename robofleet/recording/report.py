@@ -12,9 +12,9 @@ from robofleet.behaviours.interface import scale
 from robofleet.config.load import resolved_yaml
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
+from robofleet.recording import sensors
 from robofleet.recording.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.recording.canvas import View
-from robofleet.recording import sensors
 from robofleet.recording.columns import CSV, write_csv
 from robofleet.recording.own_figures import OwnFigure, asked, heading, own_figures
 from robofleet.recording.paper_figures import FigureFiles

@@ -49,7 +49,9 @@ def columns(recording: Recording, robot: str) -> SensorColumns:
 
     return SensorColumns(
         np.array([stamp_ns for stamp_ns, _ in own], np.int64),
-        *(rows(part, 3) for part in ("gyro", "accelerometer", "magnetometer")),
+        rows("gyro", 3),
+        rows("accelerometer", 3),
+        rows("magnetometer", 3),
         rows("heading", 1)[:, 0],
         rows("distances", most),
     )

@@ -32,22 +32,22 @@ class Twin:
         kind = config.robot(robot)
         simulation = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
         self._body = SimulatedBody(simulation, now_ns)
-        self._hardware, spare = (
+        self.hardware, spare = (
             Hardware(simulation.drive, simulation.imperfections, self._body.plant) for _ in range(2)
         )
-        self.radius, self._others = simulation.radius, others
+        self.radius, self.others = simulation.radius, others
         if simulation.sensing is not None:
             self._sensors = SimulatedSensors([0], [simulation.sensing])
-            self._hardware.sense = self._sense
+            self.hardware.sense = self._sense
         make = load("robofleet.twins", str(kind.twin))
-        self._firmware: Firmware = make(self._hardware)
+        self._firmware: Firmware = make(self.hardware)
         self._target = STOP
         self._loop_period_ns = round(simulation.imperfections.loop_period * S)
         self._loop_ns = now_ns + self._loop_period_ns
         self._to_robot, self._to_host = Wire(self._firmware.baud), Wire(self._firmware.baud)
         self._waiting = b""  # for a firmware that hangs
         self._troubles = TwinTroubles(faults, robot)
-        self.ledger = Ledger(self._hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
+        self.ledger = Ledger(self.hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
         self._line = SerialLine(port)
 
     @property
@@ -60,7 +60,7 @@ class Twin:
         return self._body.plant.truth()
 
     def _sense(self, now_ns: int) -> SensorReading:
-        others = self._others()
+        others = self.others()
         truths, radii = [self.truth(), *(true for true, _ in others)], [0.0, *(radius for _, radius in others)]
         return self._sensors.first(now_ns, truths, radii)
 
@@ -102,7 +102,7 @@ class Twin:
     def _run(self, now_ns: int) -> None:
         """Let the firmware take what has arrived, and run its loop when that is due."""
         looping = now_ns == self._loop_ns
-        self._hardware.feels = self._troubles.feels(now_ns)
+        self.hardware.feels = self._troubles.feels(now_ns)
         if looping and self.ledger is not None:
             self.ledger.loop(now_ns)
         data = self._waiting + self._to_robot.take(now_ns)
@@ -124,8 +124,8 @@ class Twin:
 
     def _act(self, now_ns: int) -> None:
         """Let the wheel-speed loops aim at what the firmware has decided."""
-        if self._hardware.command != self._target:
-            self._target = self._hardware.command
+        if self.hardware.command != self._target:
+            self._target = self.hardware.command
             self._body.command(self._target)
         if self.ledger is not None:
             self.ledger.look(now_ns)

@@ -175,7 +175,7 @@ def test_errors_are_as_large_as_configured() -> None:
     wild = sensors(replace(IDEAL, distances=DistanceSensors(((0.0, 0.0, 0.0),), 2.0, 0.0, 0.0, 0.5)))
     anything = np.concatenate([wild.read(S + k * STEP_NS, still, np.zeros(1)) for k in range(500)])[:, 10]
     assert np.mean(np.abs(anything - 1.0) > 1e-9) == pytest.approx(0.5, abs=0.1)
-    assert 0.0 <= anything.min() and anything.max() <= 2.0
+    assert anything.min() >= 0.0 and anything.max() <= 2.0
 
 
 def test_a_robots_errors_are_its_own() -> None:
