@@ -81,13 +81,17 @@ def summary(network: Network, name: str) -> dict[str, Any]:
 
 
 def closed(recording: Recording) -> dict[str, Any]:
-    """Return how often a gate was closed while the fleet ran, why and how long, and how often the run was held."""
+    """Return how often a gate was closed while the fleet ran, why and how long, and how often the run was held.
+
+    A closed gate slows its wheels as fast as they may be slowed: the robot has ``stopped`` where they came to rest.
+    """
     arena = recording.config.arena.name
     units = {key(arena, STATUS, unit): unit for unit in recording.config.units}
     phase, began, newest = Phase.IDLE, {}, {}
     why: Counter[str] = Counter()
     lasted_ms: list[float] = []
     held: Counter[str] = Counter()
+    stopped: set[tuple[str, int]] = set()  # unit, and when its gate closed
     running_ns, last_ns, hurried, statuses = 0, {}, 0, 0
     for full, payload in in_order(recording):
         if full == key(arena, STATE) and (state := RUN_STATE.decode(payload)) is not None:
@@ -102,14 +106,18 @@ def closed(recording: Recording) -> dict[str, Any]:
                 if gate is not GateStatus.OPEN and newest.get(unit) is GateStatus.OPEN:
                     why[gate.name] += 1
                     began[unit] = status.stamp_ns
+                robot = status.robots[0]
+                if gate is not GateStatus.OPEN and unit in began and robot.left_output_rad_s == robot.right_output_rad_s == 0.0:
+                    stopped.add((unit, began[unit]))
             if gate is GateStatus.OPEN and unit in began:
                 lasted_ms.append((status.stamp_ns - began.pop(unit)) / MS)
             last_ns[unit], newest[unit] = status.stamp_ns, gate
     hours = running_ns / S / 3600
     return {
-        "robot_hours": round(hours, 3), "gates_closed": dict(why), "closed_ms": sorted(round(ms) for ms in lasted_ms),
+        "robot_hours": round(hours, 3), "gates_closed": dict(why), "stopped": len(stopped),
+        "closed_ms": {str(q): round(float(np.percentile(lasted_ms, q))) for q in (50, 90, 100)} if lasted_ms else None,
         "closed_per_robot_hour": round(sum(why.values()) / hours, 2) if hours else None, "held": dict(held),
-        "hurried": round(hurried / statuses, 3) if statuses else None,
+        "told_to_hurry": round(hurried / statuses, 3) if statuses else None,
     }  # fmt: skip
 
 
