@@ -87,6 +87,7 @@ def _log_links() -> None:
 
     sys.stdout.flush()
     read, write = os.pipe()
+    os.set_blocking(write, False)  # a log that nobody takes up costs lines, and holds up none of Zenoh's threads
     os.dup2(write, sys.__stdout__.fileno() if sys.__stdout__ is not None else 1)
     os.close(write)
     lines = os.fdopen(read, errors="replace")

@@ -106,6 +106,11 @@ class SimulatedRobots:
         return bool(self._found & _HURRIES)
 
     @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed."""
+        return int(np.minimum(self._gates["command_nonce"], self._gates["enabled_nonce"]).max())
+
+    @property
     def latch_is_new(self) -> bool:
         """Whether the newest status does not tell of a gate's latch yet."""
         return bool(self._found & _NEW_LATCH)
