@@ -138,24 +138,25 @@ class SimulatedSensors:
 
     def true_distances(self, truths: Array, radii: Array) -> Array:
         """Return how far away along each ray the first wall or body is (n, most) [m]; inf where there is none."""
-        own = truths[self.rows]
-        c, s = np.cos(own[:, 2:3]), np.sin(own[:, 2:3])
-        x, y, direction = self._at[:, :, 0], self._at[:, :, 1], own[:, 2:3] + self._at[:, :, 2]
-        origin = np.stack([own[:, 0:1] + c * x - s * y, own[:, 1:2] + s * x + c * y], axis=-1)[:, :, None]
-        ray = np.stack([np.cos(direction), np.sin(direction)], axis=-1)[:, :, None]
-        to_disc = truths[:, :2] - origin
-        ahead, beyond = (to_disc * ray).sum(-1), (to_disc**2).sum(-1) - radii**2
-        inside = ahead**2 - beyond
-        with np.errstate(invalid="ignore"):
-            discs = np.where((inside >= 0.0) & (ahead > 0.0), ahead - np.sqrt(inside), np.inf)
+        own, (x, y, direction) = truths[self.rows], self._at.transpose(2, 0, 1)
+        c, s, towards = np.cos(own[:, 2:3]), np.sin(own[:, 2:3]), own[:, 2:3] + direction
+        from_x, from_y = (own[:, 0:1] + c * x - s * y)[:, :, None], (own[:, 1:2] + s * x + c * y)[:, :, None]
+        ray_x, ray_y = np.cos(towards)[:, :, None], np.sin(towards)[:, :, None]
+        # Bodies (n, sensors, N): where the ray enters the disc.
+        to_x, to_y = truths[:, 0] - from_x, truths[:, 1] - from_y
+        ahead, beyond = to_x * ray_x + to_y * ray_y, to_x * to_x + to_y * to_y - radii * radii
+        inside = ahead * ahead - beyond
+        discs = np.where((inside >= 0.0) & (ahead > 0.0), ahead - np.sqrt(np.maximum(inside, 0.0)), np.inf)
         discs[beyond <= 0.0] = 0.0  # the sensor is in that body: they touch
         discs[np.arange(len(own)), :, self.rows] = np.inf  # nobody sees itself
         nearest = discs.min(axis=2, initial=np.inf)
         if len(self._walls):
-            to_wall = self._walls - origin
-            across = _cross(ray, self._along)
+            # Walls (n, sensors, walls): t along the ray, u along the wall.
+            (wall_x, wall_y), (along_x, along_y) = self._walls.T, self._along.T
+            to_x, to_y = wall_x - from_x, wall_y - from_y
+            across = ray_x * along_y - ray_y * along_x
             with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-                t, u = _cross(to_wall, self._along) / across, _cross(to_wall, ray) / across
+                t, u = (to_x * along_y - to_y * along_x) / across, (to_x * ray_y - to_y * ray_x) / across
             met = (np.abs(across) > _PARALLEL) & (t >= 0.0) & (u >= 0.0) & (u <= 1.0)
             nearest = np.minimum(nearest, np.where(met, t, np.inf).min(axis=2))
         return np.asarray(nearest)
@@ -225,7 +226,3 @@ def is_sound(reading: SensorReading) -> bool:
         and math.isfinite(sum(finite))
         and not any(map(math.isinf, reading.distances or ()))
     )
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

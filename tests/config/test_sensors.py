@@ -10,7 +10,7 @@ from robofleet.config.load import ConfigError, load_config
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 VEHICLE = "robots.1.vehicle.sensors"
 REFUSED = [
-    (("robots.1.sensors=true", "robots.1.vehicle=create2"), "robots.1.sensors: its vehicle has no sensors: describe them"),
+    (("robots.1.sensors=true", "robots.1.vehicle=create2"), "robots.1.sensors: its vehicle has no sensors: describe"),
     (("robots.1.sensors=true", f"{VEHICLE}={{period_s: 0.1}}"), "robots.1.sensors: its vehicle has no sensors"),
     (("robots.1.sensors=1",), "robots.1.sensors: must be true or false, not 1"),
     ((f"{VEHICLE}.period_s=0.001",), f"{VEHICLE}.period_s: must be at least 0.01, not 0.001"),
