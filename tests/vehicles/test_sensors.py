@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robofleet.clock import MS, S
@@ -73,6 +73,7 @@ def test_a_body_in_the_way_is_seen_where_its_disc_begins(
     at: tuple[float, float, float], sensor: int, far: float, beside: float, radius: float
 ) -> None:
     """``beside``: how far from its middle the ray meets the disc, in radii."""
+    assume(abs(abs(beside) - 1.0) > 1e-6)  # a ray that only touches it is seen or not
     x, y, psi = at
     _, _, direction = PLACES[sensor]
     c, s = math.cos(psi + direction), math.sin(psi + direction)
@@ -93,6 +94,8 @@ def test_a_sensor_sees_no_farther_than_its_range_and_nothing_behind_it() -> None
     assert seen((0.46, 0.0, 0.0), kind=ahead, walls=wall) == [pytest.approx(0.49)]
     assert np.isnan(seen((0.44, 0.0, 0.0), kind=ahead, walls=wall)).all()
     assert np.isnan(seen((1.5, 0.0, 0.0), kind=ahead, walls=wall)).all()
+    assert np.isnan(seen((0.46, 1.01, 0.0), kind=ahead, walls=wall)).all()  # past its end
+    assert np.isnan(seen((0.46, -1.01, 0.0), kind=ahead, walls=wall)).all()
     assert seen((0.46, 0.0, 0.0), (0.7, 0.0, 0.05), kind=ahead, walls=wall) == [pytest.approx(0.14)]
     assert seen((0.46, 0.0, 0.0), (0.54, 0.0, 0.05), kind=ahead, walls=wall) == [0.0]  # they touch
 
