@@ -29,9 +29,10 @@ from robofleet.vehicles.interface import (
     SensorReading,
     WheelSpeeds,
 )
+from robofleet.vehicles.sensors import MOST_DISTANCES
 
 _BAUD = 500_000
-_SILENT_NS = 500_000_000  # unanswered for so long, it is lost
+_SILENT_NS = 500_000_000  # unanswered for so long, it is lost; what its sensors told is too old then
 _ALONE_NS = 100_000_000  # when nothing was written for so long, it is asked whether it is still there
 _BATTERY_NS = 1_000_000_000
 _EMPTY_V, _FULL_V = 3.3, 4.2  # assumed: its one lithium cell, taken as linear between
@@ -41,7 +42,6 @@ _COAST_S = 0.4  # its motors without current
 _START = b'{"status"'
 _PIECES = 100  # in which an answer comes at most; who says more has another language
 _LONGEST = 1024  # bytes of an answer; it gives less than a hundred, with all its sensors less than 300
-_MOST_DISTANCES = 32  # it has seven
 _OTHER_ROBOT = 1.5  # times what is believed: it is another robot's, or in another unit
 
 _Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -52,7 +52,7 @@ _Number = Annotated[float, Field(allow_inf_nan=False)]
 
 class _Item(BaseModel):
     batt_volt: _Number | None = None
-    distances: Annotated[list[_Number], Field(max_length=_MOST_DISTANCES)] | None = None
+    distances: Annotated[list[_Number], Field(max_length=MOST_DISTANCES)] | None = None
     orientation: Annotated[list[_Number], Field(min_length=3, max_length=3)] | None = None
 
 
@@ -87,9 +87,11 @@ class GTernal:
         self._asked_ns: int | None = None  # the first line that it has not answered yet
         self._sent_ns = 0
         self._kind = context.sensors
+        self._period_ns = 0 if self._kind is None else round(self._kind.period * 1e9)
         self._distances: tuple[float, ...] | None = None
         self._heading: float | None = None
         self._sensed_ns: int | None = None  # when it was asked for its sensors last
+        self._told_ns: int | None = None  # when it told of them last
         self._closed = False
         self._line = SerialPort(settings.port, _BAUD)
         try:
@@ -124,7 +126,8 @@ class GTernal:
             raise DriverError(f"{self._port}: the robot does not answer: is it on, or at its charger?")
         if not 0 <= now_ns - self._sent_ns < _ALONE_NS:
             self._send(None, battery=True, sensors=self._due(now_ns))
-        sensors = None if self._kind is None else SensorReading(heading=self._heading, distances=self._distances)
+        told = self._told_ns is not None and now_ns - self._told_ns < _SILENT_NS + self._period_ns
+        sensors = SensorReading(heading=self._heading, distances=self._distances) if told else None
         return DriverReading(0.0, 0.0, 0.0, 0.0, self._battery, 0, sensors)
 
     def close(self) -> None:
@@ -172,8 +175,7 @@ class GTernal:
         """Return whether it is time to ask for its sensors."""
         if self._kind is None:
             return False
-        since_s = math.inf if self._sensed_ns is None else (now_ns - self._sensed_ns) * 1e-9
-        return not 0.0 <= since_s < self._kind.period
+        return self._sensed_ns is None or not 0 <= now_ns - self._sensed_ns < self._period_ns
 
     def _obeys(self, wheels: WheelSpeeds | None, patience_s: float, *, sensors: bool = False) -> bool:
         """Send one line and wait for its answer."""
@@ -232,6 +234,8 @@ class GTernal:
             if item.batt_volt is not None:
                 charge = (item.batt_volt - _EMPTY_V) / (_FULL_V - _EMPTY_V)
                 self._battery, self._battery_ns = min(1.0, max(0.0, charge)), self._now_ns()
+            if item.orientation is not None or item.distances is not None:
+                self._told_ns = self._now_ns()
             if item.orientation is not None:
                 clockwise = math.radians(item.orientation[0])
                 self._heading = math.pi - (clockwise + math.pi) % math.tau

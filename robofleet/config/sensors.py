@@ -5,8 +5,8 @@ from typing import Annotated
 from pydantic import Field
 
 from robofleet.settings import Coordinate, Degrees, Fraction, Length, Model, NonNegative, within
+from robofleet.vehicles.sensors import MOST_DISTANCES
 
-DISTANCES = 32  # sensors of a robot, at most
 Microtesla = Annotated[float, within(-1e6, 1e6)]
 Axes = Annotated[tuple[NonNegative, NonNegative, NonNegative], Field(strict=False)]
 Period = Annotated[float, within(0.01, 10)]
@@ -76,7 +76,7 @@ class Distances(Model):
     """Share of the readings that see nothing although something is in range."""
     outliers: Fraction = 0.0
     """Share of the other readings that are anything between 0 and the range."""
-    places: Annotated[tuple[DistancePlace, ...], Field(min_length=1, max_length=DISTANCES, strict=False)]
+    places: Annotated[tuple[DistancePlace, ...], Field(min_length=1, max_length=MOST_DISTANCES, strict=False)]
     """Places and directions, in the order of the readings."""
 
 

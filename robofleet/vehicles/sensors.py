@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 GYRO, ACCELEROMETER, MAGNETOMETER, HEADING = 1, 2, 4, 8  # which of them a robot has, added up
 _PARTS = (GYRO, slice(0, 3)), (ACCELEROMETER, slice(3, 6)), (MAGNETOMETER, slice(6, 9)), (HEADING, slice(9, 10))
 _INERTIAL = 10  # numbers of a reading before its distances
+MOST_DISTANCES = 32  # of one robot
 _GRAVITY = 9.80665  # [m/s^2], standard
 _PARALLEL = 1e-12  # a ray along a wall does not meet it
 
@@ -196,8 +197,9 @@ def packed(reading: SensorReading) -> tuple[int, int, list[float]]:
     """Return which sensors a reading is of, how many distances it has, and its numbers in their order."""
     four = reading[0], reading[1], reading[2], None if reading.heading is None else (reading.heading,)
     parts = sum(part for (part, _), said in zip(_PARTS, four, strict=True) if said is not None)
-    distances = reading.distances or ()
-    return parts, len(distances), [number for said in (*four, distances) for number in said or ()]
+    said = [of for of in (*four, reading.distances) if of is not None]
+    distances = 0 if reading.distances is None else len(reading.distances)
+    return parts, distances, [float(number) for of in said for number in of]
 
 
 def numbers(parts: int, distances: int) -> int:
@@ -218,11 +220,13 @@ def unpacked(parts: int, distances: int, numbers: Sequence[float]) -> SensorRead
 
 
 def is_sound(reading: SensorReading) -> bool:
-    """Return whether each axis has its number, finite but for a distance that is NaN."""
+    """Return whether each axis has its number, finite but for a distance that is NaN, and the message has room."""
     axes = [said for said in reading[:3] if said is not None]
-    finite = [number for said in axes for number in said] + [reading.heading or 0.0]
+    finite = [number for said in axes for number in said] + [0.0 if reading.heading is None else reading.heading]
+    distances = () if reading.distances is None else reading.distances
     return (
         all(len(said) == 3 for said in axes)
         and math.isfinite(sum(finite))
-        and not any(map(math.isinf, reading.distances or ()))
+        and len(distances) <= MOST_DISTANCES
+        and not any(map(math.isinf, distances))
     )

@@ -72,3 +72,14 @@ def test_other_sensors_than_it_has_are_named() -> None:
         bench.sensors = replace(bench.sensors, distances=fewer)
         with pytest.raises(DriverError, match=r"it tells 7 distances, but vehicle\.sensors\.distances has 5 places"):
             bench.make()
+
+
+def test_what_it_told_long_ago_is_not_told_again() -> None:
+    with Bench(EXACT) as bench:
+        assert bench.twin is not None and bench.sensors is not None
+        bench.sensors = replace(bench.sensors, period=0.2)
+        bench.make()
+        bench.twin.hardware.sense = None  # from now on it answers the lines between
+        told = [moment.reading for moment in bench.drive(WheelSpeeds(2.0, 2.0), 1.0)]
+        assert told[10] is not None and told[10].sensors is not None
+        assert told[-1] is not None and told[-1].sensors is None

@@ -19,6 +19,8 @@ from robofleet.vehicles.sensors import (
     SensorKind,
     SimulatedSensors,
     is_sound,
+    packed,
+    unpacked,
 )
 from tests.robots import GTERNAL, WORN
 
@@ -202,8 +204,18 @@ def test_a_robots_errors_are_its_own() -> None:
         SensorReading(accelerometer=(math.nan, 0.0, 0.0)),
         SensorReading(heading=math.inf),
         SensorReading(distances=(math.inf,)),
+        SensorReading(distances=(1.0,) * 300),
     ],
 )  # fmt: skip
 def test_what_no_sensor_says(impossible: SensorReading) -> None:
     assert not is_sound(impossible)
     assert is_sound(SensorReading((0.0, 0.0, 0.0), None, None, 1.0, (math.nan, 0.3)))
+
+
+def test_an_array_is_as_good_as_a_tuple() -> None:
+    reading = SensorReading(gyro=np.arange(3.0), distances=np.array([0.5, math.nan]))  # type: ignore[arg-type]
+    assert is_sound(reading)
+    parts, count, numbers = packed(reading)
+    again = unpacked(parts, count, numbers)
+    assert again.gyro == (0.0, 1.0, 2.0) and again.distances is not None
+    assert again.distances == pytest.approx((0.5, math.nan), nan_ok=True)
