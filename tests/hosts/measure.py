@@ -107,7 +107,11 @@ def closed(recording: Recording) -> dict[str, Any]:
                     why[gate.name] += 1
                     began[unit] = status.stamp_ns
                 robot = status.robots[0]
-                if gate is not GateStatus.OPEN and unit in began and robot.left_output_rad_s == robot.right_output_rad_s == 0.0:
+                if (
+                    gate is not GateStatus.OPEN
+                    and unit in began
+                    and robot.left_output_rad_s == robot.right_output_rad_s == 0.0
+                ):
                     stopped.add((unit, began[unit]))
             if gate is GateStatus.OPEN and unit in began:
                 lasted_ms.append((status.stamp_ns - began.pop(unit)) / MS)
