@@ -1,5 +1,6 @@
 """What crosses processes. Units are in the field names; ``layouts.py`` decodes."""
 
+from enum import IntEnum
 from typing import NamedTuple
 
 from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
@@ -24,6 +25,14 @@ class WheelCommand(NamedTuple):
     right_rad_s: float
 
 
+class Hurry(IntEnum):
+    """How a unit's link is, and so how often it should be spoken to."""
+
+    NO = 0
+    NOW = 1  # by cable: often, for its link was bad a short while ago; by radio: at once, for it has heard nothing new
+    WAS_BAD = 2  # by radio: after each status
+
+
 class UnitStatus(NamedTuple):
     """Unit to all."""
 
@@ -32,7 +41,7 @@ class UnitStatus(NamedTuple):
     boot_id: int  # drawn when the unit started
     nonce: int  # opaque to everybody else
     stamp_ns: int  # [unit's clock]
-    hurry: int  # 1: its link was bad a short while ago: what is said to it should be said often
+    hurry: int  # Hurry
     robots: tuple["RobotStatus", ...]  # in the unit's order
 
 

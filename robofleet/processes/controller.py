@@ -16,6 +16,7 @@ from robofleet.comms.messages import (
     UNIT_COMMAND,
     UNIT_STATUS,
     FleetPoses,
+    Hurry,
     RobotTick,
     UnitCommand,
 )
@@ -263,7 +264,7 @@ class Controller:
     def _waits(self, unit: int) -> bool:
         """Whether a unit on a radio, of which a status has just come, cannot wait for the next tick."""
         status = self._statuses.newest[unit]
-        return status is not None and (status.hurry == 1 or self._stale[unit])
+        return status is not None and (status.hurry == Hurry.NOW or self._stale[unit])
 
     def _command(self, unit: int) -> None:
         """Command the robots of a unit that answer to this controller; if none does, nothing is said."""

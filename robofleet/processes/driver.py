@@ -152,7 +152,7 @@ class DriverProcess:
         robots.keep(due=due)
         if due and self._truth_is_due:
             self._tell_truth()
-        if telling.due(now_ns, loop=due, newest_nonce_ns=robots.newest_nonce_ns, was_bad=robots.hurries):
+        if telling.due(now_ns, robots, loop=due):
             self._tell()
         if due:
             if self._publish_sensors is not None and self._sensing_ns is not None:
@@ -215,6 +215,6 @@ class DriverProcess:
         robots, now_ns = self._robots, self._now()
         self._seq += 1
         refused = self._refused + self._commands.rejected + self._enables.rejected
-        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, int(self._telling.hurry), ())
+        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, self._telling.hurry, ())
         self._publish_status(UNIT_STATUS.encode_view(head, robots.statuses(now_ns, refused)))
         self._telling.told(now_ns)

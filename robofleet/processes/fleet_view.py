@@ -59,6 +59,7 @@ class FleetListener:
         self._daemons, self._build = frozenset(config.daemons), slices.build(config)
         ids = [robot.id for robot in robots]
         self.statuses = Statuses(bus, config.units, ids, by_radio=config.daemons, wake=wake)
+        self.newer: list[int] = []  # units, as numbers, of which the newest look found a newer status
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.arrays)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.arrays)
         self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS.decode)
@@ -95,16 +96,15 @@ class FleetListener:
         self._recorder = self._recorders.take() or self._recorder
         return 0 if self._recorder is not None and self._recorder.failed else self._free_bytes()
 
-    def hear_robots(self, now_ns: int) -> list[int]:
-        """Take the statuses that came; returns whose."""
-        statuses, newer = self.statuses, self.statuses.take()
-        for unit in newer:
+    def hear_robots(self, now_ns: int) -> None:
+        """Take the statuses that came: those of the ``newer`` units."""
+        statuses, self.newer = self.statuses, self.statuses.take()
+        for unit in self.newer:
             said, part = statuses.newest[unit], statuses.units[unit]
             assert said is not None
             if part.name in self._daemons and said.build != self._build:
                 continue  # it has not taken this run's configuration yet
             _take_statuses(self._robots, statuses.robots, part.numbers, now_ns, said.build, np.uint64(said.boot_id))
-        return newer
 
     def _take_tick(self, head: NDArray[Any], robots: NDArray[Any], now_ns: int) -> None:
         record = dict(zip(TICK_RECORD.head_dtype.names or (), head[0].item(), strict=True))
