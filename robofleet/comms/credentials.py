@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Self
 from robofleet import folders
 from robofleet.clock import utc_now
 
-AUTHORITY, JOINED = "authority.pem", "joined.json"
+AUTHORITY, JOINED, REGISTER = "authority.pem", "joined.json", "register.json"
 _SHORT = 0.2  # of a certificate's life: then it is to be renewed
 _ZID = 16  # [bytes]
 

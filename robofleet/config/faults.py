@@ -367,6 +367,8 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
             "drivers that are there before the run cannot know where it will be: "
             "name a socket, as unixsock-stream//run/robofleet/lab.sock",
         )
+    if config.bus.router == "service" and endpoint.endswith(":0"):
+        yield "bus.endpoint", "a router that is there before the run has one port: name it, or leave the endpoint out"
     if config.drivers.started_by == "daemon":
         yield from _daemons(config)
     if endpoint.startswith(SOCKET):

@@ -68,7 +68,7 @@ class Fleet:
     def begin(self, robot: str) -> None:
         """Start a robot's driver."""
         self.daemons[robot] = self.network[robot].begin("driver", "--unit", robot, log=self.logs[robot])
-        self._stack.callback(_end, self.daemons[robot])
+        self._stack.callback(ended, self.daemons[robot])
 
     def end(self, robot: str, number: signal.Signals) -> None:
         """End a robot's driver by a signal."""
@@ -79,7 +79,7 @@ class Fleet:
         """Start a run in the laboratory; its folder has this name."""
         lab = self.network["lab"]
         run = lab.begin("run", str(file), "--out", str(lab.folder / name), *words, log=lab.folder / f"{name}.log")
-        self._stack.callback(_end, run)
+        self._stack.callback(ended, run)
         return run
 
     def phase(self) -> str:
@@ -92,7 +92,8 @@ class Fleet:
         return (self.network["lab"].folder / f"{name}.log").read_text()
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
+def ended(process: "subprocess.Popen[bytes]") -> None:
+    """End a process, if it is still there."""
     if process.poll() is None:
         process.terminate()
         process.wait(20)

@@ -10,7 +10,7 @@ import yaml
 from robofleet.comms.keys import STATUS
 from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
-from tests.hosts.fleet import ALONE, Fleet, configuration, join, said
+from tests.hosts.fleet import ALONE, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network, unavailable
 from tests.processes.realrun import wait
 
@@ -80,3 +80,35 @@ def test_a_robot_refuses_what_its_own_file_does_not_allow_and_the_run_says_so(ne
         run = fleet.run(file, "run", "--set", "tracker.source=truth")
         assert run.wait(150) == 1
         assert "robot.yaml on this robot does not allow wheels of 12.5 rad/s (allowed: 5)" in fleet.log("run")
+
+
+def test_a_router_that_stays_shows_robots_that_wait_and_shuts_out_who_is_revoked(
+    network: Callable[..., Network],
+) -> None:
+    robots = "r1", "r2"
+    net = network(*robots)
+    lab = net["lab"]
+    file = configuration(net, *robots, duration_s=1.0)
+    tree = yaml.safe_load(file.read_text())
+    tree["bus"]["router"] = "service"
+    file.write_text(yaml.safe_dump(tree))
+
+    refused = lab.robofleet("run", str(file), "--out", str(lab.folder / "too-early"))
+    assert refused.returncode == 2
+    assert "no router listens at" in refused.stderr
+    with ExitStack() as stack:
+        router = lab.begin("router", str(file), log=lab.folder / "router.log")
+        stack.callback(ended, router)
+        fleet = Fleet(net, robots, stack)
+
+        def states() -> list[str]:
+            found = lab.robofleet("hosts", str(file), "--json")
+            return [one["state"] for one in yaml.safe_load(found.stdout)["units"]] if found.returncode == 0 else []
+
+        assert wait(lambda: states() == ["waits", "waits"], 60), fleet.logs["r1"].read_text()
+        run = fleet.run(file, "run", "--set", "tracker.source=truth")
+        assert run.wait(150) == 0, fleet.log("run")
+        assert states() == ["waits", "waits"]
+        said(lab, "keys", "revoke", "platoon", "r2")
+        assert wait(lambda: states() == ["waits", "silent"], 60), (lab.folder / "router.log").read_text()
+        assert router.poll() is None
