@@ -4,7 +4,9 @@ Source: the public firmware (github.com/robotarium/GTernal, Teensy). A line asks
 ``{"request": ["write", "read"], "iface": ["motor", "batt_volt"], "body": [{"v": .., "w": ..}, {}]}``, and gets one
 answer, ``{"status": [1, 1], "body": [{}, {"batt_volt": ..}]}``, with nothing after it. What it does not understand it
 answers with empty lists. It tells nothing of its encoders: angles and speeds are 0, which is how the rest of robofleet
-knows a robot without encoders.
+knows a robot without encoders. Of its other sensors it tells ``distances``, a list in metres, and ``orientation``, the
+heading in degrees, clockwise from a zero of its own, before two tilts; they are asked in the same line, where somebody
+wants to know.
 
 Its 500 ms stop starts anew with every ``write``, whatever is written, and with no ``read``. So the driver writes
 nothing but what the gate tells it to: a lamp that blinks would keep a robot going that nobody drives any more.
@@ -19,10 +21,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive, body_from_wheels
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.interface import (
+    STOP,
+    DriverContext,
+    DriverError,
+    DriverReading,
+    SensorReading,
+    WheelSpeeds,
+)
+from robofleet.vehicles.sensors import MOST_DISTANCES
 
 _BAUD = 500_000
-_SILENT_NS = 500_000_000  # unanswered for so long, it is lost
+_SILENT_NS = 500_000_000  # unanswered for so long, it is lost; what its sensors told is too old then
 _ALONE_NS = 100_000_000  # when nothing was written for so long, it is asked whether it is still there
 _BATTERY_NS = 1_000_000_000
 _EMPTY_V, _FULL_V = 3.3, 4.2  # assumed: its one lithium cell, taken as linear between
@@ -31,14 +41,19 @@ _STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
 _COAST_S = 0.4  # its motors without current
 _START = b'{"status"'
 _PIECES = 100  # in which an answer comes at most; who says more has another language
-_LONGEST = 512  # bytes of an answer; it gives less than a hundred
+_LONGEST = 1024  # bytes of an answer; it gives less than a hundred, with all its sensors less than 300
 _OTHER_ROBOT = 1.5  # times what is believed: it is another robot's, or in another unit
 
 _Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
 class _Item(BaseModel):
-    batt_volt: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    batt_volt: _Number | None = None
+    distances: Annotated[list[_Number], Field(max_length=MOST_DISTANCES)] | None = None
+    orientation: Annotated[list[_Number], Field(min_length=3, max_length=3)] | None = None
 
 
 class _Answer(BaseModel):
@@ -71,6 +86,12 @@ class GTernal:
         self._battery, self._battery_ns = math.nan, 0
         self._asked_ns: int | None = None  # the first line that it has not answered yet
         self._sent_ns = 0
+        self._kind = context.sensors
+        self._period_ns = 0 if self._kind is None else round(self._kind.period * 1e9)
+        self._distances: tuple[float, ...] | None = None
+        self._heading: float | None = None
+        self._sensed_ns: int | None = None  # when it was asked for its sensors last
+        self._told_ns: int | None = None  # when it told of them last
         self._closed = False
         self._line = SerialPort(settings.port, _BAUD)
         try:
@@ -95,17 +116,19 @@ class GTernal:
         """Command the wheels [rad/s]."""
         self._listen()
         now_ns = self._now_ns()
-        self._send(wheels, battery=not 0 <= now_ns - self._battery_ns < _BATTERY_NS)
+        self._send(wheels, battery=not 0 <= now_ns - self._battery_ns < _BATTERY_NS, sensors=self._due(now_ns))
 
     def read(self) -> DriverReading:
-        """Return its charge; its angles and speeds it does not tell."""
+        """Return its charge, and what it told last of its sensors; its angles and speeds it does not tell."""
         self._listen()
         now_ns = self._now_ns()
         if self._asked_ns is not None and now_ns - self._asked_ns >= _SILENT_NS:
             raise DriverError(f"{self._port}: the robot does not answer: is it on, or at its charger?")
         if not 0 <= now_ns - self._sent_ns < _ALONE_NS:
-            self._send(None, battery=True)
-        return DriverReading(0.0, 0.0, 0.0, 0.0, self._battery, 0)
+            self._send(None, battery=True, sensors=self._due(now_ns))
+        told = self._told_ns is not None and now_ns - self._told_ns < _SILENT_NS + self._period_ns
+        sensors = SensorReading(heading=self._heading, distances=self._distances) if told else None
+        return DriverReading(0.0, 0.0, 0.0, 0.0, self._battery, 0, sensors)
 
     def close(self) -> None:
         """Motors off: told until it answers, for a line that comes while it answers another one is lost."""
@@ -127,11 +150,37 @@ class GTernal:
         if not any(self._obeys(STOP, _PATIENCE_S) for _ in range(_TRIES)):
             raise DriverError(f"{self._port}: the robot answers, but does not stop: look at its firmware")
         self._line.wait(_COAST_S)
+        if self._asked_for and not any(self._obeys(None, _PATIENCE_S, sensors=True) for _ in range(_TRIES)):
+            raise DriverError(
+                f"{self._port}: its firmware does not tell {' and '.join(self._asked_for)}: load the published "
+                "firmware, or remove `sensors: true`"
+            )
+        places = 0 if self._kind is None else len(self._kind.places)
+        if self._distances is not None and len(self._distances) != places:
+            raise DriverError(
+                f"{self._port}: it tells {len(self._distances)} distances, but vehicle.sensors.distances has {places} "
+                "places: mend them"
+            )
 
-    def _obeys(self, wheels: WheelSpeeds | None, patience_s: float) -> bool:
+    @property
+    def _asked_for(self) -> list[str]:
+        """What it is asked for beside its battery."""
+        kind = self._kind
+        if kind is None:
+            return []
+        told = (("distances", kind.distances), ("orientation", kind.heading))
+        return [interface for interface, has in told if has is not None]
+
+    def _due(self, now_ns: int) -> bool:
+        """Return whether it is time to ask for its sensors."""
+        if self._kind is None:
+            return False
+        return self._sensed_ns is None or not 0 <= now_ns - self._sensed_ns < self._period_ns
+
+    def _obeys(self, wheels: WheelSpeeds | None, patience_s: float, *, sensors: bool = False) -> bool:
         """Send one line and wait for its answer."""
-        self._send(wheels, battery=True)
-        asked = 1 if wheels is None else 2
+        self._send(wheels, battery=True, sensors=sensors)
+        asked = (1 if wheels is None else 2) + (len(self._asked_for) if sensors else 0)
         for _ in range(_PIECES):
             if not self._line.wait(patience_s):
                 return False
@@ -139,7 +188,7 @@ class GTernal:
                 return True
         return False
 
-    def _send(self, wheels: WheelSpeeds | None, *, battery: bool) -> None:
+    def _send(self, wheels: WheelSpeeds | None, *, battery: bool, sensors: bool) -> None:
         if self._closed:
             raise DriverError(f"{self._port}: it is closed")
         asked: list[tuple[str, str, dict[str, float]]] = []
@@ -148,6 +197,9 @@ class GTernal:
             asked.append(("write", "motor", {"v": round(v, 5), "w": round(omega, 4)}))
         if battery:
             asked.append(("read", "batt_volt", {}))
+        if sensors:
+            asked += [("read", interface, {}) for interface in self._asked_for]
+            self._sensed_ns = self._now_ns()
         lists = dict(zip(("request", "iface", "body"), zip(*asked, strict=True), strict=True))
         # The first byte may be lost: the firmware empties its input between its looks at it. After the last one must
         # come nothing: a blank would begin its next line, and it does not look at its stop before it has the rest.
@@ -182,3 +234,11 @@ class GTernal:
             if item.batt_volt is not None:
                 charge = (item.batt_volt - _EMPTY_V) / (_FULL_V - _EMPTY_V)
                 self._battery, self._battery_ns = min(1.0, max(0.0, charge)), self._now_ns()
+            if item.orientation is not None or item.distances is not None:
+                self._told_ns = self._now_ns()
+            if item.orientation is not None:
+                clockwise = math.radians(item.orientation[0])
+                self._heading = math.pi - (clockwise + math.pi) % math.tau
+            if item.distances is not None and self._kind is not None and self._kind.distances is not None:
+                farthest = self._kind.distances.range
+                self._distances = tuple(d if 0.0 < d <= farthest else math.nan for d in item.distances)

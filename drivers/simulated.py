@@ -3,7 +3,15 @@
 from typing import ClassVar
 
 from robofleet.vehicles.body import SimulatedBody
-from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, TruePose, WheelSpeeds
+from robofleet.vehicles.interface import (
+    STOP,
+    DriverContext,
+    DriverReading,
+    SensorReading,
+    TruePose,
+    WheelSpeeds,
+)
+from robofleet.vehicles.sensors import SimulatedSensors
 
 _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
 
@@ -18,6 +26,10 @@ class SimulatedRobot:
         self._now_ns = context.now_ns
         self._body = SimulatedBody(context.simulation, context.now_ns())
         self._off_ns: int | None = None  # when the motors go off; None: they are
+        own = context.simulation.sensing  # it sees walls alone: it knows of no other robot
+        self._sensors = None if own is None else SimulatedSensors([0], [own])
+        self._sensed: SensorReading | None = None
+        self._sense_ns = 0
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels from now on [rad/s]."""
@@ -26,9 +38,15 @@ class SimulatedRobot:
         self._off_ns = now_ns + _SILENT_NS
 
     def read(self) -> DriverReading:
-        """Return encoders and battery now."""
-        self._advance()
-        return self._body.plant.reading()
+        """Return encoders and battery now, and its sensors as read last."""
+        now_ns = self._advance()
+        reading = self._body.plant.reading()
+        if self._sensors is None:
+            return reading
+        if not self._sense_ns - self._sensors.period_ns <= now_ns < self._sense_ns:
+            self._sense_ns = now_ns + self._sensors.period_ns
+            self._sensed = self._sensors.first(now_ns, [self._body.plant.truth()], [0.0])
+        return reading._replace(sensors=self._sensed)
 
     def truth(self) -> TruePose:
         """Return the true pose now."""

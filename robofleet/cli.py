@@ -319,14 +319,14 @@ def _refuse_forgetful(tree: "Config") -> None:
 @contextmanager
 def _claimed(tree: "Config", folder: Path) -> "Iterator[None]":
     """Let the run be reached by others, and refuse a second one on the same arena."""
-    from robofleet.comms.endpoint import check_free  # noqa: PLC0415
+    from robofleet.comms.endpoint import check_router  # noqa: PLC0415
     from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
     from robofleet.processes.arena_file import ArenaBusyError, claimed  # noqa: PLC0415
 
     with ExitStack() as held:
         try:
             held.enter_context(claimed(tree, folder))
-            check_free(tree)
+            check_router(tree)
         except (ArenaBusyError, PlaceError) as error:
             raise RefusedError(str(error)) from error
         yield

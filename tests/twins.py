@@ -66,4 +66,4 @@ class TwinStand:
         """Return what a driver of r1 is made from."""
         robot = self.config.robot("r1")
         simulation = slices.simulation(self.config, robot, None)
-        return DriverContext("r1", slices.drive(robot), simulation, self.clock.now_ns, settings)
+        return DriverContext("r1", slices.drive(robot), simulation, self.clock.now_ns, settings, slices.sensors(robot))

@@ -13,7 +13,7 @@ from robofleet.behaviours.excitation import Excitation
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S
-from robofleet.comms.endpoint import check_free, settled
+from robofleet.comms.endpoint import check_router, settled
 from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.comms.private_folder import PlaceError
@@ -96,7 +96,7 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
 def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, str | None, Recording]:
     try:
         with claimed(config, folder), Terminal() as terminal:
-            check_free(config)
+            check_router(config)
             outcome, cause = Launcher(config, folder, watch, terminal).run()
         if outcome != "completed":
             return outcome, cause, Recording(config)

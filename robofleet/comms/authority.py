@@ -26,14 +26,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robofleet.clock import utc_now
 from robofleet.comms.bundle import APassport, write_private
-from robofleet.comms.credentials import AUTHORITY, Credentials, KeysError, Passport, session_id
+from robofleet.comms.credentials import AUTHORITY, REGISTER, Credentials, KeysError, Passport, session_id
 from robofleet.comms.permissions import OPERATOR, PAGE, PROCESSES, SCRIPT, UNIT, VIEWER, Identity
 from robofleet.valid_json import dumps
 
 ROUTER = "router"
 KINDS = (UNIT, ROUTER, *PROCESSES, OPERATOR, VIEWER, SCRIPT)
 AUTHORITY_DAYS, DAYS = 3650, 90
-_KEY, _REGISTER = "authority.key", "register.json"
+_KEY = "authority.key"
 _HERE = "localhost", "127.0.0.1", "::1"
 _EARLIER = timedelta(minutes=10)  # clocks of two computers differ
 _LISTENS = ROUTER, PAGE
@@ -67,7 +67,7 @@ class Authority:
         try:
             self._certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
             key = load_pem_private_key((folder / _KEY).read_bytes(), password=None)
-            self._register = _Register.model_validate_json((folder / _REGISTER).read_bytes())
+            self._register = _Register.model_validate_json((folder / REGISTER).read_bytes())
         except FileNotFoundError as error:
             raise KeysError(
                 f"{error.filename}: the arena {arena} has no authority here: `robofleet keys init {arena}`"
@@ -99,7 +99,7 @@ class Authority:
             .sign(key, hashes.SHA256())
         )
         write_private(folder / _KEY, _private(key))
-        write_private(folder / _REGISTER, _Register().model_dump_json().encode())
+        write_private(folder / REGISTER, _Register().model_dump_json().encode())
         write_private(folder / AUTHORITY, signed.public_bytes(Encoding.PEM))
         return cls(arena, folder)
 
@@ -184,7 +184,7 @@ class Authority:
         return made
 
     def _save(self) -> None:
-        write_private(self.folder / _REGISTER, self._register.model_dump_json(indent=1).encode())
+        write_private(self.folder / REGISTER, self._register.model_dump_json(indent=1).encode())
 
 
 def identities(authority: Authority) -> list[Identity]:

@@ -13,10 +13,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+from robofleet import folders
 from robofleet.clock import utc_now
 
-_SYSTEM = Path("/etc/robofleet/keys")
-AUTHORITY, JOINED = "authority.pem", "joined.json"
+AUTHORITY, JOINED, REGISTER = "authority.pem", "joined.json", "register.json"
 _SHORT = 0.2  # of a certificate's life: then it is to be renewed
 _ZID = 16  # [bytes]
 
@@ -100,21 +100,16 @@ class Credentials(NamedTuple):
         return cls(name, folder / f"{name}.pem", folder / f"{name}.key", folder / AUTHORITY)
 
 
-def own_folder() -> Path:
-    """Return the folder of this user's settings."""
-    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "robofleet"
-
-
 def keys_folder(arena: str) -> Path:
     """Return the folder of an arena's keys: the system's where it is there and can be read, else this user's."""
-    system = _SYSTEM / arena
-    return system if os.access(system, os.R_OK | os.X_OK) else own_folder() / "keys" / arena
+    system = folders.SYSTEM / "keys" / arena
+    return system if os.access(system, os.R_OK | os.X_OK) else folders.own_settings() / "keys" / arena
 
 
 def joined() -> dict[str, Joined]:
     """Return the arenas of other computers that this one has joined, by name; what cannot be read is passed over."""
     found = {}
-    for place in (own_folder() / "keys", _SYSTEM):
+    for place in (folders.own_settings() / "keys", folders.SYSTEM / "keys"):
         for file in sorted(place.glob(f"*/{JOINED}")) if os.access(place, os.R_OK | os.X_OK) else ():
             with suppress(OSError, ValueError, TypeError, KeyError):
                 told = json.loads(file.read_bytes())

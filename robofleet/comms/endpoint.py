@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robofleet.comms.private_folder import PlaceError, check_private, private_folder
-from robofleet.patterns import LONGEST_SOCKET_PATH, PRIVATE, SOCKET
+from robofleet.patterns import LONGEST_SOCKET_PATH, PRIVATE, SOCKET, TCP
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
@@ -21,7 +21,7 @@ _FLAGS, _LISTENS = 3, "00010000"  # a column of it, and what stands there
 def settled(config: "Config", *, listen: bool) -> "Config":
     """Return the configuration with an endpoint that Zenoh takes; PlaceError where it cannot be used.
 
-    ``listen``: for the one who brings the router: port 0 becomes a free one.
+    ``listen``: for the one who brings the router: a port of 0 becomes a free one.
     """
     endpoint = config.bus.endpoint
     try:
@@ -29,13 +29,36 @@ def settled(config: "Config", *, listen: bool) -> "Config":
             endpoint = socket_endpoint(private_folder() / f"{config.arena.name}.sock")
         elif endpoint.startswith(SOCKET):
             check_private(_path(endpoint).parent)
-        elif listen:
+        elif listen and config.bus.router == "run":
             endpoint = _bound(endpoint)
     except PlaceError as error:
         raise PlaceError(f"bus.endpoint: {error}") from error
     except OSError as error:
         raise _in_use(endpoint, error) from error
     return config.model_copy(update={"bus": config.bus.model_copy(update={"endpoint": endpoint})})
+
+
+def check_router(config: "Config") -> None:
+    """Raise PlaceError where a run could not have its router: its own, or the one that is there already."""
+    if config.bus.router == "run":
+        check_free(config)
+    elif not _answers(config.bus.endpoint):
+        raise PlaceError(
+            f"bus.router: service, and no router listens at {config.bus.endpoint}: start `robofleet router CONFIG`, "
+            "or leave bus.router out, and each run starts its own"
+        )
+
+
+def _answers(endpoint: str) -> bool:
+    with suppress(OSError):
+        if endpoint.startswith(SOCKET):
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.connect(str(_path(endpoint)))
+            return True
+        host, _, port = endpoint.removeprefix(TCP).rpartition(":")
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=1.0):
+            return True
+    return False
 
 
 def check_free(config: "Config") -> None:

@@ -40,6 +40,7 @@ BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUS
 WISH = Topic("group/{}/wish", "script", "controller", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH)
 NOTE = Topic("group/{}/note", "script", "viewers", 0.0, "DATA_LOW", _FLEET, messages.NOTE, reliable=True)
 TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
+SENSORS = Topic("unit/{}/sensors", "unit", "all", 0.033, "DATA", _LONG, messages.UNIT_SENSORS)
 CONFIG = Topic("unit/{}/config", "supervisor", "unit", 0.0, "DATA", _LONG, messages.HANDED, reliable=True)
 HOST = Topic("unit/{}/host", "operator viewer", "unit", 0.0, "DATA_LOW", 1024, None, reliable=True)
 REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
@@ -53,12 +54,12 @@ CAMERA = "overhead"  # the one camera's name, in the key of its poses
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
 TOPICS = (
-    COMMAND, STATUS, ENABLE, LEASE, CONFIG, HOST, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, WISH,
-    NOTE, REQUEST, SAFE_REQUEST, ALIVE,
+    COMMAND, STATUS, ENABLE, LEASE, CONFIG, HOST, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, SENSORS,
+    WISH, NOTE, REQUEST, SAFE_REQUEST, ALIVE,
 )  # fmt: skip
 ASKED = LEASE, CONFIG, HOST, REQUEST, SAFE_REQUEST  # queries, which somebody answers
 OF_SCRIPTS = WISH, NOTE  # that a recording has of each group that a script drives
-OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each unit
+OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each unit; of some it has SENSORS
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:

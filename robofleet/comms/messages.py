@@ -25,6 +25,14 @@ class WheelCommand(NamedTuple):
     right_rad_s: float
 
 
+class Hurry(IntEnum):
+    """How a unit's link is, and so how often it should be spoken to."""
+
+    NO = 0
+    NOW = 1  # by cable: often, for its link was bad a short while ago; by radio: at once, for it has heard nothing new
+    WAS_BAD = 2  # by radio: after each status
+
+
 class UnitStatus(NamedTuple):
     """Unit to all."""
 
@@ -33,7 +41,7 @@ class UnitStatus(NamedTuple):
     boot_id: int  # drawn when the unit started
     nonce: int  # opaque to everybody else
     stamp_ns: int  # [unit's clock]
-    hurry: int  # 1: its link was bad a short while ago: what is said to it should be said often
+    hurry: int  # Hurry
     robots: tuple["RobotStatus", ...]  # in the unit's order
 
 
@@ -142,6 +150,24 @@ class Truth(NamedTuple):
     psi_rad: float
     v_m_s: float  # [body]
     omega_rad_s: float
+
+
+class UnitSensors(NamedTuple):
+    """Unit to all: what its robots' sensors measure, beside their wheels. ``comms.sensors`` reads it."""
+
+    seq: int
+    stamp_ns: int  # [unit's clock]
+    robots: tuple["RobotSensors", ...]  # those of the unit whose sensors are read
+    numbers: tuple[float, ...]  # of each robot those that it has: gyro x, y, z [rad/s], accelerometer x, y, z [m/s^2],
+    # magnetometer x, y, z [T], heading [rad], distances [m; NaN: nothing seen]; axes of the robot frame
+
+
+class RobotSensors(NamedTuple):
+    """Which of a message's numbers are one robot's."""
+
+    place: int  # in the unit's order
+    parts: int  # vehicles.sensors.GYRO, ACCELEROMETER, MAGNETOMETER, HEADING, added up
+    distances: int  # how many
 
 
 class TagPose(NamedTuple):
@@ -322,6 +348,7 @@ UNIT_COMMAND = ListLayout(UnitCommand, "QQQqq", WheelCommand, "Qdd")
 UNIT_STATUS = ListLayout(UnitStatus, "QIQqqB", RobotStatus, "QQqqQBBQIqq" + "d" * 9)
 UNIT_ENABLE = ListLayout(UnitEnable, "QQqB", Enable, "QBQd")
 UNIT_TRUTH = ListLayout(UnitTruth, "Qq", Truth, "H" + "d" * 5)
+UNIT_SENSORS = ListLayout(UnitSensors, "Qq", RobotSensors, "HBB", numbers=True)
 UNIT_LEASES = ListLayout(UnitLeases, "", LeaseAnswer, "BQQ")
 TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
 SCRIPT_WISH = ListLayout(ScriptWish, "IQBQQ", RobotWish, "B" + "d" * 3)

@@ -16,10 +16,6 @@ PROCESSES = "controller", "supervisor", "tracker", "recorder", PAGE
 ROLES = (*PROCESSES, OPERATOR, VIEWER, SCRIPT)
 LOCAL = "unixsock-stream"  # the link of this user's own processes
 SAYS, HEARS, ASKS, ANSWERS, LIVES, LOOKS = "says", "hears", "asks", "answers", "lives", "looks"
-_SAYING = {"put", "delete"}
-_QUERYING = {"query", "declare_queryable", "reply"}
-_LIVING = {"liveliness_token", "liveliness_query", "declare_liveliness_subscriber"}
-_EVERYTHING = sorted({*_SAYING, "declare_subscriber", *_QUERYING, *_LIVING})
 _IN, _OUT = "ingress", "egress"
 # What the router lets through for what somebody may do: the kinds of messages, and their direction at the router.
 _FLOWS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -30,6 +26,7 @@ _FLOWS: dict[str, tuple[tuple[str, str], ...]] = {
     LIVES: (("liveliness_token", _IN),),
     LOOKS: (("liveliness_query", _IN), ("declare_liveliness_subscriber", _IN), ("liveliness_token", _OUT)),
 }  # fmt: skip
+_EVERYTHING = sorted({message for flows in _FLOWS.values() for message, _ in flows})
 
 
 class Identity(NamedTuple):

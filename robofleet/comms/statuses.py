@@ -1,13 +1,13 @@
 """The newest status of every unit: its robots' heartbeat."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS
-from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.bus import Bus, Inbox, Wake
 from robofleet.comms.keys import STATUS
 from robofleet.comms.messages import UNIT_STATUS, UnitStatus
 
@@ -27,10 +27,14 @@ class Part(NamedTuple):
 class Statuses:
     """The newest status of every robot (N,), in an order of one's own; what was overtaken on its way is passed over.
 
-    ``units``: the units by name with their robots; ``robots``: those that one looks after.
+    ``units``: the units by name with their robots; ``robots``: those that one looks after; ``by_radio``: the units
+    that tell seldom and are answered soon, ``wake`` is called of their statuses.
     """
 
-    def __init__(self, bus: Bus, units: Mapping[str, Sequence[str]], robots: Sequence[str]) -> None:
+    def __init__(
+        self, bus: Bus, units: Mapping[str, Sequence[str]], robots: Sequence[str], *,
+        by_radio: Collection[str] = (), wake: Wake | None = None,
+    ) -> None:  # fmt: skip
         rows = {robot: row for row, robot in enumerate(robots)}
         self.units: list[Part] = []
         for name, members in units.items():
@@ -38,7 +42,12 @@ class Statuses:
             if mine:
                 of, places = (np.array(column, np.intp) for column in zip(*mine, strict=True))
                 self.units.append(Part(name, len(members), of, _index(of), _index(places)))
-        self._inboxes = [Inbox(bus.newest(STATUS, unit.name), UNIT_STATUS.view) for unit in self.units]
+        self.by_radio = frozenset(number for number, unit in enumerate(self.units) if unit.name in by_radio)
+        wakes = [wake if number in self.by_radio else None for number in range(len(self.units))]
+        self._inboxes = [
+            Inbox(bus.newest(STATUS, unit.name, woken), UNIT_STATUS.view)
+            for unit, woken in zip(self.units, wakes, strict=True)
+        ]
         self.newest: list[UnitStatus | None] = [None] * len(self.units)  # without their robots
         self.robots: NDArray[Any] = np.zeros(len(robots), UNIT_STATUS.item_dtype)
         self._whole = np.dtype(f"V{self.robots.dtype.itemsize}")  # an item as its bytes: fields are copied one by one
@@ -62,8 +71,12 @@ class Statuses:
         return newer
 
     def hurried(self) -> list[int]:
-        """Return the units whose link is bad: what is said to these is said every HURRY_NS."""
-        return [number for number, status in enumerate(self.newest) if status is not None and status.hurry]
+        """Return the units by cable whose link is bad: what is said to these is said every HURRY_NS."""
+        return [
+            number
+            for number, status in enumerate(self.newest)
+            if status is not None and status.hurry and number not in self.by_radio
+        ]
 
 
 def _index(numbers: NDArray[np.intp]) -> "slice | NDArray[np.intp]":

@@ -102,6 +102,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_tag_sizes(config),
         *_calibrations(config),
         *_simulated(config),
+        *_sensors(config),
         *bodies.complaints(config),
     ]
     sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
@@ -270,6 +271,15 @@ def no_errors(robot: int) -> Complaint:
     )
 
 
+def _sensors(config: Config) -> Iterator[Complaint]:
+    """Whoever is to tell what its sensors measure has some."""
+    for i, robot in enumerate(config.robots):
+        kind = robot.vehicle.sensors
+        if robot.sensors and (kind is None or not kind.model_dump(exclude={"period_s"}, exclude_none=True)):
+            message = "its vehicle has no sensors: describe them in vehicle.sensors, or remove this key"
+            yield f"robots.{i}.sensors", message
+
+
 def _simulated(config: Config) -> Iterator[Complaint]:
     """Robots that only a plant can move: a real robot needs no errors."""
     for i, robot in enumerate(config.robots):
@@ -357,6 +367,8 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
             "drivers that are there before the run cannot know where it will be: "
             "name a socket, as unixsock-stream//run/robofleet/lab.sock",
         )
+    if config.bus.router == "service" and endpoint.endswith(":0"):
+        yield "bus.endpoint", "a router that is there before the run has one port: name it, or leave the endpoint out"
     if config.drivers.started_by == "daemon":
         yield from _daemons(config)
     if endpoint.startswith(SOCKET):

@@ -1,6 +1,5 @@
 """``robot.yaml`` on a robot's own computer: whose robot it is, where its router is, and what a run may ask of it."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -8,6 +7,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from robofleet import folders
 from robofleet.config.faults import plain_words
 from robofleet.config.load import ConfigError
 from robofleet.config.yamlfile import Mistake, Node, Place, Source, read_yaml
@@ -57,9 +57,8 @@ class RobotFile(Model):
 
 def robot_file() -> Path:
     """Return the file of this computer: /etc/robofleet's where it is there, else this user's."""
-    system = Path("/etc/robofleet") / FILE
-    own = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "robofleet" / FILE
-    return system if system.exists() else own
+    system = folders.SYSTEM / FILE
+    return system if system.exists() else folders.own_settings() / FILE
 
 
 def load_robot_file(file: Path) -> RobotFile:

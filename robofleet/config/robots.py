@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, JsonValue
 
 from robofleet.config.calibrated import RobotCalibration
+from robofleet.config.sensors import SensorSettings
 from robofleet.settings import (
     MANY,
     Coordinate,
@@ -77,6 +78,8 @@ class Vehicle(Model):
     """Fastest change of a wheel's speed that the gate passes."""
     motor_lag_s: Lag
     """Time constant of the wheel-speed loop that the controller uses."""
+    sensors: SensorSettings | None = None
+    """Sensors of robots of this kind. A run reads them of the robots with ``robots[].sensors: true``."""
     simulated: PlantErrors | None = None
     """Errors of a simulated robot of this kind. null: only a real robot can be of this kind."""
 
@@ -121,6 +124,9 @@ class Robot(Model):
     adds its pose to those of the others."""
     vehicle: Vehicle
     """Kind of the robot."""
+    sensors: bool = False
+    """``true``: its driver tells what the sensors of its kind (``vehicle.sensors``) measure, on the bus and in the
+    recording. The law that drives it does not use them."""
     calibration: RobotCalibration | None = None
     """What ``robofleet calibrate`` measured of the robot; null: nothing was measured."""
     park: StartPose | None = None

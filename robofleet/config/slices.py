@@ -1,18 +1,24 @@
 """From the configuration's tree to what the rooms take: parameters without units in their names."""
 
+import math
 import secrets
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
 from robofleet.clock import S
 from robofleet.config.robots import Robot, Vehicle
-from robofleet.config.tree import Config
+from robofleet.config.sensors import Distances
+from robofleet.config.tree import Arena, Config
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation
+from robofleet.vehicles.sensors import DistanceSensors, Errors, Sensing, SensorKind
+
+_UT = 1e-6  # [T]
 
 
 def drive(robot: Robot) -> DifferentialDrive:
@@ -71,7 +77,13 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
 
 def build(config: Config) -> int:
     """Return a number that is the same in every process of a run: of one version and one configuration."""
-    return zlib.crc32(f"{version('robofleet')}\n{config.model_dump_json()}".encode())
+    return zlib.crc32(f"{version('robofleet')}\n{config.model_dump_json(exclude=_unused(config))}".encode())
+
+
+def _unused(config: Config) -> dict[str, Any]:
+    """Return the sensors that nobody reads, and walls that nobody sees: a run without them is the same one."""
+    robots = {i: {"sensors": True, "vehicle": {"sensors"}} for i, r in enumerate(config.robots) if not r.sensors}
+    return {"robots": robots, "arena": {"walls"} if config.arena.walls is None or not config.sensing else set()}
 
 
 def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] | None) -> Simulation:
@@ -85,7 +97,57 @@ def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] 
         start_pose(robot),
         trouble,
         generator(config.run.seed, "plant", robot.id),
+        robot.vehicle.body_radius_m,
+        _sensing(config, robot),
     )
+
+
+def sensors(robot: Robot) -> SensorKind | None:
+    """Return the sensors that a robot's driver is to tell of; None where nobody asks for any."""
+    s = robot.vehicle.sensors
+    if s is None or not robot.sensors:
+        return None
+    gyro, accelerometer, magnetometer, heading, d = s.gyro, s.accelerometer, s.magnetometer, s.heading, s.distances
+    return SensorKind(
+        s.period_s,
+        None if gyro is None else Errors(gyro.noise_rad_s, gyro.bias_rad_s),
+        None if accelerometer is None else Errors(accelerometer.noise_m_s2, accelerometer.bias_m_s2),
+        (0.0, 0.0) if accelerometer is None else (accelerometer.x_m, accelerometer.y_m),
+        None if magnetometer is None else Errors(_tesla(magnetometer.noise_ut), magnetometer.bias_ut * _UT),
+        (0.0, 0.0, 0.0) if magnetometer is None else _tesla(magnetometer.field_ut),
+        None if heading is None else Errors((heading.noise_rad,), heading.bias_rad),
+        None if d is None else _distances(d),
+    )
+
+
+def _distances(d: Distances) -> DistanceSensors:
+    places = tuple((place.x_m, place.y_m, math.radians(place.heading_deg)) for place in d.places)
+    return DistanceSensors(places, d.range_m, d.noise, d.dropout, d.outliers)
+
+
+def sensing_period_ns(config: Config, unit: str) -> int | None:
+    """Return the time between two messages of a unit's sensors [ns]; None where nobody asks for any."""
+    kinds = [kind for robot_id in config.units[unit] if (kind := sensors(config.robot(robot_id))) is not None]
+    return round(min(kind.period for kind in kinds) * S) if kinds else None
+
+
+def walls(arena: Arena) -> tuple[tuple[float, float, float, float], ...]:
+    """Return what simulated distance sensors see beside robots: x, y of both ends of each wall [m; world]."""
+    if arena.walls is not None:
+        return arena.walls
+    x, y = arena.size_m[0] / 2, arena.size_m[1] / 2
+    return (-x, -y, x, -y), (x, -y, x, y), (x, y, -x, y), (-x, y, -x, -y)
+
+
+def _sensing(config: Config, robot: Robot) -> Sensing | None:
+    kind = sensors(robot)
+    own = generator(config.run.seed, "sensors", robot.id)
+    return None if kind is None else Sensing(kind, walls(config.arena), own)
+
+
+def _tesla(microtesla: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = microtesla
+    return x * _UT, y * _UT, z * _UT
 
 
 def start_pose(robot: Robot) -> tuple[float, float, float]:

@@ -20,6 +20,7 @@ from robofleet.settings import (
     MANY,
     ROBOTS,
     TAGS,
+    Coordinate,
     Count,
     Delay,
     Fraction,
@@ -33,6 +34,7 @@ from robofleet.settings import (
 )
 
 Side = Annotated[float, within(0.1, 1000)]
+Wall = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], Field(strict=False)]
 Most = Annotated[float, within(1e-6, 1e9)]
 
 
@@ -43,6 +45,9 @@ class Arena(Model):
     """Name of the arena on the bus and in commands such as ``robofleet stop NAME``. An arena has one run at a time."""
     size_m: Annotated[tuple[Side, Side], Field(strict=False)]
     """Length of the floor along x and along y."""
+    walls: Annotated[tuple[Wall, ...] | None, Field(max_length=MANY, strict=False)] = None
+    """What simulated distance sensors see beside robots: straight walls, each from one point to another, as
+    [x1, y1, x2, y2] in metres. null: the edges of the floor. Robots keep clear of the edges, and of no other wall."""
 
 
 class BusSettings(Model):
@@ -56,6 +61,9 @@ class BusSettings(Model):
     ] = ()
     """Addresses of this computer at which the router admits other hosts, by the certificates of ``robofleet keys``:
     ``quic/192.168.1.10:7447`` for robots on a radio, ``tls/192.168.1.10:7447`` for others."""
+    router: Literal["run", "service"] = "run"
+    """Who starts the router: each run its own, or ``service``: it is there before and after runs, as ``robofleet router
+    CONFIG`` or a zenohd of your own. ``robofleet hosts CONFIG`` then shows the robots' computers between runs, too."""
     insecure: Literal["loopback"] | None = None
     """``loopback`` allows TCP on this computer. Every user and every program of the computer can then drive the
     robots."""
@@ -256,6 +264,11 @@ class Config(Model):
             return ()
         named = {robot.unit for robot in self.robots if robot.unit is not None and robot.driver != "simulated"}
         return tuple(unit for unit in self.units if unit in named)
+
+    @property
+    def sensing(self) -> tuple[str, ...]:
+        """The units of which a robot tells what its sensors measure."""
+        return tuple(unit for unit, ids in self.units.items() if any(self.robot(robot_id).sensors for robot_id in ids))
 
     @property
     def crews(self) -> Sequence[Sequence[Robot]]:

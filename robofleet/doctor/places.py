@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from robofleet.comms.endpoint import check_free, settled
+from robofleet.comms.endpoint import check_router, settled
 from robofleet.comms.private_folder import PlaceError, private_folder
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
@@ -53,7 +53,7 @@ def bus(needs: Needs) -> Iterator[Finding]:
             return
         config = settled(needs.config, listen=needs.whole_run)
         if needs.whole_run:  # else the router of the run may be there
-            check_free(config)
+            check_router(config)
         yield ok("bus", f"{config.bus.endpoint} can be used")
     except PlaceError as error:
         says, _, cure = str(error).partition(": ")

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from robofleet.clock import S
 from robofleet.vehicles.interface import STOP, Driver, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.sensors import is_sound
 
 _FIRST_S, _LONGEST_S = 0.2, 2.0  # between two attempts
 _WELL_NS = 5 * S  # a driver that lasted so long is sought without haste or delay again
@@ -115,6 +116,7 @@ def in_words(error: Exception) -> str:
 
 def sound(reading: DriverReading) -> DriverReading:
     """Return the reading; ValueError if it says nothing."""
-    if not (math.isfinite(sum(reading[:4])) and 0 <= reading.faults < _U32):
+    possible = math.isfinite(sum(reading[:4])) and 0 <= reading.faults < _U32
+    if not possible or (reading.sensors is not None and not is_sound(reading.sensors)):
         raise ValueError(f"impossible: {reading}")
     return reading

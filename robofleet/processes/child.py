@@ -15,7 +15,7 @@ from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
 from robofleet.processes.keeping import FileKeeping
 from robofleet.processes.log_lines import never_raise, say_of_links
-from robofleet.processes.network import network
+from robofleet.processes.network import Keys, network
 from robofleet.processes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError, unkept
 from robofleet.processes.table import RECORDER, ROUTER, Edges, Row
@@ -71,14 +71,19 @@ def _new(folder: Path) -> None:
 
 
 def _route(config: Config, lifeline: Lifeline) -> None:
-    """Be Zenoh's router."""
-    beyond = network(config)
+    """Be Zenoh's router; one that stays between runs takes up new keys and revocations then, as a new program."""
+    stays = config.bus.router == "service"
+    beyond = network(config, all_units=not stays)  # a unit's revocation does not end it
     if beyond is not None:
         _log_links()
+    keys = Keys(config) if beyond is not None and stays else None
     with closing(open_router(config.bus.endpoint, beyond)):
         lifeline.ready()
-        while not lifeline.cut:
+        while not lifeline.cut and (keys is None or not keys.changed()):
             threading.Event().wait(0.05)
+    if not lifeline.cut:
+        _say("the keys have changed: the router begins anew")
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # Zenoh keeps its sockets until the end
 
 
 def _log_links() -> None:
@@ -87,6 +92,7 @@ def _log_links() -> None:
 
     sys.stdout.flush()
     read, write = os.pipe()
+    os.set_blocking(write, False)  # a log that nobody takes up costs lines, and holds up none of Zenoh's threads
     os.dup2(write, sys.__stdout__.fileno() if sys.__stdout__ is not None else 1)
     os.close(write)
     lines = os.fdopen(read, errors="replace")

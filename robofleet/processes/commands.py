@@ -250,18 +250,33 @@ _add(table.ROUTER, router)
 
 @app.command(rich_help_panel=OPERATOR)
 def hosts(
-    arena: ArenaName = None,
+    arena: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="ARENA|CONFIG",
+            help="Whose computers; leave it out if only one arena has a run. CONFIG: between runs, too.",
+            autocompletion=_running_names,
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
 ) -> None:
-    """Show the computers of a run's robots: where, version, certificate, round trip, loss, battery, since when.
+    """Show the computers of an arena's robots: where, version, certificate, round trip, loss, battery, since when.
 
     $ robofleet hosts
+
+    $ robofleet hosts lab.yaml
+
+    The second one needs no run, where the router stays between runs (bus.router: service).
     """
     from robofleet.processes import hosts as asking  # noqa: PLC0415
     from robofleet.processes import operator  # noqa: PLC0415
 
+    file = None if arena is None else Path(arena)
+    if file is None or not (file.exists() or file.suffix):
+        file = Path(_running(arena).folder) / "config.yaml"
     try:
-        found = asking.hosts(_running(arena))
+        found = asking.hosts(_for_one_process(file))
     except operator.UnreachableError as error:
         _told(False, str(error))
     if as_json:

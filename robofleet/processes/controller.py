@@ -16,6 +16,7 @@ from robofleet.comms.messages import (
     UNIT_COMMAND,
     UNIT_STATUS,
     FleetPoses,
+    Hurry,
     RobotTick,
     UnitCommand,
 )
@@ -102,7 +103,7 @@ class Controller:
         self._rows = measured.rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
         self._image = np.empty((len(config.bodies), 3)), np.empty(len(config.bodies), dtype=np.int64)
         self._drives = [slices.drive(robot) for robot in robots]
-        self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
+        self._statuses = Statuses(bus, config.units, [robot.id for robot in robots], by_radio=config.daemons)
         self._leases = Leases(bus, self._statuses, session, take_over=take_over)
         self._poses, self._state = bus.newest(POSES, CAMERA), bus.newest(STATE)
         units = self._statuses.units
@@ -110,6 +111,8 @@ class Controller:
         self._items = [np.zeros(unit.size, UNIT_COMMAND.item_dtype) for unit in units]
         self._places = [np.arange(unit.size)[unit.places] for unit in units]
         self._seq = 0  # of the newest command
+        self._echoed = [0] * len(units)  # the nonce in each unit's newest one
+        self._stale = [False] * len(units)  # whether it was in the one before, too
         self._publish_tick = bus.publisher(TICK)
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
@@ -153,7 +156,8 @@ class Controller:
         else:
             self._repeat()
         next_ns = self._grid.instant(self._index + 1)
-        return min(next_ns, now_ns + HURRY_NS) if self._statuses.hurried() else next_ns
+        hurries = self._statuses.by_radio or self._statuses.hurried()
+        return min(next_ns, now_ns + HURRY_NS) if hurries else next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when commands cease."""
@@ -254,10 +258,16 @@ class Controller:
         return self._grid.instant(message.echo_tick) + message.since_tick_ns
 
     def _repeat(self) -> None:
-        self._statuses.take()
-        for unit in self._statuses.hurried():
-            if not self._leases.refused:
-                self._command(unit)
+        newer, statuses = self._statuses.take(), self._statuses
+        if self._leases.refused:
+            return
+        for unit in (*statuses.hurried(), *filter(self._waits, statuses.by_radio.intersection(newer))):
+            self._command(unit)
+
+    def _waits(self, unit: int) -> bool:
+        """Whether a unit on a radio, of which a status has just come, cannot wait for the next tick."""
+        status = self._statuses.newest[unit]
+        return status is not None and (status.hurry == Hurry.NOW or self._stale[unit])
 
     def _command(self, unit: int) -> None:
         """Command the robots of a unit that answer to this controller; if none does, nothing is said."""
@@ -266,6 +276,7 @@ class Controller:
         if status is None or not _fill_commands(items, robots, mine, part.numbers, self._places[unit], self._wheels):
             return
         self._seq += 1
+        self._stale[unit], self._echoed[unit] = status.nonce == self._echoed[unit], status.nonce
         head = UnitCommand(self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ())
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 

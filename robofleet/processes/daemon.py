@@ -24,7 +24,7 @@ from robofleet.processes import driver_settings
 from robofleet.processes.driver import DriverProcess
 from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.processes.handing import HandedError, unpacked
-from robofleet.processes.keeping import FileKeeping, Keeping
+from robofleet.processes.keeping import FileKeeping
 from robofleet.processes.log_lines import never_raise
 from robofleet.processes.node import Lifeline, Waker, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError
@@ -39,17 +39,16 @@ Say = Callable[[str], None]
 class Daemon:
     """The driver of a unit, whatever run comes: each hands it a configuration.
 
-    ``host``: what is told of this computer beside what changes. ``part``: makes the bus of one run, which is closed
-    when another run comes.
+    ``file``: where ``robot`` was read; ``host``: what is told of this computer; ``say``: a line of the log. Each run
+    has a part of the bus of its own, which is closed when another run comes.
     """
 
     def __init__(
         self, robot: RobotFile, file: Path, bus: ZenohBus, clock: Clock, wake: Wake, rng: np.random.Generator,
-        keeping: Callable[[str], Keeping], host: dict[str, str], say: Say,
+        host: dict[str, str], say: Say,
     ) -> None:  # fmt: skip
-        self._file = file
-        self._robot, self._bus, self._clock, self._wake, self._rng = robot, bus, clock, wake, rng
-        self._keeping, self._host, self._say = keeping, host, say
+        self._robot, self._file, self._bus, self._clock, self._wake, self._rng = robot, file, bus, clock, wake, rng
+        self._host, self._say = host, say
         self._requests = bus.serve(CONFIG, robot.unit, wake)
         self._questions = bus.serve(HOST, robot.unit, wake)
         self._driver: DriverProcess | None = None
@@ -83,6 +82,8 @@ class Daemon:
             words = "ok"
         except (HandedError, DriverError, RefusedError, OSError) as error:
             words = f"refused: {error}"
+        except Exception as error:  # noqa: BLE001 - a run that cannot be taken does not end the daemon: others will come
+            words = f"refused: {type(error).__name__}: {error}"
         self._log(words)
         request.reply(words.encode()[:1024])
 
@@ -121,10 +122,8 @@ class Daemon:
                 raise HandedError(f"{name}: {self._file} on this robot does not allow {refusal}")
 
     def _made(self, config: Config, bus: ZenohBus) -> DriverProcess:
-        keeping = self._keeping(config.arena.name)
-        robots = config.units[self._robot.unit]
-        if isinstance(keeping, FileKeeping):
-            keeping.prove(robots)
+        keeping = FileKeeping(config.arena.name)
+        keeping.prove(config.units[self._robot.unit])
         drivers = ConfiguredDrivers(config, self._clock.now_ns)
         return DriverProcess(config, self._robot.unit, bus, self._clock, self._wake, self._rng, keeping, drivers)
 
@@ -159,7 +158,7 @@ def main(robot: RobotFile, file: Path, lifeline: int | None) -> None:
                 "certificate_ends": f"{told.not_after:%Y-%m-%d}",
             }  # fmt: skip
             node = Daemon(
-                robot, file, bus, clock, waker, np.random.default_rng(), FileKeeping, host,
+                robot, file, bus, clock, waker, np.random.default_rng(), host,
                 lambda line: print(line, file=sys.stderr, flush=True),
             )  # fmt: skip
             realtime_priority(_PRIORITY)

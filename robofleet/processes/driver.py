@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock
+from robofleet.comms import sensors
 from robofleet.comms.bus import Bus, Inbox, Publish, Request, Wake
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
+from robofleet.comms.keys import COMMAND, ENABLE, LEASE, SENSORS, STATUS, TRUTH
 from robofleet.comms.messages import (
     LEASE_REQUEST,
     UNIT_COMMAND,
@@ -20,11 +21,13 @@ from robofleet.comms.messages import (
     UnitStatus,
     UnitTruth,
 )
+from robofleet.comms.sensors import SensorsSaid
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.processes.drivers import Drivers, behind_gates
 from robofleet.processes.gated_robot import Witness
 from robofleet.processes.keeping import Keeping
+from robofleet.processes.telling import ByCable, ByRadio, Telling
 from robofleet.safety.gate import LeaseAction
 
 _LOOP_NS = 10 * MS
@@ -48,6 +51,10 @@ class Robots(Protocol):
     @property
     def hurries(self) -> bool:
         """Whether the link was bad a short while ago: then a status goes out in every loop."""
+
+    @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed: by it the gates live."""
 
     @property
     def latch_is_new(self) -> bool:
@@ -75,6 +82,9 @@ class Robots(Protocol):
     def truths(self) -> NDArray[Any] | None:
         """Return the part of a truth of each that is simulated; None where all exist."""
 
+    def sensors(self) -> SensorsSaid:
+        """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
+
     def say(self) -> None:
         """Say in the log what there is to complain about."""
 
@@ -100,6 +110,7 @@ class DriverProcess:
         """Open every robot; DriverError where one does not answer."""
         self._clock, self._build = clock, slices.build(config)
         self._newest_ns = clock.now_ns()
+        self._sensing_ns = slices.sensing_period_ns(config, unit)
         boot_id = slices.drawn_id(rng, 64)
         self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
         try:
@@ -110,7 +121,9 @@ class DriverProcess:
         self._refused = 0  # messages and requests that nobody could read
         self._seq = 0
         self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
-        self._loops = 0
+        self._telling: Telling = ByRadio() if unit in config.daemons else ByCable()
+        self._truth_is_due = False
+        self._sense_ns, self._sensed = self._loop_ns, 0
 
     def _join(self, unit: str, bus: Bus, wake: Wake) -> None:
         """Take the unit's place on the bus."""
@@ -118,29 +131,34 @@ class DriverProcess:
         self._enables = Inbox(bus.newest(ENABLE, unit, wake), UNIT_ENABLE.arrays)
         self._requests = bus.serve(LEASE, unit, wake)
         self._publish_status = bus.publisher(STATUS, unit)
+        self._publish_sensors: Publish | None = None if self._sensing_ns is None else bus.publisher(SENSORS, unit)
         self._publish_truth: Publish | None = None if self._robots.truths() is None else bus.publisher(TRUTH, unit)
 
     def step(self, now_ns: int) -> int:
-        """Pass on what arrived; every 10 ms read, every 20 publish. Wheels go first, then latches, disk, bus, log."""
+        """Pass on what arrived; every 10 ms read, then publish. Wheels go first, then latches, disk, bus, log."""
         due = not self._loop_ns - _LOOP_NS <= now_ns < self._loop_ns  # also when the clock was set back
         if due:
             self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
-            self._loops += 1
-        robots = self._robots
+            self._truth_is_due = not self._truth_is_due
+        robots, telling = self._robots, self._telling
         command, enable = self._whole(self._commands.take()), self._whole(self._enables.take())
         robots.pass_on(self._now(), command, enable, due=due)
+        if command is not None:
+            telling.heard(self._newest_ns)
         if robots.latch_is_new:
             self._tell()  # before the disk, and before anything is said in the log
         if (request := self._requests()) is not None:
             self._answer(request)
         robots.keep(due=due)
+        if due and self._truth_is_due:
+            self._tell_truth()
+        if telling.due(now_ns, robots, loop=due):
+            self._tell()
         if due:
-            if self._loops % 2 == 1:
-                self._tell_truth()
-            if self._loops % 2 == 1 or robots.hurries:
-                self._tell()
+            if self._publish_sensors is not None and self._sensing_ns is not None:
+                self._tell_sensors(now_ns, self._sensing_ns, self._publish_sensors)
             robots.say()
-        return min(self._loop_ns, robots.deadline_ns)
+        return min(self._loop_ns, robots.deadline_ns, telling.next_ns)
 
     @property
     def build(self) -> int:
@@ -185,10 +203,18 @@ class DriverProcess:
             self._seq += 1
             self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
 
+    def _tell_sensors(self, now_ns: int, period_ns: int, publish: Publish) -> None:
+        """Publish what the robots' sensors say, if it is time to."""
+        if not self._sense_ns - period_ns <= now_ns < self._sense_ns:  # also when the clock was set back
+            self._sense_ns += period_ns * (1 + (now_ns - self._sense_ns) // period_ns)
+            self._sensed += 1
+            publish(sensors.encoded(self._sensed, self._now(), self._robots.sensors()))
+
     def _tell(self) -> None:
         """Publish what every robot says of itself."""
         robots, now_ns = self._robots, self._now()
         self._seq += 1
         refused = self._refused + self._commands.rejected + self._enables.rejected
-        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, int(robots.hurries), ())
+        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, self._telling.hurry, ())
         self._publish_status(UNIT_STATUS.encode_view(head, robots.statuses(now_ns, refused)))
+        self._telling.told(now_ns)

@@ -33,7 +33,7 @@ def context(config: Config, robot: Robot, now_ns: Callable[[], int]) -> DriverCo
     """Return what a robot's driver is made from; raises as ``of`` does."""
     simulated = issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
     simulation = slices.simulation(config, robot, None) if simulated else None
-    return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot))
+    return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot), slices.sensors(robot))
 
 
 def port(config: Config, robot: Robot) -> str | None:

@@ -7,15 +7,14 @@ from typing import NamedTuple
 from robofleet.clock import MS, WallClock
 from robofleet.comms.credentials import Credentials, KeysError, credentials
 from robofleet.comms.credentials import joined as joined_arenas
-from robofleet.comms.joining import joined
 from robofleet.comms.keys import SAFE_REQUEST, STATE
 from robofleet.comms.messages import RUN_STATE
-from robofleet.comms.permissions import OPERATOR, UNIT
-from robofleet.comms.requests import asked
+from robofleet.comms.permissions import UNIT, VIEWER
+from robofleet.comms.requests import SAFE, SAFE_WORDS, asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import found
 from robofleet.processes.estop import urgent
-from robofleet.processes.operator import NoArenaError, UnreachableError
+from robofleet.processes.operator import NoArenaError, UnreachableError, answering
 from robofleet.safety.supervisor import Phase
 
 _CONNECT_WITHIN_S = 3.0
@@ -53,12 +52,15 @@ def joined_arena(name: str | None) -> Elsewhere | None:
 def ask(there: Elsewhere, what: str) -> tuple[bool, str]:
     """Ask the supervisor of another computer's arena; returns whether it does so, and its answer."""
     clock = WallClock()
+    if there.role == VIEWER and what.encode() not in SAFE:
+        name = there.credentials.name
+        return False, f"{name} is a viewer of {there.arena}, who may ask for {SAFE_WORDS}: {what} is an operator's"
     try:
         with _reached(there, clock) as bus:
             answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
             return answer.startswith("ok"), answer
     except (UnreachableError, TimeoutError) as error:
-        return False, f"{error}: go to {there.arena}'s computer, or as {OPERATOR} if this one may only look"
+        return False, f"{error}: see at the computer of {there.arena} whether a run is on"
 
 
 def stop(there: Elsewhere) -> tuple[bool, str]:
@@ -91,13 +93,7 @@ def stop(there: Elsewhere) -> tuple[bool, str]:
 
 @contextmanager
 def _reached(there: Elsewhere, clock: WallClock) -> Iterator[ZenohBus]:
-    try:
-        bus = joined(there.arena, there.router, there.role, clock, _CONNECT_WITHIN_S, credentials=there.credentials)
-    except TimeoutError as error:
-        raise UnreachableError(
-            f"the router of {there.arena} at {', '.join(there.router)} does not answer, or refuses this certificate"
-        ) from error
-    try:
+    at = there.arena, there.router, there.role, clock, _CONNECT_WITHIN_S
+    silent = f"the router of {there.arena} at {', '.join(there.router)} does not answer, or refuses this certificate"
+    with answering(silent, *at, credentials=there.credentials) as bus:
         yield bus
-    finally:
-        bus.close()

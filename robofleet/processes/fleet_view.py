@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.bus import Bus, Inbox, Wake
 from robofleet.comms.keys import CAMERA, NEWS, POSES, RECORDER, TICK, key
 from robofleet.comms.messages import (
     FLEET_POSES,
@@ -51,12 +51,15 @@ class FleetListener:
     """Listens to the drivers, the controller and the tracker; what came late behind something newer is passed over."""
 
     def __init__(
-        self, config: Config, bus: Bus, free_bytes: Callable[[], int], machine: Callable[[int], Machine | None]
-    ) -> None:
+        self, config: Config, bus: Bus, wake: Wake, free_bytes: Callable[[], int],
+        machine: Callable[[int], Machine | None],
+    ) -> None:  # fmt: skip
         robots, arena, driven = config.bodies, config.arena.name, len(config.members)
         self._free_bytes, self._machine = free_bytes, machine
         self._daemons, self._build = frozenset(config.daemons), slices.build(config)
-        self.statuses = Statuses(bus, config.units, [robot.id for robot in robots])
+        ids = [robot.id for robot in robots]
+        self.statuses = Statuses(bus, config.units, ids, by_radio=config.daemons, wake=wake)
+        self.newer: list[int] = []  # units, as numbers, of which the newest look found a newer status
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.arrays)
         self._poses = Inbox(bus.newest(POSES, CAMERA), FLEET_POSES.arrays)
         self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS.decode)
@@ -94,9 +97,9 @@ class FleetListener:
         return 0 if self._recorder is not None and self._recorder.failed else self._free_bytes()
 
     def hear_robots(self, now_ns: int) -> None:
-        """Take the statuses that came."""
-        statuses = self.statuses
-        for unit in statuses.take():
+        """Take the statuses that came: those of the ``newer`` units."""
+        statuses, self.newer = self.statuses, self.statuses.take()
+        for unit in self.newer:
             said, part = statuses.newest[unit], statuses.units[unit]
             assert said is not None
             if part.name in self._daemons and said.build != self._build:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, S
+from robofleet.comms import sensors
 from robofleet.comms.messages import (
     UNIT_STATUS,
     UNIT_TRUTH,
@@ -22,17 +23,26 @@ from robofleet.comms.messages import (
     UnitCommand,
     UnitEnable,
 )
+from robofleet.comms.sensors import SensorsSaid
 from robofleet.processes.health import Health
 from robofleet.processes.keeping import Keeping, Memory, kept
 from robofleet.safety import gate
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
-from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
+from robofleet.vehicles.interface import (
+    STOP,
+    Driver,
+    DriverContext,
+    DriverError,
+    SensorReading,
+    SimulatedDriver,
+    WheelSpeeds,
+)
 
 TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
 # In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
 BAD_LINK_NS = 70 * MS
 NO_LINK_NS = S // 2  # it is not a bad one
-HURRY_NS = 10 * S
+HURRY_NS = 60 * S
 LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
 _NEVER_NS = (1 << 63) - 1
 _LATCHES = {int(latch): latch for latch in Latch}
@@ -72,6 +82,11 @@ class GatedRobots:
     def hurries(self) -> bool:
         """Whether the link was bad a short while ago."""
         return any(robot.hurries for robot in self._robots)
+
+    @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed."""
+        return max(robot.newest_nonce_ns for robot in self._robots)
 
     @property
     def latch_is_new(self) -> bool:
@@ -117,6 +132,11 @@ class GatedRobots:
         """Return the part of a truth of each that is simulated; None where all exist."""
         truths = [self._robots[place].truth(place) for place in self._simulated]
         return np.array(truths, UNIT_TRUTH.item_dtype) if truths else None
+
+    def sensors(self) -> SensorsSaid:
+        """Return what is said of the sensors of each that tells of them, and answers."""
+        readings = ((place, robot.sensors) for place, robot in enumerate(self._robots))
+        return sensors.said((place, reading) for place, reading in readings if reading is not None)
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""
@@ -171,6 +191,11 @@ class GatedRobot:
         return _NEVER_NS if self._deadline_ns is None else self._deadline_ns
 
     @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed."""
+        return min(self._gate.command_nonce, self._gate.enabled[0])
+
+    @property
     def is_open(self) -> bool:
         """Whether its gate lets a controller's commands through."""
         return self._status is GateStatus.OPEN
@@ -201,7 +226,7 @@ class GatedRobot:
         if quiet and not due and not self._retry and now_ns >= self._gate.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
         self._opened = self._opened or self._status is GateStatus.OPEN
-        age_ns = now_ns - min(self._gate.command_nonce, self._gate.enabled[0])
+        age_ns = now_ns - self.newest_nonce_ns
         if self._opened and BAD_LINK_NS < age_ns < NO_LINK_NS:
             self._hurry_until_ns = now_ns + HURRY_NS
         seq = self._gate.seq
@@ -242,6 +267,11 @@ class GatedRobot:
         """Return where the robot really is, if it is simulated; ``place``: in its unit."""
         assert isinstance(self._driver, SimulatedDriver)
         return Truth(place, *self._driver.truth())
+
+    @property
+    def sensors(self) -> SensorReading | None:
+        """What its sensors say; None where they say nothing, and where its driver has lost it."""
+        return None if self._health.failed else self._health.reading.sensors
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""

@@ -1,4 +1,4 @@
-"""The computers of a run's robots, as they answer within some seconds."""
+"""The computers of an arena's robots, as they answer within some seconds: during a run, and where the router stays."""
 
 import json
 from typing import TYPE_CHECKING, Any
@@ -6,26 +6,32 @@ from typing import TYPE_CHECKING, Any
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.keys import HOST, STATUS, key
 from robofleet.comms.messages import UNIT_STATUS, UnitStatus
-from robofleet.processes.arena_file import ArenaFile
-from robofleet.processes.operator import reached
+from robofleet.config.tree import Config
+from robofleet.processes.operator import answering
+from robofleet.safety.gate import GateStatus
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+_CONNECT_WITHIN_S = 1.0
 _LISTEN_NS = 2 * S
 _POLL_NS = MS
 
 
-def hosts(there: ArenaFile) -> dict[str, Any]:
-    """Return every unit of a run: what its computer says of itself, and how well it is heard."""
-    clock = WallClock()
-    said: dict[str, list[UnitStatus]] = {unit: [] for unit in there.units}
+def hosts(config: Config) -> dict[str, Any]:
+    """Return every unit of an arena: what its computer says of itself, and how well it is heard.
+
+    UnreachableError where no router answers.
+    """
+    clock, arena, units = WallClock(), config.arena.name, config.units
+    said: dict[str, list[UnitStatus]] = {unit: [] for unit in units}
     answers: dict[str, tuple[float, dict[str, Any]]] = {}
-    with reached(there, clock) as bus:
-        keys = {key(there.arena, STATUS, unit): unit for unit in there.units}
+    silent = f"no router of {arena} answers at {config.bus.endpoint}: start a run, or one that stays (bus.router)"
+    with answering(silent, arena, config.bus.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
+        keys = {key(arena, STATUS, unit): unit for unit in units}
         statuses = bus.stream(*keys, capacity=1024 * len(keys))
         clock.sleep_until(clock.now_ns() + S // 5)  # who serves what is heard of first
-        asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in there.units}
+        asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in config.daemons}
         end_ns = clock.now_ns() + _LISTEN_NS
         while (now_ns := clock.now_ns()) < end_ns:
             for unit, (asked_ns, answer) in asked.items():
@@ -35,7 +41,9 @@ def hosts(there: ArenaFile) -> dict[str, Any]:
                 if (status := UNIT_STATUS.decode(payload)) is not None:
                     said[keys[full]].append(status)
             clock.sleep_until(now_ns + _POLL_NS)
-    return {"arena": there.arena, "units": [_unit(unit, there, said[unit], answers.get(unit)) for unit in there.units]}
+    return {
+        "arena": arena, "units": [_unit(config, unit, said[unit], answers.get(unit)) for unit in units]
+    }  # fmt: skip
 
 
 def _read(reply: bytes) -> dict[str, Any]:
@@ -47,14 +55,15 @@ def _read(reply: bytes) -> dict[str, Any]:
 
 
 def _unit(
-    unit: str, there: ArenaFile, said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None
+    config: Config, unit: str, said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None
 ) -> dict[str, Any]:
     trip_ms, told = answer or (None, {})
     seqs = [status.seq for status in said]
     sent = max(seqs) - min(seqs) + 1 if seqs else 0
     charges = [robot.battery for robot in said[-1].robots if robot.battery >= 0.0] if said else []
     return {
-        "unit": unit, "robots": list(there.units[unit]),
+        "unit": unit, "robots": list(config.units[unit]),
+        "state": _state(said, daemon=unit in config.daemons, answers=answer is not None),
         **{name: told.get(name) for name in ("host", "version", "certificate_ends", "since")},
         "round_trip_ms": None if trip_ms is None else round(trip_ms, 1),
         "loss": round(1.0 - len(set(seqs)) / sent, 3) if sent > 1 else None,
@@ -62,18 +71,27 @@ def _unit(
     }  # fmt: skip
 
 
+def _state(said: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
+    """Return what a unit does: where it is silent, somebody must look."""
+    if daemon and not answers:
+        return "no answer" if said else "silent"
+    if not daemon and not said:
+        return "silent"
+    drives = bool(said) and any(robot.gate == GateStatus.OPEN for robot in said[-1].robots)
+    return ("drives" if drives else "waits") + ("" if daemon else ", on this computer")
+
+
 def table(found: dict[str, Any]) -> "Table":
     """Return what a terminal shows."""
     from rich.table import Table  # noqa: PLC0415
 
     shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
-    for name in ("unit", "host", "version", "certificate until", "round trip", "loss", "battery", "since"):
+    for name in ("unit", "state", "host", "version", "certificate until", "round trip", "loss", "battery", "since"):
         shown.add_column(name)
     for one in found["units"]:
-        heard = one["loss"] is not None
-        here = "this computer" if heard else "[red]silent[/]"
+        state = f"[red]{one['state']}[/]" if one["state"] in ("silent", "no answer") else one["state"]
         shown.add_row(
-            one["unit"], one["host"] or here, one["version"] or "", one["certificate_ends"] or "",
+            one["unit"], state, one["host"] or "", one["version"] or "", one["certificate_ends"] or "",
             "" if one["round_trip_ms"] is None else f"{one['round_trip_ms']:.1f} ms",
             "" if one["loss"] is None else f"{100 * one['loss']:.1f} %",
             "" if one["battery"] is None else f"{100 * one['battery']:.0f} %",

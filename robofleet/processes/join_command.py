@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+from robofleet import folders
 from robofleet.processes.keys_commands import PANEL, refused
 from robofleet.processes.refusal import RefusedError
 
 app = typer.Typer()
 _SERVICE = Path("/etc/systemd/system/robofleet-unit.service")
-_SYSTEM = Path("/etc/robofleet")
 
 
 @app.command(rich_help_panel=PANEL)
@@ -114,19 +114,17 @@ def _allowed(driver: str | None, port: str | None, max_wheel_speed: float | None
 
 def _base(arena: str, into: Path | None, *, service: bool) -> Path:
     """Return the folder for keys and robot.yaml; RefusedError where keys there would hide this user's authority."""
-    from robofleet.comms.credentials import own_folder  # noqa: PLC0415
-
     if into is not None:
         return into
     if not service and (os.geteuid() != 0 or os.environ.get("XDG_CONFIG_HOME")):
-        return own_folder()
-    own = own_folder() / "keys" / arena
-    if (own / "authority.key").exists() and not (_SYSTEM / "keys" / arena).exists():
+        return folders.own_settings()
+    own = folders.own_settings() / "keys" / arena
+    if (own / "authority.key").exists() and not (folders.SYSTEM / "keys" / arena).exists():
         raise RefusedError(
-            f"{own}: the authority of {arena} is here, and keys in {_SYSTEM} would hide it: join on the robot, "
+            f"{own}: the authority of {arena} is here, and keys in {folders.SYSTEM} would hide it: join on the robot, "
             f"or --into {own.parent.parent}"
         )
-    return _SYSTEM
+    return folders.SYSTEM
 
 
 def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:

@@ -247,7 +247,9 @@ class Launcher:
         """Return what robots' own computers said instead of taking this run's configuration."""
         if not self._config.daemons:
             return ""
-        said = (self._folder / "log" / "supervisor.log").read_text(errors="replace").splitlines()
+        said: list[str] = []
+        with suppress(OSError):
+            said = (self._folder / "log" / "supervisor.log").read_text(errors="replace").splitlines()
         lines = [line for line in said if line.partition(": ")[0] in self._config.daemons and ": refused: " in line]
         return "".join(f"; {line}" for line in dict.fromkeys(lines))
 

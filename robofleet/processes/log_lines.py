@@ -66,6 +66,8 @@ def say_of_links(lines: IO[str], say: Callable[[str], None], now_ns: Callable[[]
         found = _WHERE.match(_ANSI.sub("", line).strip())
         if found is None or "zenoh_link" not in found["room"]:
             continue
-        left, more = (left - 1, more) if left else (0, more + 1)
-        if left or not more:
+        if left:
+            left -= 1
             say(f"a link was refused: {found['words'].partition('. Hint:')[0]}")
+        else:
+            more += 1

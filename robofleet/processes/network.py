@@ -2,14 +2,19 @@
 
 from typing import Any
 
-from robofleet.comms.credentials import KeysError, credentials, keys_folder
+from robofleet.clock import S, WallClock
+from robofleet.comms.credentials import REGISTER, KeysError, credentials, keys_folder
 from robofleet.comms.zenoh_bus import Network, router_settings
 from robofleet.config.tree import Config
+from robofleet.processes.arena_file import running
 from robofleet.processes.refusal import RefusedError, need_extra
 
 
-def network(config: Config) -> Network | None:
-    """Return how other hosts reach the router, None where none does; RefusedError where a key is missing."""
+def network(config: Config, *, all_units: bool = True) -> Network | None:
+    """Return how other hosts reach the router, None where none does; RefusedError where a key is missing.
+
+    ``all_units``: that of a unit, too.
+    """
     if not config.bus.listen:
         return None
     need_extra("lab", "cryptography")
@@ -23,7 +28,7 @@ def network(config: Config) -> Network | None:
     except KeysError as error:
         raise RefusedError(f"bus.listen: {error}") from error
     known = authority.entries()
-    for unit in config.daemons:
+    for unit in config.daemons if all_units else ():
         if unit not in known or known[unit].revoked:
             raise RefusedError(f"bus.listen: {unit} has no certificate: `robofleet keys add {arena} {unit}`")
     addresses = known[ROUTER].newest.addresses
@@ -35,6 +40,31 @@ def network(config: Config) -> Network | None:
                 f"revoke {arena} router`, then `robofleet keys add {arena} router --address {host}`"
             )
     return Network(config.bus.listen, own, access_control(arena, identities(authority)))
+
+
+class Keys:
+    """An arena's keys, of which a router that stays must hear: they change while no run is on."""
+
+    _LOOK_NS = S
+
+    def __init__(self, config: Config) -> None:
+        self._config, self._clock = config, WallClock()
+        self._next_ns, self._seen = 0, self._state()
+
+    def changed(self) -> bool:
+        """Return whether there are other keys than before, and nothing that a new router would disturb."""
+        now_ns = self._clock.now_ns()
+        if now_ns < self._next_ns:
+            return False
+        self._next_ns = now_ns + self._LOOK_NS
+        state = self._state()
+        if state == self._seen or any(run.arena == self._config.arena.name for run in running()):
+            return False
+        self._seen = state
+        return True
+
+    def _state(self) -> int:
+        return (keys_folder(self._config.arena.name) / REGISTER).stat().st_mtime_ns
 
 
 def settings_of(config: Config) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -176,13 +176,17 @@ def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_n
 @contextmanager
 def reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
     """Join a run's bus; UnreachableError where it does not answer."""
-    try:
-        bus = joined(there.arena, there.endpoint, "operator", clock, _CONNECT_WITHIN_S)
-    except TimeoutError as error:
-        raise UnreachableError(
-            f"the bus of {there.arena} at {there.endpoint} does not answer: end the run with `kill {there.pid}`"
-        ) from error
-    try:
+    silent = f"the bus of {there.arena} at {there.endpoint} does not answer: end the run with `kill {there.pid}`"
+    with answering(silent, there.arena, there.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
         yield bus
-    finally:
-        bus.close()
+
+
+@contextmanager
+def answering(silent: str, *bus_of: Any, **more: Any) -> Iterator[ZenohBus]:
+    """Join a bus as ``joining.joined`` does; UnreachableError with these words where nobody answers."""
+    try:
+        bus = joined(*bus_of, **more)
+    except TimeoutError as error:
+        raise UnreachableError(silent) from error
+    with closing(bus):
+        yield bus

@@ -1,6 +1,7 @@
 """A run as the operator sees it: the live view, the terminal's keys, and the summary in the end."""
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,7 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
 
     began = _now()
     view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
-    with hangup_interrupts(), view_of as view, LogBeside(folder / FILE, config) as log:
+    with hangup_interrupts(), view_of as view, closing(LogBeside(folder / FILE, config)) as log:
         try:
             run = Lockstep(config, log=log)
         except DriverError as error:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.messages import UNIT_COMMAND, UNIT_ENABLE, UNIT_STATUS, UNIT_TRUTH, LeaseAnswer
+from robofleet.comms.messages import UNIT_COMMAND, UNIT_ENABLE, UNIT_SENSORS, UNIT_STATUS, UNIT_TRUTH, LeaseAnswer
+from robofleet.comms.sensors import SensorsSaid
 from robofleet.kernels import kernel
 from robofleet.processes.compiling import Say, told
 from robofleet.processes.gated_robot import BAD_LINK_NS, HURRY_NS, LOOK_NS, NO_LINK_NS, TURNING_RAD_S, Witness
@@ -105,6 +106,11 @@ class SimulatedRobots:
         return bool(self._found & _HURRIES)
 
     @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed."""
+        return int(np.minimum(self._gates["command_nonce"], self._gates["enabled_nonce"]).max())
+
+    @property
     def latch_is_new(self) -> bool:
         """Whether the newest status does not tell of a gate's latch yet."""
         return bool(self._found & _NEW_LATCH)
@@ -188,6 +194,14 @@ class SimulatedRobots:
         b = self._bodies
         _fill_truths(b.bodies, b.plants, b.coming, b.noise, self._truths, b.prepare())
         return self._truths
+
+    def sensors(self) -> SensorsSaid:
+        """Return what the sensors say, of each robot whose sensors are read."""
+        its = self._bodies.sensing
+        assert its is not None
+        robots = np.zeros(len(its.rows), UNIT_SENSORS.item_dtype)
+        robots["place"], robots["parts"], robots["distances"] = its.rows, its.parts, its.counts
+        return robots, self._bodies.sense()[its.has]
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from robofleet.clock import MS, Clock
 from robofleet.comms.bus import Bus, Request, Wake
 from robofleet.comms.keys import BUSY, ENABLE, REQUEST, SAFE_REQUEST, STATE
-from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, RunState, UnitEnable
+from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, Hurry, RunState, UnitEnable
 from robofleet.comms.requests import SAFE, SAFE_WORDS
 from robofleet.comms.statuses import HURRY_NS
 from robofleet.config import groups, slices
@@ -31,6 +31,8 @@ from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
 
 _PERIOD_NS = 40 * MS
+_EVERY_OTHER = 2  # status of a robot on a radio, which comes every 33 ms, is answered
+_RADIO_NS = 80 * MS  # where none comes
 _DRILL = int(Latch.DRILL)
 _ACKNOWLEDGED_WITHIN_NS = 200 * MS
 _MOST_REQUESTS = 16  # of a step and a kind: a flood of them does not keep it from publishing
@@ -95,10 +97,11 @@ class Supervisor:
         self._say = say
         self._lines: list[str] = []  # of this step
         self._replies: list[tuple[Request, str]] = []
-        self._listener = FleetListener(config, bus, free_bytes, machine)
+        self._listener = FleetListener(config, bus, wake, free_bytes, machine)
         units = self._listener.statuses.units
         self._handing = Handing(config, bus, self._listener.statuses)
         self._enables = [bus.publisher(ENABLE, unit.name) for unit in units]
+        self._enabled_ns, self._passed_over, self._echoed = ([NEVER] * len(units) for _ in range(3))
         self._items = [np.zeros(unit.size, UNIT_ENABLE.item_dtype) for unit in units]
         self._places = [np.arange(unit.size)[unit.places] for unit in units]
         self._driven = driven
@@ -131,13 +134,16 @@ class Supervisor:
     def step(self, now_ns: int) -> int:
         """Listen, decide, and publish when due or when something changed.
 
-        In between, robots whose link is bad are told again what was decided, with their newest nonce.
+        In between, robots whose link is bad are told again what was decided, with their newest nonce, and robots on a
+        radio as soon as their status comes: their permissions are as fresh as can be, and none is said twice.
         """
-        requests, hurried = self._requests(), self._listener.statuses.hurried()
-        if hurried and not requests and self._next_ns - _PERIOD_NS <= now_ns < self._next_ns:
+        requests, statuses = self._requests(), self._listener.statuses
+        hurried = statuses.hurried()
+        between = self._next_ns - _PERIOD_NS <= now_ns < self._next_ns
+        if (hurried or statuses.by_radio) and between and not requests:
             self._listener.hear_robots(now_ns)
-            for unit in hurried:
-                self._enable(unit)
+            for unit in (*hurried, *filter(self._waits, self._listener.newer)):
+                self._enable(unit, now_ns)
             return self._wakes_ns(now_ns)
         self._lines += [f"{unit}: {why}" for unit, why in self._handing.step(now_ns)]
         before = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
@@ -158,7 +164,9 @@ class Supervisor:
         after = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
         if now_ns >= self._next_ns or after != before:
             self._tell_busy()
-            self._publish()
+            self._publish(now_ns, anew=after != before)
+        for unit in filter(self._waits, self._listener.newer):
+            self._enable(unit, now_ns)
         self._speak()
         if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
@@ -330,7 +338,8 @@ class Supervisor:
             return np.zeros(len(self._limits))
         return np.where(strokes > 0, np.minimum(PROBE_RAD_S, self._limits), 0.0)
 
-    def _publish(self) -> None:
+    def _publish(self, now_ns: int, *, anew: bool) -> None:
+        """Say where the run is, and to each unit what it may; ``anew``: that has changed."""
         self._seq += 1
         phase, cause, robot, detail, _ = self._status
         checks = self._checks or ArmingState()
@@ -345,16 +354,28 @@ class Supervisor:
             (),
         )
         self._publish_state(RUN_STATE.encode_view(state, self._states))
+        by_radio = self._listener.statuses.by_radio
         for unit in range(len(self._enables)):
-            self._enable(unit)
+            if anew or unit not in by_radio or now_ns - self._enabled_ns[unit] >= _RADIO_NS:
+                self._enable(unit, now_ns)
 
-    def _enable(self, unit: int) -> None:
+    def _waits(self, unit: int) -> bool:
+        """Whether a unit on a radio, of which a status has just come, is to be told what it may."""
+        statuses = self._listener.statuses
+        status = statuses.newest[unit]
+        if status is None or unit not in statuses.by_radio or status.nonce == self._echoed[unit]:
+            return False
+        self._passed_over[unit] += 1
+        return status.hurry != Hurry.NO or self._passed_over[unit] >= _EVERY_OTHER
+
+    def _enable(self, unit: int, now_ns: int) -> None:
         """Say to a unit which of its robots may move, and which gates must close or may be cleared."""
         statuses, phase, checks = self._listener.statuses, self._status.phase, self._checks
         status, part = statuses.newest[unit], statuses.units[unit]
         if status is None:
             return
         self._enable_seq += 1
+        self._enabled_ns[unit], self._passed_over[unit], self._echoed[unit] = now_ns, 0, status.nonce
         drill = int(Latch.NONE if checks is None else checks.latch)
         latch = int(Latch.EMERGENCY_STOP if phase is Phase.ESTOP else Latch.NONE)
         _fill_enables(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robofleet.processes.keeping import Keeping
     from robofleet.simulation.faults import Schedule
 
-Starter = Literal["run", "systemd", "daemon", "operator"]
+Starter = Literal["run", "systemd", "daemon", "operator", "service"]
 _PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
 
 
@@ -62,7 +62,7 @@ class Row(NamedTuple):
     what: str
     make: Callable[[Edges], Node] | None  # None: it has no steps, and a main function of its own
     priority: int | None  # real-time; 0: nice alone, before what else the machine does; None: it goes before nobody
-    starter: Starter | None = "run"  # None: drivers.started_by says it
+    starter: Starter | None = "run"  # None: bus.router or drivers.started_by says it
     first: bool = False  # it starts before the others, and ends after them
     turn: int | None = None  # in lockstep, among those that are due at one instant; None: lockstep has none of it
     injectable: bool = True  # timed faults may name it
@@ -105,6 +105,8 @@ def started_by(starter: Starter, config: "Config") -> list[Process]:
 def _starter(one: Process, config: "Config") -> Starter:
     if one.row.starter is not None:
         return one.row.starter
+    if one.row is ROUTER:
+        return config.bus.router
     if config.drivers.started_by == "daemon":
         return "daemon" if config.unit_of[one.robots[0]] in config.daemons else "run"
     return config.drivers.started_by
@@ -244,7 +246,7 @@ def _driver(edges: Edges) -> Node:
     return DriverProcess(config, unit, edges.bus, edges.clock, edges.wake, edges.rng, keeping, drivers, edges.witness)
 
 
-ROUTER = Row("router", "The router of a run's bus.", None, 0, first=True)
+ROUTER = Row("router", "The router of a run's bus.", None, 0, starter=None, first=True)
 RECORDER = Row(
     "recorder", "The recorder of a run: it writes run.mcap beside CONFIG.", _recorder, None,
     first=True, injectable=False, ends_within_s=5.0,  # what is left is written, and the file's index

@@ -1,6 +1,7 @@
 """The twins' process: every twin of a run behind its port, and the truth about each."""
 
 import sys
+from functools import partial
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus
@@ -11,6 +12,7 @@ from robofleet.processes.arena_file import twin_port
 from robofleet.processes.node import LineWaker
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
+from robofleet.vehicles.interface import TruePose
 
 _TRUTH_NS = round(TRUTH.period_s * S)
 
@@ -26,7 +28,7 @@ class Twins:
         try:
             for robot in config.twins:
                 port = twin_port(config.arena.name, robot.id)
-                self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults)
+                self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults, partial(self._others, robot.id))
         except BaseException:
             self.close()
             raise
@@ -47,6 +49,10 @@ class Twins:
                 publish(UNIT_TRUTH.encode(UnitTruth(self._seq, now_ns, truths)))
         self._waker.descriptors = [twin.descriptor for twin in self._twins.values() if twin.descriptor is not None]
         return min(next_ns, self._truth_ns)
+
+    def _others(self, robot: str) -> list[tuple[TruePose, float]]:
+        """Return where the other twins are, and their bodies' radii."""
+        return [(twin.truth(), twin.radius) for other, twin in self._twins.items() if other != robot]
 
     def close(self) -> None:
         """Take the ports away; say what the robots did that nobody had asked for. Idempotent."""

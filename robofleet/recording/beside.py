@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from robofleet.config.tree import Config
 from robofleet.recording.log import RunLog
@@ -57,16 +56,6 @@ class LogBeside:
     def close(self) -> None:
         """End the file with its index. Idempotent."""
         self._close(b"")
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
-        """End the file."""
-        self.close()
 
     def _send(self, what: Any) -> None:
         with suppress(OSError):  # it was killed: that is told at the end

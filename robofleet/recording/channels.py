@@ -11,11 +11,12 @@ from robofleet.comms.keys import (
     PICTURE,
     POSES,
     RECORDER,
+    SENSORS,
     STATE,
     TICK,
     key,
     named,
-)  # fmt: skip
+)
 from robofleet.comms.layouts import VERSION
 from robofleet.config import groups
 from robofleet.config.tree import Config
@@ -34,6 +35,7 @@ def keys(config: Config) -> Iterator[str]:
     yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, unit) for unit in config.units for topic in OF_UNITS)
     yield from (key(arena, topic, group) for group in groups.scripted(config) for topic in OF_SCRIPTS)
+    yield from (key(arena, SENSORS, unit) for unit in config.sensing)
 
 
 def schema(full: str) -> tuple[str, bytes]:

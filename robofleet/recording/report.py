@@ -12,6 +12,7 @@ from robofleet.behaviours.interface import scale
 from robofleet.config.load import resolved_yaml
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
+from robofleet.recording import sensors
 from robofleet.recording.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.recording.canvas import View
 from robofleet.recording.columns import CSV, write_csv
@@ -57,6 +58,8 @@ def write(
     _robots(page, summary)
     _origin(page, recording, folder, linked=figures is not None)
     write_csv(view.series, folder / CSV)
+    if recording.config.sensing:
+        sensors.write_csv(recording, folder / sensors.CSV)
     page.write(folder / PAGE)
     return folder / PAGE
 

@@ -15,6 +15,7 @@ from robofleet.clock import S
 from robofleet.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.interface import BodyTrouble, DriverContext, Imperfections
+from robofleet.vehicles.sensors import SimulatedSensors
 
 _NS = 1e-9
 _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
@@ -91,6 +92,9 @@ class Bodies:
             self.plants[row] = _plant(imperfections, drive, base)
             longest_delay_ns = max(longest_delay_ns, int(self.plants[row]["delay_ns"]))
         capacity = _COMMANDS + _COMMANDS_HZ * longest_delay_ns // S
+        self.radii = np.array([s.radius for s in simulations if s is not None])
+        sensing = [(row, s.sensing) for row, s in enumerate(simulations) if s is not None and s.sensing is not None]
+        self.sensing = SimulatedSensors(*zip(*sensing, strict=True)) if sensing else None
         self.coming = np.zeros((n, capacity), COMING)
         self._step_ns = int(self.plants["longest_step_ns"].min())
         self._noisy = bool(self.plants["slip"].any())
@@ -123,6 +127,12 @@ class Bodies:
         advance_all(self.bodies, self.plants, self.coming, self.noise, self.prepare())
         b = self.bodies
         return np.stack([b[name] for name in ("x", "y", "psi", "v", "omega")], axis=1)
+
+    def sense(self) -> NDArray[np.float64]:
+        """Return what the sensors say now, as ``SimulatedSensors.read``; only where a robot has some."""
+        assert self.sensing is not None
+        truths = self.truths()
+        return self.sensing.read(int(self.bodies["reached_ns"].max()), truths, self.radii)
 
     def _apply(self, row: int, trouble: BodyTrouble) -> None:
         body = self.bodies[row]

@@ -1,14 +1,16 @@
 """A robot's firmware, imitated from its protocol's public description: what a twin runs.
 
 A firmware is bytes in, bytes out, and a loop; time comes in. It knows its own robot only by its ``Hardware``: motors
-with encoders, a battery, and what the robot feels. ``twin.py`` gives it a body, a serial port and its troubles.
+with encoders, a battery, what the robot feels, and its sensors. ``twin.py`` gives it a body, a serial port and its
+troubles.
 """
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import STOP, Imperfections, RobotFault
+from robofleet.vehicles.interface import STOP, Imperfections, RobotFault, SensorReading
 from robofleet.vehicles.plant import Plant
 
 
@@ -21,6 +23,7 @@ class Hardware:
         self.radians_per_count = imperfections.speed_quantum * imperfections.loop_period
         self.command = STOP
         self.feels = RobotFault(0)  # BUMPED, CLIFF, WHEEL_DROPPED
+        self.sense: Callable[[int], SensorReading] | None = None  # at an instant [ns]; None: it has no such sensors
         self._plant = plant
 
     @property

@@ -1,5 +1,6 @@
 """A firmware's twin: a simulated body, the firmware that moves it, and a serial port that a driver opens."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from robofleet.clock import MS, S
@@ -11,7 +12,10 @@ from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
 from robofleet.vehicles.body import SimulatedBody
-from robofleet.vehicles.interface import STOP, TruePose
+from robofleet.vehicles.interface import STOP, SensorReading, TruePose
+from robofleet.vehicles.sensors import SimulatedSensors
+
+Others = Callable[[], Sequence[tuple[TruePose, float]]]  # where other robots are, and their bodies' radii [m]
 
 _UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
 _BUFFER = 64  # bytes that wait for a firmware that hangs
@@ -20,22 +24,30 @@ _BUFFER = 64  # bytes that wait for a firmware that hangs
 class Twin:
     """One robot's twin, switched on at ``now_ns`` with its port at ``port``. The caller's clock is its time."""
 
-    def __init__(self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None) -> None:
+    def __init__(
+        self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None,
+        others: Others = lambda: (),
+    ) -> None:  # fmt: skip
+        """Put it there; ``others`` tells the bodies that its distance sensors see."""
         kind = config.robot(robot)
         simulation = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
         self._body = SimulatedBody(simulation, now_ns)
-        self._hardware, spare = (
+        self.hardware, spare = (
             Hardware(simulation.drive, simulation.imperfections, self._body.plant) for _ in range(2)
         )
+        self.radius, self.others = simulation.radius, others
+        if simulation.sensing is not None:
+            self._sensors = SimulatedSensors([0], [simulation.sensing])
+            self.hardware.sense = self._sense
         make = load("robofleet.twins", str(kind.twin))
-        self._firmware: Firmware = make(self._hardware)
+        self._firmware: Firmware = make(self.hardware)
         self._target = STOP
         self._loop_period_ns = round(simulation.imperfections.loop_period * S)
         self._loop_ns = now_ns + self._loop_period_ns
         self._to_robot, self._to_host = Wire(self._firmware.baud), Wire(self._firmware.baud)
         self._waiting = b""  # for a firmware that hangs
         self._troubles = TwinTroubles(faults, robot)
-        self.ledger = Ledger(self._hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
+        self.ledger = Ledger(self.hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
         self._line = SerialLine(port)
 
     @property
@@ -46,6 +58,11 @@ class Twin:
     def truth(self) -> TruePose:
         """Return the true pose at the last step."""
         return self._body.plant.truth()
+
+    def _sense(self, now_ns: int) -> SensorReading:
+        others = self.others()
+        truths, radii = [self.truth(), *(true for true, _ in others)], [0.0, *(radius for _, radius in others)]
+        return self._sensors.first(now_ns, truths, radii)
 
     def step(self, now_ns: int) -> int:
         """Let time pass until ``now_ns``; returns when the next step is due [ns], if nothing is heard before."""
@@ -85,7 +102,7 @@ class Twin:
     def _run(self, now_ns: int) -> None:
         """Let the firmware take what has arrived, and run its loop when that is due."""
         looping = now_ns == self._loop_ns
-        self._hardware.feels = self._troubles.feels(now_ns)
+        self.hardware.feels = self._troubles.feels(now_ns)
         if looping and self.ledger is not None:
             self.ledger.loop(now_ns)
         data = self._waiting + self._to_robot.take(now_ns)
@@ -107,8 +124,8 @@ class Twin:
 
     def _act(self, now_ns: int) -> None:
         """Let the wheel-speed loops aim at what the firmware has decided."""
-        if self._hardware.command != self._target:
-            self._target = self._hardware.command
+        if self.hardware.command != self._target:
+            self._target = self.hardware.command
             self._body.command(self._target)
         if self.ledger is not None:
             self.ledger.look(now_ns)

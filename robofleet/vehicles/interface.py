@@ -13,6 +13,8 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 if TYPE_CHECKING:  # the gate's own types stand here, and `robofleet stop` must not wait for numpy
     import numpy as np
 
+    from robofleet.vehicles.sensors import Sensing, SensorKind
+
 Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both_reversed"]
 
 
@@ -42,6 +44,19 @@ class RobotFault(IntFlag):
 WIRED_STOP = RobotFault.WIRED_STOP
 
 
+class SensorReading(NamedTuple):
+    """What a robot senses beside its wheels; None of what it has not, or does not tell.
+
+    Robot frame: origin at the middle of the axle, x ahead, y to the left, z up.
+    """
+
+    gyro: tuple[float, float, float] | None = None  # turning about x, y, z [rad/s; CCW +]
+    accelerometer: tuple[float, float, float] | None = None  # specific force along x, y, z [m/s^2]; at rest z is +9.8
+    magnetometer: tuple[float, float, float] | None = None  # magnetic field along x, y, z [T]
+    heading: float | None = None  # by a compass or the like [rad; CCW +, in (-pi, pi], from a zero of its own]
+    distances: tuple[float, ...] | None = None  # [m], in the order of its kind's sensors; NaN: one sees nothing
+
+
 class DriverReading(NamedTuple):
     """What a robot reports about itself."""
 
@@ -51,6 +66,7 @@ class DriverReading(NamedTuple):
     right_speed: float  # [rad/s]
     battery: float  # charge [0..1]; NaN where the robot cannot tell
     faults: int  # of RobotFault; 0 when healthy
+    sensors: SensorReading | None = None  # None: it has no more, or ``DriverContext.sensors`` asks for none
 
 
 class TruePose(NamedTuple):
@@ -102,6 +118,8 @@ class Simulation:
     start: tuple[float, float, float]  # x, y [m], psi [rad]; world
     trouble: Callable[[], BodyTrouble] | None  # None: never any
     rng: "np.random.Generator"
+    radius: float = 0.0  # of the disc that others' distance sensors see [m]
+    sensing: "Sensing | None" = None  # None: it senses no more than its wheels
 
 
 @dataclass(frozen=True)
@@ -113,6 +131,7 @@ class DriverContext:
     simulation: Simulation | None  # None: the robot exists
     now_ns: Callable[[], int]  # the process's clock
     settings: Any = None  # robots[].settings as the driver's own ``Settings``; None where its class has none
+    sensors: "SensorKind | None" = None  # the sensors that ``read`` is to tell of; None: nobody asks for any
 
 
 class DriverError(Exception):

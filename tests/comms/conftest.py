@@ -19,6 +19,7 @@ LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
     "RunState": (messages.RUN_STATE, messages.RunState),
     "BusyMachine": (messages.BUSY_MACHINE, messages.BusyMachine),
     "UnitTruth": (messages.UNIT_TRUTH, messages.UnitTruth),
+    "UnitSensors": (messages.UNIT_SENSORS, messages.UnitSensors),
     "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
     "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
     "TrackerNews": (messages.TRACKER_NEWS, messages.TrackerNews),
@@ -31,6 +32,7 @@ ITEMS: dict[str, type[Any]] = {
     "UnitStatus": messages.RobotStatus,
     "UnitEnable": messages.Enable,
     "UnitTruth": messages.Truth,
+    "UnitSensors": messages.RobotSensors,
     "UnitLeases": messages.LeaseAnswer,
     "FleetPoses": messages.TagPose,
     "TickRecord": messages.RobotTick,
@@ -57,7 +59,7 @@ def any_message(draw: st.DrawFn, name: str) -> Any:
         return make(*draw(_row(layout.dtype, ("version",))))
     head = draw(_row(layout.head_dtype, ("version", "count")))
     items = draw(st.lists(_row(layout.item_dtype), max_size=5))
-    numbers: tuple[float, ...] | None = () if name == "TickRecord" else None
+    numbers: tuple[float, ...] | None = () if name in ("TickRecord", "UnitSensors") else None
     rows = tuple(ITEMS[name](*item) for item in items)
     return make(*head, rows) if numbers is None else make(*head, rows, numbers)
 

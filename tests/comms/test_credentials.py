@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from robofleet import folders
 from robofleet.clock import utc_now
-from robofleet.comms import credentials as places
+from robofleet.comms import credentials as credentials_of
 from robofleet.comms.authority import Authority
 from robofleet.comms.credentials import KeysError, Passport, credentials, keys_folder, passport, session_id
 
@@ -21,7 +22,7 @@ START = datetime(2026, 1, 1, tzinfo=UTC)
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Authority:
     """Return the authority of this user's arena, with a robot."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(places, "_SYSTEM", tmp_path / "etc" / "keys")
+    monkeypatch.setattr(folders, "SYSTEM", tmp_path / "etc")
     made = Authority.create("lab", keys_folder("lab"))
     made.issue("r1", "unit", days=90)
     return made
@@ -77,7 +78,7 @@ def test_a_private_key_that_others_reach_is_refused(lab: Authority, mode: int) -
 @pytest.mark.parametrize("days", [-3650, -1, 91, 3650])
 def test_a_clock_that_is_off_is_told_as_such(lab: Authority, monkeypatch: pytest.MonkeyPatch, days: int) -> None:
     now = utc_now() + timedelta(days=days)
-    monkeypatch.setattr(places, "utc_now", lambda: now)
+    monkeypatch.setattr(credentials_of, "utc_now", lambda: now)
     with pytest.raises(KeysError) as error:
         credentials("lab", "r1")
     dates = lab.entries()["r1"].newest
@@ -107,8 +108,9 @@ def test_a_robot_reads_its_keys_without_the_library_that_makes_them(lab: Authori
 import sys
 sys.modules["cryptography"] = sys.modules["pydantic"] = None
 from pathlib import Path
+from robofleet import folders
 from robofleet.comms import credentials
-credentials._SYSTEM = Path("nowhere")
+folders.SYSTEM = Path("nowhere")
 print(credentials.credentials("lab", "r1").name)
 """
     assert lab.folder.is_dir()

@@ -11,12 +11,24 @@ import zenoh
 from robofleet.clock import WallClock
 from robofleet.comms.authority import ROUTER, Authority, identities
 from robofleet.comms.credentials import Credentials, session_id
-from robofleet.comms.keys import ALIVE, ASKED, CAMERA, NOTE, SAFE_REQUEST, TOPICS, WISH, Topic, key
+from robofleet.comms.keys import (
+    ALIVE,
+    ASKED,
+    CAMERA,
+    COMMAND,
+    ENABLE,
+    NOTE,
+    REQUEST,
+    SAFE_REQUEST,
+    TOPICS,
+    WISH,
+    Topic,
+    key,
+)  # fmt: skip
 from robofleet.comms.permissions import (
     ANSWERS,
     ASKS,
     HEARS,
-    PROCESSES,
     ROLES,
     SAYS,
     UNIT,
@@ -238,13 +250,11 @@ def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Ne
 def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     who = [*(Identity(unit, UNIT, unit) for unit in UNITS), *(Identity(role, role, role) for role in ROLES)]
     may = {(one.name, does): allowed(one, does) for one, does in product(who, OPERATIONS)}
-    commands, enables = ({key(ARENA, topic, unit) for unit in UNITS} for topic in TOPICS[0:3:2])
+    commands, enables = ({key(ARENA, topic, unit) for unit in UNITS} for topic in (COMMAND, ENABLE))
     assert [one.name for one in who if may[one.name, SAYS] & commands] == ["controller"]
     assert [one.name for one in who if may[one.name, SAYS] & enables] == ["supervisor"]
-    assert [one.name for one in who if key(ARENA, TOPICS[-3], "supervisor") in may[one.name, ASKS]] == [
-        "web",
-        "operator",
-    ]
+    request = key(ARENA, REQUEST, "supervisor")
+    assert [one.name for one in who if request in may[one.name, ASKS]] == ["web", "operator"]
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
     wishes = {key(ARENA, WISH, group) for group in NAMES["group"]}
@@ -252,5 +262,4 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     assert may["script", SAYS] - wishes == {key(ARENA, NOTE, group) for group in NAMES["group"]}
     assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
     assert may["viewer", SAYS] == may["operator", SAYS] == set()
-    assert set(PROCESSES) < set(ROLES)
     assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])

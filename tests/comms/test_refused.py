@@ -163,3 +163,16 @@ def test_a_certificate_that_has_ended_is_refused(lab: Lab, monkeypatch: pytest.M
     with pytest.raises(zenoh.ZError):
         opened(lab.endpoint, own).close()
     assert lab.hears_the_robot()
+
+
+def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A day's certificate that was made a day ago, but for some seconds."""
+    monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=1) + timedelta(seconds=4))
+    lab.authority.issue("short", UNIT, days=1)
+    own, told = Credentials.at(lab.authority.folder, "short"), lab.authority.entries()["short"].newest
+    with closing(opened(lab.endpoint, own)) as ends:
+        links = ends.info.routers_zid
+        assert links()
+        assert until(lambda: utc_now() > told.not_after, 10)
+        assert until(lambda: not links(), 10)
+    assert lab.hears_the_robot()

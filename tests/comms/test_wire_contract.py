@@ -2,6 +2,7 @@
 
 import struct
 
+from robofleet.comms import sensors
 from robofleet.comms.keys import (
     ALIVE,
     COMMAND,
@@ -24,6 +25,7 @@ from robofleet.comms.messages import (
     UNIT_COMMAND,
     UNIT_ENABLE,
     UNIT_LEASES,
+    UNIT_SENSORS,
     UNIT_STATUS,
     UNIT_TRUTH,
     BusyMachine,
@@ -31,6 +33,7 @@ from robofleet.comms.messages import (
     Late,
     LeaseAnswer,
     LeaseRequest,
+    RobotSensors,
     RobotState,
     RobotStatus,
     RunState,
@@ -38,12 +41,14 @@ from robofleet.comms.messages import (
     UnitCommand,
     UnitEnable,
     UnitLeases,
+    UnitSensors,
     UnitStatus,
     UnitTruth,
     WheelCommand,
 )
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 from robofleet.settings import ROBOTS
+from robofleet.vehicles.interface import SensorReading
 
 
 def test_a_command() -> None:
@@ -70,6 +75,18 @@ def test_a_truth() -> None:
     message = UnitTruth(2, -3, (Truth(4, 0.1, 0.2, 0.3, 0.4, 0.5), Truth(6, 1.1, 1.2, 1.3, 1.4, 1.5)))
     items = struct.pack("<HdddddHddddd", 4, 0.1, 0.2, 0.3, 0.4, 0.5, 6, 1.1, 1.2, 1.3, 1.4, 1.5)
     assert UNIT_TRUTH.encode(message) == struct.pack("<BQqH", 6, 2, -3, 2) + items
+
+
+def test_what_sensors_say() -> None:
+    message = UnitSensors(2, -3, (RobotSensors(4, 9, 1), RobotSensors(5, 0, 2)), (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7))
+    items = struct.pack("<HBBHBB", 4, 9, 1, 5, 0, 2)
+    payload = struct.pack("<BQqH", 6, 2, -3, 2) + items + struct.pack("<7d", *message.numbers)
+    assert UNIT_SENSORS.encode(message) == payload
+    first = SensorReading(gyro=(0.1, 0.2, 0.3), heading=0.4, distances=(0.5,))
+    assert sensors.decoded(payload) == (-3, {4: first, 5: SensorReading(distances=(0.6, 0.7))})
+    assert sensors.encoded(2, -3, sensors.said([(4, first), (5, SensorReading(distances=(0.6, 0.7)))])) == payload
+    assert sensors.decoded(payload[:-8]) is None
+    assert sensors.decoded(payload + bytes(8)) is None
 
 
 def test_a_lease() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from robofleet.drivers.serial_port import SerialPort
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, SensorReading, WheelSpeeds
 from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
 
 
@@ -19,6 +19,11 @@ class Reversed(Sparrow):
 class Swapped(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
         super().write(WheelSpeeds(wheels.right, wheels.left))
+
+
+class TellsWhatNobodyAsked(Sparrow):
+    def read(self) -> DriverReading:
+        return super().read()._replace(sensors=SensorReading(gyro=(0.0, 0.0, 0.1)))
 
 
 class CoarselyRounded(Sparrow):

@@ -45,6 +45,7 @@ class Subject(NamedTuple):
     twin: str | None  # None: the robot is simulated by its driver
     vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file, from the working folder
     settings: Mapping[str, Any] = {}  # without the port
+    sensors: bool = False  # True: it is asked for those of its vehicle, and tells of them
     encoders: bool = True  # False: the robot has none, and its driver says so by angles and speeds of 0
 
     @property
@@ -76,7 +77,7 @@ class Bench:
 
     def __init__(self, subject: Subject, *faults: Any, faster: float = 1.0) -> None:
         self.config = _config(subject, faster).model_copy(update={"faults": faults})
-        self.believed = subject.drive
+        self.believed, self.sensors = subject.drive, slices.sensors(self.config.robots[0])
         self.clock = SimulatedClock()
         self.clock.advance_to(5 * S)
         self.angles = STOP  # that the wheels have truly turned [rad]
@@ -117,7 +118,7 @@ class Bench:
         robot = self.config.robots[0]
         simulation = slices.simulation(self.config, robot, None)
         settings = driver_settings.of(self.config, robot)
-        context = DriverContext("r1", self.believed, simulation, self.clock.now_ns, settings)
+        context = DriverContext("r1", self.believed, simulation, self.clock.now_ns, settings, self.sensors)
         self.driver = load("robofleet.drivers", robot.driver)(context)
         self._made.append(self.driver)
         return self.driver
@@ -221,10 +222,11 @@ class Bench:
 
 
 @lru_cache
-def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, faster: float) -> Config:
+def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, sensors: bool, faster: float) -> Config:
     ideal = [f"robots.0.vehicle.simulated.{key}=0" for key in _IDEAL]
     twins = [] if twin is None else [f"robots.0.twin='{twin}'"]
     own = [f"robots.0.driver='{driver}'", f"robots.0.vehicle={vehicle}", f"robots.0.settings={settings}", *twins]
+    own += ["robots.0.sensors=true"] if sensors else []
     config = load_config(_PLATOON, [*own, *ideal])
     fast = f"robots.0.vehicle.max_wheel_speed_rad_s={faster * config.robots[0].vehicle.max_wheel_speed_rad_s}"
     return config if faster == 1.0 else load_config(_PLATOON, [*own, *ideal, fast])
@@ -233,4 +235,4 @@ def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, faster: 
 def _config(subject: Subject, faster: float = 1.0) -> Config:
     named = subject.vehicle.endswith(".yaml")
     vehicle = str(Path(subject.vehicle).absolute()) if named else subject.vehicle
-    return _loaded(subject.driver, subject.twin, vehicle, str(dict(subject.settings)), faster)
+    return _loaded(subject.driver, subject.twin, vehicle, str(dict(subject.settings)), subject.sensors, faster)

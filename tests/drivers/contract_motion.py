@@ -7,7 +7,8 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
-from robofleet.vehicles.interface import DriverError, WheelSpeeds
+from robofleet.vehicles.interface import DriverError, SensorReading, WheelSpeeds
+from robofleet.vehicles.sensors import is_sound
 from tests.drivers.contract_bench import Bench, Moment, Subject
 
 CRUISE = 0.4  # of the fastest that a wheel may turn
@@ -50,6 +51,20 @@ class Motion:
     """``subject`` is what is tried."""
 
     subject: Subject
+
+    def test_it_tells_of_its_sensors_where_it_is_asked(self) -> None:
+        with Bench(self.subject) as bench:
+            bench.make()
+            told = bench.drive(cruise(self.subject, 1, -1), SETTLE_S)
+            sensors = [moment.reading.sensors for moment in told if moment.reading is not None]
+            if not self.subject.sensors:
+                assert set(sensors) <= {None, SensorReading()}
+                return
+            known = [reading for reading in sensors if reading not in (None, SensorReading())]
+            places = bench.sensors.places if bench.sensors is not None else ()
+            assert known, "it tells of none"
+            assert all(is_sound(reading) and len(reading.distances or places) == len(places) for reading in known)
+            assert len(set(known)) > 3, "it tells the same all the time"
 
     @pytest.mark.parametrize("turn", TURNS)
     def test_each_wheel_turns_as_it_is_told(self, turn: str) -> None:

@@ -11,6 +11,10 @@ class TestGTernal(Contract):
     subject = Subject("gternal", twin="gternal", vehicle="gternal", encoders=False)
 
 
+class TestGTernalWithSensors(Contract):
+    subject = Subject("gternal", twin="gternal", vehicle="gternal", sensors=True, encoders=False)
+
+
 class TestArduinoBridge(Contract):
     subject = Subject("arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248})
 

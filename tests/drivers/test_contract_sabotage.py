@@ -17,6 +17,7 @@ NOTICED = {
     "CoarselyRounded": ["test_each_wheel_turns_as_it_is_told"],
     "CountsBackwards": ["test_the_angles_that_it_reads_are_those_that_the_wheels_turned"],
     "DegreesPerSecond": ["test_the_speeds_that_it_reads_are_those_of_the_wheels"],
+    "TellsWhatNobodyAsked": ["test_it_tells_of_its_sensors_where_it_is_asked"],
     "BatteryInVolts": ["test_a_robot_in_health_says_so"],
     "MovesWhenMade": ["test_it_stands_until_it_is_told_to_move"],
     "RoundsUpAtTheLimit": ["test_it_never_turns_faster_than_it_may"],

@@ -54,7 +54,7 @@ def test_it_asks_before_it_tells_and_lets_the_robot_stand(desk: Desk) -> None:
     assert b"write" not in desk.lines[0]
     assert any(b'{"v":0.0,"w":0.0}' in line for line in desk.lines)
     assert desk.clock.now_ns() - desk.heard_ns >= 300 * MS  # motors without current: it rolls on
-    assert driver.read() == (0.0, 0.0, 0.0, 0.0, pytest.approx(1.0, abs=0.01), 0)
+    assert driver.read() == (0.0, 0.0, 0.0, 0.0, pytest.approx(1.0, abs=0.01), 0, None)
     desk.meanwhile(driver.close)
 
 

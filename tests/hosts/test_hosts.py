@@ -1,10 +1,8 @@
 """Robots with computers of their own: real namespaces, certificates, links and firmware's twins."""
 
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -12,12 +10,9 @@ import yaml
 from robofleet.comms.keys import STATUS
 from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
-from tests.hosts.network import Host, Network, unavailable
-from tests.processes.realrun import PLATOON, wait
-
-PORT = 7447
-ALONE = "desk", "phone"
-OPERATOR, VIEWER = "alice", "bob"
+from tests.hosts.fleet import ALONE, Fleet, configuration, ended, join, said
+from tests.hosts.network import Network, unavailable
+from tests.processes.realrun import wait
 
 
 @pytest.fixture
@@ -33,77 +28,6 @@ def network(alone: None, tmp_path: Path) -> Iterator[Callable[..., Network]]:
             return network
 
         yield made
-
-
-def join(network: Network, robots: tuple[str, ...]) -> None:
-    """Do what a laboratory does once: an authority, certificates, and a bundle for each host."""
-    lab = network["lab"]
-    said(lab, "keys", "init", "platoon")
-    said(lab, "keys", "add", "platoon", "router", "--address", lab.address)
-    who = {**{robot: (robot, "unit") for robot in robots}, "desk": (OPERATOR, "operator"), "phone": (VIEWER, "viewer")}
-    for host, (name, kind) in who.items():
-        said(lab, "keys", "add", "platoon", name, "--kind", kind)
-        file = lab.folder / f"{name}.bundle"
-        router = f"quic/{lab.address}:{PORT}"
-        said(lab, "keys", "bundle", "platoon", name, "--router", router, "--out", str(file))
-        assert "the keys of" in said(network[host], "join", str(file))
-
-
-def said(host: Host, *words: str) -> str:
-    """Return what a command says that must succeed."""
-    done = host.robofleet(*words)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def configuration(network: Network, *robots: str, **run: Any) -> Path:
-    """Write the configuration of a laboratory whose robots are at these hosts."""
-    tree = yaml.safe_load(PLATOON.read_text())
-    tree["robots"] = [robot | {"driver": "gternal", "twin": "gternal", "unit": robot["id"]} for robot in tree["robots"]]
-    tree["robots"] = [robot for robot in tree["robots"] if robot["id"] in robots]
-    tree["groups"][0]["robots"] = list(robots)
-    tree["drivers"] = {"started_by": "daemon"}
-    tree["bus"] = {"listen": [f"quic/{network['lab'].address}:{PORT}"]}
-    tree["run"] = {**tree["run"], **run}
-    file = network["lab"].folder / "lab.yaml"
-    file.write_text(yaml.safe_dump(tree))
-    return file
-
-
-class Fleet:
-    """Daemons that wait on their hosts, and one run after the other."""
-
-    def __init__(self, network: Network, robots: tuple[str, ...], stack: ExitStack) -> None:
-        self.network, self._stack = network, stack
-        self.logs = {robot: network[robot].folder / "driver.log" for robot in robots}
-        self.daemons = {robot: self._begin(robot) for robot in robots}
-
-    def _begin(self, robot: str) -> "subprocess.Popen[bytes]":
-        daemon = self.network[robot].begin("driver", "--unit", robot, log=self.logs[robot])
-        self._stack.callback(_end, daemon)
-        return daemon
-
-    def run(self, file: Path, name: str, *words: str) -> "subprocess.Popen[bytes]":
-        """Start a run in the laboratory; its folder has this name."""
-        lab = self.network["lab"]
-        run = lab.begin("run", str(file), "--out", str(lab.folder / name), *words, log=lab.folder / f"{name}.log")
-        self._stack.callback(_end, run)
-        return run
-
-    def phase(self) -> str:
-        """Return where the run is, as the laboratory sees it."""
-        found = self.network["lab"].robofleet("status", "--json")
-        return str(yaml.safe_load(found.stdout)["phase"]) if found.returncode == 0 else ""
-
-    def log(self, name: str) -> str:
-        """Return what a run said."""
-        return (self.network["lab"].folder / f"{name}.log").read_text()
-
-
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    if process.poll() is None:
-        process.terminate()
-        process.wait(20)
 
 
 def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
@@ -156,3 +80,35 @@ def test_a_robot_refuses_what_its_own_file_does_not_allow_and_the_run_says_so(ne
         run = fleet.run(file, "run", "--set", "tracker.source=truth")
         assert run.wait(150) == 1
         assert "robot.yaml on this robot does not allow wheels of 12.5 rad/s (allowed: 5)" in fleet.log("run")
+
+
+def test_a_router_that_stays_shows_robots_that_wait_and_shuts_out_who_is_revoked(
+    network: Callable[..., Network],
+) -> None:
+    robots = "r1", "r2"
+    net = network(*robots)
+    lab = net["lab"]
+    file = configuration(net, *robots, duration_s=1.0)
+    tree = yaml.safe_load(file.read_text())
+    tree["bus"]["router"] = "service"
+    file.write_text(yaml.safe_dump(tree))
+
+    refused = lab.robofleet("run", str(file), "--out", str(lab.folder / "too-early"))
+    assert refused.returncode == 2
+    assert "no router listens at" in refused.stderr
+    with ExitStack() as stack:
+        router = lab.begin("router", str(file), log=lab.folder / "router.log")
+        stack.callback(ended, router)
+        fleet = Fleet(net, robots, stack)
+
+        def states() -> list[str]:
+            found = lab.robofleet("hosts", str(file), "--json")
+            return [one["state"] for one in yaml.safe_load(found.stdout)["units"]] if found.returncode == 0 else []
+
+        assert wait(lambda: states() == ["waits", "waits"], 60), fleet.logs["r1"].read_text()
+        run = fleet.run(file, "run", "--set", "tracker.source=truth")
+        assert run.wait(150) == 0, fleet.log("run")
+        assert states() == ["waits", "waits"]
+        said(lab, "keys", "revoke", "platoon", "r2")
+        assert wait(lambda: states() == ["waits", "silent"], 60), (lab.folder / "router.log").read_text()
+        assert router.poll() is None

@@ -15,11 +15,11 @@ import yaml
 from click.testing import Result
 from typer.testing import CliRunner
 
-from robofleet import cli
+from robofleet import cli, folders
 from robofleet.clock import utc_now
 from robofleet.comms import authority as authorities
 from robofleet.comms import bundle as bundles
-from robofleet.comms import credentials as places
+from robofleet.comms import credentials as credentials_of
 from robofleet.config.robot_file import RobotFile, load_robot_file
 from robofleet.processes import join_command
 
@@ -33,8 +33,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the laboratory's folder; nothing of this computer's own is read or written."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setenv("COLUMNS", "100")
-    monkeypatch.setattr(places, "_SYSTEM", tmp_path / "etc" / "keys")
-    monkeypatch.setattr(join_command, "_SYSTEM", tmp_path / "etc")
+    monkeypatch.setattr(folders, "SYSTEM", tmp_path / "etc")
     monkeypatch.setattr(join_command, "_SERVICE", tmp_path / "systemd" / "robofleet-unit.service")
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     monkeypatch.chdir(tmp_path)
@@ -80,7 +79,7 @@ def bundle(lab: Path) -> Path:
 
 
 def clock_says(monkeypatch: pytest.MonkeyPatch, at: Callable[[], datetime]) -> None:
-    for module in (authorities, bundles, places):
+    for module in (authorities, bundles, credentials_of):
         monkeypatch.setattr(module, "utc_now", at)
     monkeypatch.setattr("robofleet.clock.utc_now", at)
 
@@ -443,7 +442,7 @@ def test_root_joins_for_the_whole_computer_and_a_user_alone(
     monkeypatch.setattr("os.geteuid", lambda: 0)
     said("join", bundle)
     assert (desk / "etc" / "robot.yaml").exists()
-    assert places.keys_folder("lab") == desk / "etc" / "keys" / "lab"
+    assert credentials_of.keys_folder("lab") == desk / "etc" / "keys" / "lab"
 
 
 def test_root_joins_in_a_folder_that_it_names(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """The file of a run in lockstep, written by a process of its own."""
 
 import multiprocessing
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ def test_the_file_has_the_bytes_that_the_log_writes_here(said: recorded.Said, tm
     (tmp_path / "here").mkdir()
     with (
         RunLog(tmp_path / "here" / FILE, CONFIG, batched=True) as here,
-        LogBeside(tmp_path / FILE, CONFIG) as beside,
+        closing(LogBeside(tmp_path / FILE, CONFIG)) as beside,
     ):
         for at_ns, messages in instants(said):
             here.add_all(messages, at_ns)
@@ -36,7 +37,7 @@ def test_the_file_has_the_bytes_that_the_log_writes_here(said: recorded.Said, tm
 
 
 def test_a_log_that_was_killed_is_told_and_ends_no_run(said: recorded.Said, tmp_path: Path) -> None:
-    with LogBeside(tmp_path / FILE, CONFIG) as beside:
+    with closing(LogBeside(tmp_path / FILE, CONFIG)) as beside:
         (process,) = multiprocessing.active_children()
         process.kill()
         process.join()
@@ -49,7 +50,7 @@ def test_a_log_that_was_killed_is_told_and_ends_no_run(said: recorded.Said, tmp_
 
 
 def test_a_run_that_ends_without_a_word_leaves_a_whole_file(said: recorded.Said, tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), LogBeside(tmp_path / FILE, CONFIG) as beside:
+    with pytest.raises(ZeroDivisionError), closing(LogBeside(tmp_path / FILE, CONFIG)) as beside:
         for at_ns, messages in instants(said):
             beside.add_all(messages, at_ns)
         raise ZeroDivisionError

@@ -1,5 +1,6 @@
 """Timed faults in lockstep: each has its effect while it lasts and none before it, and the same seed the same bytes."""
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -7,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
-from robofleet.clock import S, SimulatedClock
+from robofleet.clock import MS, S, SimulatedClock
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import COMMAND, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import COMMAND, ENABLE, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS
 from robofleet.config.load import load_config
 from robofleet.processes.lockstep import Lockstep
+from robofleet.safety.gate import GateOutput, GateState, Inputs
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
@@ -400,3 +403,37 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
     healthy.run()
     statuses = [ROBOT_STATUS.decode(p) for p in healthy.recording.messages[key("platoon", STATUS, "r1")]]
     assert not any(status is not None and status.hurry for status in statuses)
+
+
+@pytest.mark.parametrize("faults", [None, PLATOON.parent / "faults" / "lossy.yaml"])
+def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(faults: Path | None) -> None:
+    """Their packets share the air: each tells once a command, and is answered at once."""
+    robots = [
+        robot | {"unit": robot["id"], "driver": "robofleet.drivers.simulated:SimulatedRobot"}
+        for robot in yaml.safe_load(PLATOON.read_text())["robots"]
+    ]
+    overrides = [
+        "tracker.source=truth", f"robots={json.dumps(robots)}", "drivers.started_by=daemon",
+        "bus.listen=[quic/127.0.0.1:7447]",
+    ]  # fmt: skip
+    worst_ns: dict[str, int] = {}
+
+    def witness(robot: str, now_ns: int, _inputs: Inputs, state: GateState, _output: GateOutput) -> None:
+        if run.status.phase is Phase.RUNNING:
+            worst_ns[robot] = max(worst_ns.get(robot, 0), now_ns - min(state.command_nonce, state.enabled[0]))
+
+    run = Lockstep(load_config(PLATOON, overrides, faults), witness)
+    run.request(b"start")
+    assert run.advance(30.0, lambda: run.status.phase is Phase.RUNNING)
+    run.advance(1.0)  # by then the answers to what was said before have come
+    worst_ns.clear()
+    topics = [key("platoon", topic, robot) for topic in (COMMAND, ENABLE, STATUS) for robot in ("r1", "r2", "r3", "r4")]
+    before = {full: len(run.recording.messages[full]) for full in topics}
+    run.advance(20.0)
+    run.close()
+    assert run.status.phase is Phase.RUNNING
+    assert len(worst_ns) == 4
+    assert max(worst_ns.values()) < (120 if faults else 70) * MS  # safety.gate closes a gate then
+    for robot in ("r1", "r2", "r3", "r4"):
+        said = sum(len(run.recording.messages[full]) - before[full] for full in topics if f"/{robot}/" in full)
+        assert said < (110 if faults else 80) * 20

@@ -9,10 +9,12 @@ Its loop looks at the serial line, then at its 500 ms stop, then at its wheels. 
 - Any ``write`` starts the stop's time anew, no ``read`` does. A request that is neither is what the last one was.
 - It clips nothing; motors that can do no more do no more. It tells nothing of its encoders.
 
-Of its sensors it has the battery and the charger here; what else can be read is answered as unknown.
+Of its sensors it has the battery, the charger, the distances and the orientation here; what else can be read is
+answered as unknown.
 """
 
 import json
+import math
 import re
 from collections.abc import Callable, Generator
 from typing import Any
@@ -98,7 +100,7 @@ class GTernalFirmware:
                 self._writes = request == "write"
             interface = interfaces[index] if index < len(interfaces) else None
             given = bodies[index] if index < len(bodies) else None
-            known, said = self._write(interface, given, now_ns) if self._writes else self._read(interface)
+            known, said = self._write(interface, given, now_ns) if self._writes else self._read(interface, now_ns)
             status += [1] * known
             body.append(said)
         self._follow()
@@ -110,11 +112,20 @@ class GTernalFirmware:
             self._v, self._w = _number(given, "v"), _number(given, "w")
         return interface in ("motor", "left_led", "right_led"), {}
 
-    def _read(self, interface: Any) -> tuple[bool, dict[str, Any]]:
+    def _read(self, interface: Any, now_ns: int) -> tuple[bool, dict[str, Any]]:
         volts = _EMPTY_V + (_FULL_V - _EMPTY_V) * self._hardware.charge
         if interface == "batt_volt":
             return True, {"batt_volt": round(volts // _STEP_V * _STEP_V, 6)}
-        return (True, {"charge_status": False}) if interface == "charge_status" else (False, {})
+        if interface == "charge_status":
+            return True, {"charge_status": False}
+        sensed = None if self._hardware.sense is None else self._hardware.sense(now_ns)
+        if interface == "distances" and sensed is not None and sensed.distances is not None:
+            # In whole millimetres; nothing seen is 0.
+            return True, {"distances": [0.0 if math.isnan(d) else round(d, 3) for d in sensed.distances]}
+        if interface == "orientation" and sensed is not None and sensed.heading is not None:
+            degrees = round(math.degrees(-sensed.heading) * 16.0) / 16.0  # as its sensor counts, clockwise
+            return True, {"orientation": [degrees % 360.0, 0.0, 0.0]}
+        return False, {}
 
 
 class _Reader:

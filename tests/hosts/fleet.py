@@ -1,0 +1,99 @@
+"""What a laboratory with robots of their own computers does: joins them once, and runs."""
+
+import signal
+import subprocess
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests.hosts.network import Host, Network
+from tests.processes.realrun import PLATOON
+
+PORT = 7447
+ALONE = "desk", "phone"
+OPERATOR, VIEWER = "alice", "bob"
+
+
+def join(network: Network, robots: tuple[str, ...], radio: str | None = None) -> None:
+    """Do what a laboratory does once: an authority, certificates, and a bundle for each host.
+
+    ``radio``: the host by which the robots reach the router; None: they reach it themselves.
+    """
+    lab = network["lab"]
+    said(lab, "keys", "init", "platoon")
+    reached = [lab.address] if radio is None else [lab.address, network[radio].address]
+    said(lab, "keys", "add", "platoon", "router", *(word for address in reached for word in ("--address", address)))
+    who = {**{robot: (robot, "unit") for robot in robots}, "desk": (OPERATOR, "operator"), "phone": (VIEWER, "viewer")}
+    for host, (name, kind) in who.items():
+        said(lab, "keys", "add", "platoon", name, "--kind", kind)
+        file = lab.folder / f"{name}.bundle"
+        router = f"quic/{reached[-1] if host in robots else lab.address}:{PORT}"
+        said(lab, "keys", "bundle", "platoon", name, "--router", router, "--out", str(file))
+        assert "the keys of" in said(network[host], "join", str(file))
+
+
+def said(host: Host, *words: str) -> str:
+    """Return what a command says that must succeed."""
+    done = host.robofleet(*words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def configuration(network: Network, *robots: str, **run: Any) -> Path:
+    """Write the configuration of a laboratory whose robots are at these hosts."""
+    tree = yaml.safe_load(PLATOON.read_text())
+    tree["robots"] = [robot | {"driver": "gternal", "twin": "gternal", "unit": robot["id"]} for robot in tree["robots"]]
+    tree["robots"] = [robot for robot in tree["robots"] if robot["id"] in robots]
+    tree["groups"][0]["robots"] = list(robots)
+    tree["drivers"] = {"started_by": "daemon"}
+    tree["bus"] = {"listen": [f"quic/{network['lab'].address}:{PORT}"]}
+    tree["run"] = {**tree["run"], **run}
+    file = network["lab"].folder / "lab.yaml"
+    file.write_text(yaml.safe_dump(tree))
+    return file
+
+
+class Fleet:
+    """Daemons that wait on their hosts, and one run after the other."""
+
+    def __init__(self, network: Network, robots: tuple[str, ...], stack: ExitStack) -> None:
+        self.network, self._stack = network, stack
+        self.logs = {robot: network[robot].folder / "driver.log" for robot in robots}
+        self.daemons: dict[str, subprocess.Popen[bytes]] = {}
+        for robot in robots:
+            self.begin(robot)
+
+    def begin(self, robot: str) -> None:
+        """Start a robot's driver."""
+        self.daemons[robot] = self.network[robot].begin("driver", "--unit", robot, log=self.logs[robot])
+        self._stack.callback(ended, self.daemons[robot])
+
+    def end(self, robot: str, number: signal.Signals) -> None:
+        """End a robot's driver by a signal."""
+        self.daemons[robot].send_signal(number)
+        self.daemons[robot].wait(20)
+
+    def run(self, file: Path, name: str, *words: str) -> "subprocess.Popen[bytes]":
+        """Start a run in the laboratory; its folder has this name."""
+        lab = self.network["lab"]
+        run = lab.begin("run", str(file), "--out", str(lab.folder / name), *words, log=lab.folder / f"{name}.log")
+        self._stack.callback(ended, run)
+        return run
+
+    def phase(self) -> str:
+        """Return where the run is, as the laboratory sees it."""
+        found = self.network["lab"].robofleet("status", "--json")
+        return str(yaml.safe_load(found.stdout)["phase"]) if found.returncode == 0 else ""
+
+    def log(self, name: str) -> str:
+        """Return what a run said."""
+        return (self.network["lab"].folder / f"{name}.log").read_text()
+
+
+def ended(process: "subprocess.Popen[bytes]") -> None:
+    """End a process, if it is still there."""
+    if process.poll() is None:
+        process.terminate()
+        process.wait(20)

@@ -1,0 +1,74 @@
+"""A robot's own computer refuses a run that it cannot take, and waits for the next one."""
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S, WallClock
+from robofleet.comms.keys import CONFIG
+from robofleet.comms.messages import HANDED
+from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.config.load import load_config
+from robofleet.config.robot_file import RobotFile
+from robofleet.config.tree import Config
+from robofleet.patterns import driver_role
+from robofleet.processes.daemon import Daemon
+from robofleet.processes.handing import packed
+from tests.endpoints import own_endpoint
+
+PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+CLOCK = WallClock()
+ROBOT = RobotFile(arena="platoon", unit="r1", router=("quic/127.0.0.1:7447",))
+
+
+class Bench:
+    """A daemon, and a supervisor that hands it runs."""
+
+    def __init__(self, daemon: Daemon, supervisor: ZenohBus) -> None:
+        self.daemon, self._supervisor = daemon, supervisor
+
+    def handed(self, config: Config) -> str:
+        """Return what the daemon says to a run."""
+        answer, message = None, HANDED.encode(packed(config))
+        end_ns = CLOCK.now_ns() + 10 * S
+        while CLOCK.now_ns() < end_ns:
+            answer = answer or self._supervisor.ask(CONFIG, "r1", message)
+            self.daemon.step(CLOCK.now_ns())
+            if (said := answer.take()) is not None:
+                return said.decode()
+            CLOCK.sleep_until(CLOCK.now_ns() + 5 * MS)
+        raise TimeoutError("the daemon says nothing")
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    endpoint = own_endpoint()
+    with (
+        closing(open_router(endpoint)),
+        closing(ZenohBus("platoon", endpoint, "supervisor", CLOCK)) as supervisor,
+        closing(ZenohBus("platoon", endpoint, "r1", CLOCK, roles=(driver_role("r1"),))) as bus,
+        closing(
+            Daemon(
+                ROBOT, tmp_path / "robot.yaml", bus, CLOCK, lambda _: None, np.random.default_rng(1), {}, lambda _: None
+            )
+        ) as daemon,
+    ):
+        yield Bench(daemon, supervisor)
+
+
+def config(driver: str) -> Config:
+    """Return a run of one robot, whose driver is of this kind."""
+    tree = load_config(PLATOON, ["tracker.source=truth"])
+    robots = [robot.model_copy(update={"unit": robot.id}) for robot in tree.robots]
+    robots[0] = robots[0].model_copy(update={"driver": driver})
+    return tree.model_copy(update={"robots": tuple(robots)})
+
+
+@pytest.mark.parametrize("driver", ["nowhere:Robot", "no_such_kind", "pathlib:Path"])
+def test_a_run_with_a_driver_that_is_not_here_is_refused_and_the_next_one_taken(bench: Bench, driver: str) -> None:
+    assert bench.handed(config(driver)).startswith("refused: ")
+    assert bench.handed(config("simulated")) == "ok"
