@@ -141,6 +141,8 @@ def understand(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         script(arguments[0], arguments[1:], monkeypatch)
     elif name == "calibrate.py" or name.endswith(".py"):
         script(f"tools/{name}" if name == "calibrate.py" else name, arguments, monkeypatch)
+    elif name == "pip" and arguments[0] == "wheel":
+        assert (ROOT / arguments[-1] / "pyproject.toml").is_file()
     elif name == "pip":
         install(arguments)
     elif name == "pytest":

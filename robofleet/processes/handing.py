@@ -43,7 +43,11 @@ def unpacked(message: Handed) -> Config:
     try:
         config = Config.model_validate_json(plain)
     except ValidationError as error:
-        raise HandedError(f"the configuration is not valid here: {error.error_count()} faults") from error
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise HandedError(
+            f"the configuration is not valid here ({place}: {first['msg']}): install the laboratory's robofleet"
+        ) from error
     if slices.build(config) != message.build:
         raise HandedError("the configuration came damaged: its number is another one")
     return config

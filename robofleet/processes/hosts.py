@@ -86,7 +86,7 @@ def table(found: dict[str, Any]) -> "Table":
     from rich.table import Table  # noqa: PLC0415
 
     shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
-    for name in ("unit", "state", "host", "version", "certificate until", "round trip", "loss", "battery", "since"):
+    for name in ("unit", "state", "host", "version", "certificate", "round trip", "loss", "battery", "since"):
         shown.add_column(name)
     for one in found["units"]:
         state = f"[red]{one['state']}[/]" if one["state"] in ("silent", "no answer") else one["state"]
