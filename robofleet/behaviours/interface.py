@@ -56,7 +56,7 @@ class Team:
     delay: float  # from a tick to the moment when the first robot's command acts [s]
     point_ahead: float  # l [m]
     flow: Flow
-    rng: np.random.Generator  # the same for the same seed
+    rng: "np.random.Generator"  # the same for the same seed
 
     def __len__(self) -> int:
         """Return N."""

@@ -157,17 +157,17 @@ def start_pose(robot: Robot) -> tuple[float, float, float]:
     return robot.start.x_m, robot.start.y_m, robot.start.psi
 
 
-def generator(seed: int, *key: str) -> np.random.Generator:
+def generator(seed: int, *key: str) -> "np.random.Generator":
     """Return the randomness of one part of a run: a seed and a name give one stream, whoever else draws."""
     return np.random.default_rng([seed, *("/".join(key)).encode()])
 
 
-def entropy(seed: int, *key: str) -> np.random.Generator:
+def entropy(seed: int, *key: str) -> "np.random.Generator":
     """Return randomness that no other start of the same process draws again: boot ids must differ."""
     return np.random.default_rng([seed, *("/".join(key)).encode(), *secrets.token_bytes(16)])
 
 
-def drawn_id(rng: np.random.Generator, bits: int) -> int:
+def drawn_id(rng: "np.random.Generator", bits: int) -> int:
     """Return a number above 0 that names one start of a process."""
     return int(rng.integers(1, 2 ** (bits - 1)))
 

@@ -1,14 +1,13 @@
 """A robot's own computer: it waits for a run for ever, takes its configuration, and drives as that says."""
 
 import json
+import secrets
 import socket
 import sys
 from collections.abc import Callable
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
 
 from robofleet.clock import Clock, S, WallClock, utc_now
 from robofleet.comms.bus import Request, Wake
@@ -21,7 +20,7 @@ from robofleet.config.robot_file import RobotFile
 from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
 from robofleet.processes import driver_settings
-from robofleet.processes.driver import DriverProcess
+from robofleet.processes.driver import LOOP_NS, DriverProcess
 from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.processes.handing import HandedError, unpacked
 from robofleet.processes.keeping import FileKeeping
@@ -44,10 +43,10 @@ class Daemon:
     """
 
     def __init__(
-        self, robot: RobotFile, file: Path, bus: ZenohBus, clock: Clock, wake: Wake, rng: np.random.Generator,
+        self, robot: RobotFile, file: Path, bus: ZenohBus, clock: Clock, wake: Wake,
         host: dict[str, str], say: Say,
     ) -> None:  # fmt: skip
-        self._robot, self._file, self._bus, self._clock, self._wake, self._rng = robot, file, bus, clock, wake, rng
+        self._robot, self._file, self._bus, self._clock, self._wake = robot, file, bus, clock, wake
         self._host, self._say = host, say
         self._requests = bus.serve(CONFIG, robot.unit, wake)
         self._questions = bus.serve(HOST, robot.unit, wake)
@@ -125,7 +124,9 @@ class Daemon:
         keeping = FileKeeping(config.arena.name)
         keeping.prove(config.units[self._robot.unit])
         drivers = ConfiguredDrivers(config, self._clock.now_ns)
-        return DriverProcess(config, self._robot.unit, bus, self._clock, self._wake, self._rng, keeping, drivers)
+        boot_id, phase_ns = 1 + secrets.randbelow((1 << 63) - 1), secrets.randbelow(LOOP_NS)
+        unit, clock, wake = self._robot.unit, self._clock, self._wake
+        return DriverProcess(config, unit, bus, clock, wake, boot_id, phase_ns, keeping, drivers)
 
 
 def _joined(robot: RobotFile, clock: Clock, own: Credentials, session: str) -> ZenohBus:
@@ -158,7 +159,7 @@ def main(robot: RobotFile, file: Path, lifeline: int | None) -> None:
                 "certificate_ends": f"{told.not_after:%Y-%m-%d}",
             }  # fmt: skip
             node = Daemon(
-                robot, file, bus, clock, waker, np.random.default_rng(), host,
+                robot, file, bus, clock, waker, host,
                 lambda line: print(line, file=sys.stderr, flush=True),
             )  # fmt: skip
             realtime_priority(_PRIORITY)

@@ -2,7 +2,6 @@
 
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock
@@ -30,7 +29,7 @@ from robofleet.processes.keeping import Keeping
 from robofleet.processes.telling import ByCable, ByRadio, Telling
 from robofleet.safety.gate import LeaseAction
 
-_LOOP_NS = 10 * MS
+LOOP_NS = 10 * MS
 _ACTIONS = tuple(LeaseAction)
 Said = tuple[NDArray[Any], NDArray[Any]]  # a message's head (1,) and its items (N,)
 
@@ -102,16 +101,20 @@ class DriverProcess:
         bus: Bus,
         clock: Clock,
         wake: Wake,
-        rng: np.random.Generator,
+        boot_id: int,
+        phase_ns: int,
         keeping: Keeping,
         drivers: Drivers,
         witness: Witness | None = None,
     ) -> None:
-        """Open every robot; DriverError where one does not answer."""
+        """Open every robot; DriverError where one does not answer.
+
+        ``boot_id``: 64 bits that nobody has had before; ``phase_ns``: of the loop, so that those of several processes
+        are not in phase.
+        """
         self._clock, self._build = clock, slices.build(config)
         self._newest_ns = clock.now_ns()
         self._sensing_ns = slices.sensing_period_ns(config, unit)
-        boot_id = slices.drawn_id(rng, 64)
         self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
         try:
             self._join(unit, bus, wake)
@@ -120,7 +123,7 @@ class DriverProcess:
             raise
         self._refused = 0  # messages and requests that nobody could read
         self._seq = 0
-        self._loop_ns = clock.now_ns() + int(rng.integers(_LOOP_NS))  # loops of several processes are not in phase
+        self._loop_ns = clock.now_ns() + phase_ns
         self._telling: Telling = ByRadio() if unit in config.daemons else ByCable()
         self._truth_is_due = False
         self._sense_ns, self._sensed = self._loop_ns, 0
@@ -136,9 +139,9 @@ class DriverProcess:
 
     def step(self, now_ns: int) -> int:
         """Pass on what arrived; every 10 ms read, then publish. Wheels go first, then latches, disk, bus, log."""
-        due = not self._loop_ns - _LOOP_NS <= now_ns < self._loop_ns  # also when the clock was set back
+        due = not self._loop_ns - LOOP_NS <= now_ns < self._loop_ns  # also when the clock was set back
         if due:
-            self._loop_ns += _LOOP_NS * (1 + (now_ns - self._loop_ns) // _LOOP_NS)
+            self._loop_ns += LOOP_NS * (1 + (now_ns - self._loop_ns) // LOOP_NS)
             self._truth_is_due = not self._truth_is_due
         robots, telling = self._robots, self._telling
         command, enable = self._whole(self._commands.take()), self._whole(self._enables.take())

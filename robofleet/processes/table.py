@@ -227,7 +227,8 @@ def _controller(edges: Edges) -> Node:
 
 def _driver(edges: Edges) -> Node:
     """DriverError where a robot does not answer."""
-    from robofleet.processes.driver import DriverProcess  # noqa: PLC0415
+    from robofleet.config.slices import drawn_id  # noqa: PLC0415
+    from robofleet.processes.driver import LOOP_NS, DriverProcess  # noqa: PLC0415
     from robofleet.processes.drivers import ConfiguredDrivers, in_arrays  # noqa: PLC0415
 
     config = edges.config
@@ -243,7 +244,10 @@ def _driver(edges: Edges) -> Node:
         from robofleet.simulation.faulty_driver import FaultyDrivers  # noqa: PLC0415
 
         drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyKeeping(keeping, edges.faults)
-    return DriverProcess(config, unit, edges.bus, edges.clock, edges.wake, edges.rng, keeping, drivers, edges.witness)
+    return DriverProcess(
+        config, unit, edges.bus, edges.clock, edges.wake, drawn_id(edges.rng, 64), int(edges.rng.integers(LOOP_NS)),
+        keeping, drivers, edges.witness,
+    )  # fmt: skip
 
 
 ROUTER = Row("router", "The router of a run's bus.", None, 0, starter=None, first=True)

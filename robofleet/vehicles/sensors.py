@@ -73,7 +73,7 @@ class Sensing:
 
     kind: SensorKind
     walls: tuple[tuple[float, float, float, float], ...]  # x, y of both ends of each [m; world]
-    rng: np.random.Generator
+    rng: "np.random.Generator"
 
 
 class SimulatedSensors:

@@ -8,7 +8,6 @@ from itertools import pairwise
 from types import FrameType
 from typing import Literal
 
-import numpy as np
 import pytest
 
 from robofleet.clock import MS, S
@@ -151,9 +150,8 @@ class BadLines:
             said: list[tuple[int, bytes]] = []
             bus = MemoryBus(bench.config.arena.name, bench.clock, 0)
             bus.listen(STATUS, "r1", lambda at_ns, payload: said.append((at_ns, payload)))
-            wake, rng = (lambda _: None), np.random.default_rng(1)
             process = DriverProcess(
-                bench.config, "r1", bus, bench.clock, wake, rng, MemoryKeeping(),
+                bench.config, "r1", bus, bench.clock, lambda _: None, 77, 0, MemoryKeeping(),
                 ConfiguredDrivers(bench.config, bench.clock.now_ns),
             )  # fmt: skip
             try:

@@ -13,10 +13,11 @@ from robofleet.comms import keys, messages
 from robofleet.comms.bus import MemoryBus, Wake
 from robofleet.comms.keys import Topic, key
 from robofleet.config.load import load_config
+from robofleet.config.slices import drawn_id
 from robofleet.config.tree import Config
 from robofleet.processes import table
 from robofleet.processes.compiling import on_stderr
-from robofleet.processes.driver import DriverProcess
+from robofleet.processes.driver import LOOP_NS, DriverProcess
 from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.processes.keeping import MemoryKeeping
 from robofleet.processes.lockstep import Lockstep
@@ -199,7 +200,9 @@ def driver_of() -> Callable[..., DriverProcess]:
         keys = {"wake": lambda _: None, "keeping": MemoryKeeping(), "drivers": drivers, **keys}
         unit = bench.config.unit_of[robots[0]]
         assert bench.config.units[unit] == robots
-        return DriverProcess(bench.config, unit, bench.bus, bench.clock, rng=np.random.default_rng(seed), **keys)
+        rng = np.random.default_rng(seed)
+        drawn = {"boot_id": drawn_id(rng, 64), "phase_ns": int(rng.integers(LOOP_NS))}
+        return DriverProcess(bench.config, unit, bench.bus, bench.clock, **drawn, **keys)
 
     return start
 

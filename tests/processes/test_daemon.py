@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from robofleet.clock import MS, S, WallClock
@@ -51,11 +50,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
         closing(open_router(endpoint)),
         closing(ZenohBus("platoon", endpoint, "supervisor", CLOCK)) as supervisor,
         closing(ZenohBus("platoon", endpoint, "r1", CLOCK, roles=(driver_role("r1"),))) as bus,
-        closing(
-            Daemon(
-                ROBOT, tmp_path / "robot.yaml", bus, CLOCK, lambda _: None, np.random.default_rng(1), {}, lambda _: None
-            )
-        ) as daemon,
+        closing(Daemon(ROBOT, tmp_path / "robot.yaml", bus, CLOCK, lambda _: None, {}, lambda _: None)) as daemon,
     ):
         yield Bench(daemon, supervisor)
 
