@@ -1,5 +1,6 @@
 """The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -195,7 +196,7 @@ def driver(
     if unit is not None:
         if config is not None or robots is not None:
             _wrong("--unit: each run brings its configuration: leave CONFIG and --robots out")
-        _wait_for_runs(unit, lifeline)
+        _wait_for_runs(unit)
         return
     if config is None or robots is None:
         missing = "CONFIG" if config is None else "--robots"
@@ -213,17 +214,16 @@ def _wrong(line: str) -> None:
         raise RefusedError(line)
 
 
-def _wait_for_runs(unit: str, lifeline: int | None) -> None:
-    """Be the driver of this computer's robots, whatever run comes."""
+def _wait_for_runs(unit: str) -> None:
+    """Be the driver of this computer's robots, whatever run comes: as a program without the command line's packages."""
     from robofleet.config.robot_file import load_robot_file, robot_file  # noqa: PLC0415
-    from robofleet.processes import daemon  # noqa: PLC0415
 
     with bad_input():
         file = robot_file()
         robot = load_robot_file(file)
         if robot.unit != unit:
             raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
-        daemon.main(robot, file, lifeline)
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "robofleet.processes.daemon"])
 
 
 def router(
