@@ -33,6 +33,11 @@ _TRANSPORT = {
     "transport/link/tx/keep_alive": 4,
     "transport/link/rx/max_message_size": LARGEST_MESSAGE,
 }
+# Beyond this computer: a link that is away for less goes on, and signs of life take less of the air.
+_FAR = {
+    "transport/link/tx/lease": 1000,
+    "transport/link/tx/keep_alive": 3,
+}
 # Who connects and says nothing, or nonsense, takes nobody's place: of Zenoh's own 100, each is held for 10 s.
 _DOOR = {
     "transport/unicast/accept_pending": 8192,
@@ -57,8 +62,8 @@ def router_settings(endpoint: str, network: Network | None = None) -> dict[str, 
     }  # fmt: skip
     if network is not None:
         settings["listen/endpoints"] = [endpoint, *map(_linked, network.endpoints)]
-        settings |= {"access_control": network.permitted, **_certified(network.credentials)}
-    return settings | _TRANSPORT
+        settings |= {"access_control": network.permitted, **_certified(network.credentials), **_FAR}
+    return _TRANSPORT | settings
 
 
 def open_router(endpoint: str, network: Network | None = None) -> zenoh.Session:
@@ -135,7 +140,7 @@ class ZenohBus:
         self._session = _open(
             {
                 **_TRANSPORT,
-                **({} if credentials is None else _certified(credentials)),
+                **({} if credentials is None else _certified(credentials) | _FAR),
                 **({} if session is None else {"id": session}),
                 "mode": "client",
                 "connect/endpoints": [*map(_linked, endpoints)],
