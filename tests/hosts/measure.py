@@ -11,6 +11,7 @@ Each prints one JSON object. All traffic stays inside the namespaces, and a run 
 
 import argparse
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -32,7 +33,7 @@ from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Event, Phase
-from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, join
+from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, join, said
 from tests.hosts.network import Network
 from tests.hosts.radio import PATTERNS
 from tests.processes.realrun import wait
@@ -128,11 +129,16 @@ def closed(recording: Recording) -> dict[str, Any]:
 def lap() -> dict[str, Any]:
     """One lap through the rendered camera, with the page open on a host of its own."""
     with laboratory() as (network, stack):
+        lab, phone = network["lab"], network["phone"]
+        said(lab, "keys", "add", "platoon", "web", "--address", lab.address)
         file = configuration(network, *ROBOTS)
         fleet = Fleet(network, ROBOTS, stack)
-        run = fleet.run(file, "lap")
+        run = fleet.run(file, "lap", "--web-host", lab.address)
         begun(fleet, run, "lap")
-        page = network["desk"].begin("web", "--no-browser", log=network["desk"].folder / "page.log")
+        (address,) = re.findall(r"for a viewer: (\S+)", fleet.log("lap"))
+        authority = phone.folder / "config" / "robofleet" / "keys" / "platoon" / "authority.pem"
+        looking = phone.command(sys.executable, "-m", "tests.hosts.visitor", address, str(authority))
+        page = subprocess.Popen(looking, stdout=subprocess.PIPE, text=True)
         stack.callback(page.kill)
         daemons = {robot: psutil.Process(fleet.daemons[robot].pid) for robot in ROBOTS}
         daemons = {robot: next(iter(one.children()), one) for robot, one in daemons.items()}
@@ -151,8 +157,9 @@ def lap() -> dict[str, Any]:
                 "own_memory_mb": round(own.memory_full_info().uss / 1e6, 1),
             }  # fmt: skip
         assert run.wait(120) is not None
-        recording = read(network["lab"].folder / "lap")
-        return {**summary(network, "lap"), **closed(recording), "daemons": used}
+        shown = json.loads(page.communicate(timeout=30)[0] or "{}")
+        recording = read(lab.folder / "lap")
+        return {**summary(network, "lap"), **closed(recording), "page": shown, "daemons": used}
 
 
 def radio(pattern: str, laps: int, seed: int) -> dict[str, Any]:
