@@ -237,23 +237,23 @@ def laboratory_dies() -> dict[str, Any]:
         run = fleet.run(file, "first", *_TRUTH)
         begun(fleet, run, "first")
         there = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
-        twins = [one for one in there if "twins" in one.cmdline()]
-        stopped = {}
-        began_ns = CLOCK.now_ns()
+        twins = [one for one in there if "twins" in one.cmdline()]  # they are the robots
         for one in there:
-            if one not in twins:  # they are the robots
+            if one not in twins:
                 one.kill()
-        CLOCK.sleep_until(began_ns + S)
+        CLOCK.sleep_until(CLOCK.now_ns() + S)
         for one in twins:
             one.kill()
         run.wait(20)
-        stopped["daemons_live"] = all(daemon.poll() is None for daemon in fleet.daemons.values())
+        live, began_ns = all(daemon.poll() is None for daemon in fleet.daemons.values()), CLOCK.now_ns()
         again = fleet.run(file, "second", *_TRUTH, "--reset")
         begun(fleet, again, "second")
+        drives_s = (CLOCK.now_ns() - began_ns) / S
         again.send_signal(signal.SIGINT)
         again.wait(60)
-        logs = (network["lab"].folder / "second" / "log" / "supervisor.log").read_text()
-        return {**stopped, "second": summary(network, "second"), "supervisor": logs[-300:]}
+        recording = read(network["lab"].folder / "second")
+        stood = {robot: recording.of_robot(STATUS, robot)[0]["target_after_ns"] / MS for robot in ROBOTS}
+        return {"daemons_live": live, "drives_after_start_s": round(drives_s, 1), "zero_after_nonce_ms": stood}
 
 
 def stop(times: int) -> dict[str, Any]:
