@@ -486,7 +486,6 @@ def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch
 def test_systemd_has_nothing_to_complain_of_in_it(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CONFIG_HOME")
     monkeypatch.setattr("os.geteuid", lambda: 0)
-    monkeypatch.setattr("shutil.which", lambda _name, which=shutil.which: which("true"))  # where it is installed differs
     (desk / "systemd").mkdir()
     said("join", bundle, "--service")
     service = desk / "systemd" / "robofleet-unit.service"
