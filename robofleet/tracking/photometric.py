@@ -37,6 +37,8 @@ _STEPS = 5  # Gauss-Newton, at most
 _CONVERGED = 0.001  # a last step this short is the last [sides, rad]
 _LONGEST_STEP = 0.06  # [sides]
 _FURTHEST = 0.2  # from the guess [sides]
+_NONE = np.zeros(0, np.int64)
+_KEPT = 200  # templates of partly covered tags at most: one takes 30 kB and a millisecond
 _NODES = np.array([0.7 * (i + 1j * j) for j in (-1, 0, 1) for i in (-1, 0, 1)])  # [sides]
 
 
@@ -64,7 +66,9 @@ class PhotometricFit:
         self.heights = np.array([target.height for target in targets])
         sizes = [side_px(geometry, target) for target in targets]
         at = _samples(round(min(max(_SAMPLES_PX * 2.0 * _REACH * max(sizes), _FEWEST), _MOST)))
-        self._templates = np.stack([_template(tag.tag, px, at) for tag, px in zip(targets, sizes, strict=True)])
+        self._prints = [(target.tag, px) for target, px in zip(targets, sizes, strict=True)]
+        self._templates = np.stack([_template(tag, px, at) for tag, px in self._prints])
+        self._partly: dict[tuple[int, bytes], tuple[NDArray[np.float32], Indices]] = {}  # templates, concealed samples
         self._at = at[0].real.astype(np.float32)
         self._to_coefficients = np.linalg.inv(_monomials(_NODES))
         self.fit(
@@ -84,13 +88,51 @@ class PhotometricFit:
 
         velocity (M,) [m/s; world] and omega (M,) [rad/s] are used under a rolling shutter alone.
         """
+        return self._fitted(image, self._templates, _NONE, index, index, centre, psi, velocity, omega)
+
+    def fit_partly(
+        self,
+        image: NDArray[np.uint8],
+        target: int,
+        covered: NDArray[np.bool_],
+        centre: complex,
+        psi: float,
+        velocity: complex = 0.0,
+        omega: float = 0.0,
+    ) -> Fit:
+        """Return the pose of one target by the cells that are not ``covered`` (8, 8), row 0 at the print's top."""
+        key = target, covered.tobytes()
+        if key not in self._partly:
+            at = self._at[None, :] - 1j * self._at[:, None]
+            cell = np.clip(np.floor((self._at + 0.5) * CELLS), 0, CELLS - 1).astype(int)
+            seen = ~covered[cell[:, None], cell]
+            if len(self._partly) >= _KEPT:
+                self._partly.clear()
+            self._partly[key] = _template(*self._prints[target], at, seen)[None], np.flatnonzero(~seen)
+        template, concealed = self._partly[key]
+        one = np.array([target]), np.array([centre]), np.array([psi]), np.array([velocity + 0j]), np.array([omega])
+        return self._fitted(image, template, concealed, np.zeros(1, np.int64), *one)
+
+    def _fitted(
+        self,
+        image: NDArray[np.uint8],
+        templates: NDArray[np.float32],
+        concealed: Indices,
+        which: Indices,
+        index: Indices,
+        centre: Complex,
+        psi: Array,
+        velocity: Complex | None,
+        omega: Array | None,
+    ) -> Fit:
+        """Return the poses of the targets ``index`` by the templates ``which`` (M,)."""
         m = len(index)
         if velocity is None or omega is None:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m))
         _fit(
             image, self.geometry.flat, self._line_time, self._sides, self.heights, self._to_coefficients, self._at,
-            self._templates, index, centre, psi, velocity, omega, *fit,
+            templates, concealed, which, index, centre, psi, velocity, omega, *fit,
         )  # fmt: skip
         return fit
 
@@ -128,8 +170,10 @@ def _monomials(points: Complex) -> Array:
     return np.stack([a**i * b**j for j in range(3) for i in range(3)], axis=-1)
 
 
-def _template(tag: int, side_px: float, at: Complex) -> NDArray[np.float32]:
-    """Return the rows (5, n) to multiply a patch of n greys with, sampled at ``at``.
+def _template(
+    tag: int, side_px: float, at: Complex, seen: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """Return the rows (5, n) to multiply a patch of n greys with, sampled at ``at``; 0 where it is not ``seen``.
 
     Correlation times the patch's norm; contrast; contrast times the offset forward, left [sides] and counter-clockwise
     [rad]. Brightness and a slope of the light are fitted too, and dropped.
@@ -142,15 +186,23 @@ def _template(tag: int, side_px: float, at: Complex) -> NDArray[np.float32]:
     look, forward, left = -cell @ black @ cell.T, -cell @ black @ edge.T, edge @ black @ cell.T
     spin = at.real * left - at.imag * forward
     basis = np.stack([look, -forward, -left, -spin, np.ones_like(look), at.real, at.imag]).reshape(7, -1)
-    look = look.ravel() - look.mean()
-    rows = np.vstack([look / np.linalg.norm(look), np.linalg.pinv(basis.T)[:4]])
-    return rows.astype(np.float32)
+    if seen is not None:
+        rows = np.zeros((5, at.size))
+        rows[:, seen.ravel()] = _rows(basis[:, seen.ravel()])
+        return rows.astype(np.float32)
+    return _rows(basis).astype(np.float32)
+
+
+def _rows(basis: Array) -> Array:
+    """Return what ``_template`` does, of the fit's basis (7, n)."""
+    look = basis[0] - basis[0].mean()
+    return np.vstack([look / np.linalg.norm(look), np.linalg.pinv(basis.T)[:4]])
 
 
 @image_kernel
 def _fit(  # type: ignore[no-untyped-def]
-    image, camera, line_time, sides, heights, to_coefficients, at, templates, index, centre, psi, velocity, omega,
-    fit_centre, fit_psi, fit_alike, fit_row,
+    image, camera, line_time, sides, heights, to_coefficients, at, templates, concealed, which,
+    index, centre, psi, velocity, omega, fit_centre, fit_psi, fit_alike, fit_row,
 ):  # fmt: skip
     """Fill a ``Fit``. A tag that is not whole in the image is not alike at all."""
     patch, pixels = np.empty(len(at) * len(at), np.float32), np.empty((len(_NODES), 2))
@@ -167,12 +219,12 @@ def _fit(  # type: ignore[no-untyped-def]
                 u, v = project(camera, point.real, point.imag, height)
             pixels[n, 0], pixels[n, 1] = u, v
         guessed = _product(to_coefficients, pixels)
-        x, y, turn, alike = _settle(image, guessed, to_coefficients, at, templates[index[m]], patch)
+        x, y, turn, alike = _settle(image, guessed, to_coefficients, at, templates[which[m]], concealed, patch)
         fit_centre[m], fit_psi[m], fit_alike[m] = centre[m] + turned * complex(x, y), psi[m] + turn, alike
 
 
 @image_kernel
-def _settle(image, guessed, to_coefficients, at, template, patch):  # type: ignore[no-untyped-def]
+def _settle(image, guessed, to_coefficients, at, template, concealed, patch):  # type: ignore[no-untyped-def]
     """Return forward, left [sides] and turn [rad] from the guess, and the correlation.
 
     guessed (9, 2): the map from the tag's frame to pixels, around the guess.
@@ -182,6 +234,8 @@ def _settle(image, guessed, to_coefficients, at, template, patch):  # type: igno
         local = _product(to_coefficients, _map(guessed, x, y, turn))
         if not _sample(image, local, at, patch):
             return x, y, turn, 0.0
+        if len(concealed):
+            _conceal(patch, concealed)
         alike, forward, left, spin = _compare(patch, template)
         length = math.hypot(forward, left)
         if length > _LONGEST_STEP:
@@ -250,6 +304,19 @@ def _sample(image, coefficients, at, patch):  # type: ignore[no-untyped-def]
             lower = (one - u) * np.float32(image[top + 1, left]) + u * np.float32(image[top + 1, left + 1])
             patch[row * count + column] = upper + v * (lower - upper)
     return True
+
+
+@image_kernel
+def _conceal(patch, concealed):  # type: ignore[no-untyped-def]
+    """Give the samples that are not to count the mean of the others, which adds nothing to the patch's variance."""
+    total = np.float32(0.0)
+    for n in range(len(patch)):
+        total += patch[n]
+    for n in concealed:
+        total -= patch[n]
+    mean = total / np.float32(len(patch) - len(concealed))
+    for n in concealed:
+        patch[n] = mean
 
 
 @image_kernel

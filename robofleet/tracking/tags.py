@@ -28,7 +28,7 @@ _CHANGED = 0.04  # of its brightest part, by which one part of a tile must chang
 _SEARCHES, _ANYWAY = 3, 16  # visits in which a tile that changed is searched; of all visits, one in which any is
 
 # As detectMarkers orders them: the print's top left, top right, bottom right, bottom left.
-_CORNERS = np.array([-0.5 + 0.5j, 0.5 + 0.5j, 0.5 - 0.5j, -0.5 - 0.5j])
+CORNERS = np.array([-0.5 + 0.5j, 0.5 + 0.5j, 0.5 - 0.5j, -0.5 - 0.5j])
 
 
 class Region(NamedTuple):
@@ -127,9 +127,9 @@ class TagDetector:
         corners = (x_y[:, 0] + 1j * x_y[:, 1]).reshape(-1, 4)
         centre = corners.mean(1)
         arms = (corners - centre[:, None]) / self._sides[index, None]
-        turn = arms @ _CORNERS.conj() / 2.0  # 2 is the sum of |_CORNERS|^2
+        turn = arms @ CORNERS.conj() / 2.0  # 2 is the sum of |CORNERS|^2
         size = np.abs(turn)
-        skew = np.abs(arms - turn[:, None] * _CORNERS).max(1)
+        skew = np.abs(arms - turn[:, None] * CORNERS).max(1)
         return centre, np.angle(turn), (size > _SIZE[0]) & (size < _SIZE[1]) & (skew < _SKEW)
 
 

@@ -52,6 +52,7 @@ class Print(NamedTuple):
     pose: tuple[float, float, float]  # x, y [m], psi [rad; CCW +] of its centre at time 0, world
     twist: tuple[float, float, float] = (0.0, 0.0, 0.0)  # forward, left [m/s], turn [rad/s; CCW +]
     cable: Cable | None = None
+    greys: tuple[float, float] = (BLACK, WHITE)
 
 
 class Patch(NamedTuple):
@@ -87,7 +88,7 @@ class RayCaster:
     def __init__(self, camera: RayCamera, floor: Floats, rng: np.random.Generator) -> None:
         """Take the floor's greys as this camera sees them under full light, (H, W)."""
         self.camera, self.floor, self._rng = camera, floor, rng
-        self._lamps = _lamps(camera.size)
+        self.lamps = _lamps(camera.size)
         self._gather = _gather(camera.defocus)
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
         self._looks = [np.pad(family.generateImageMarker(i, 8) > 0, 1, constant_values=True) for i in range(587)]
@@ -98,10 +99,13 @@ class RayCaster:
         ``noise`` is its standard deviation at grey 128, half of that variance from the light's quanta, so that less
         light has less noise.
         """
-        light = self.light(prints) * np.float32(level)
+        return self.exposed(self.light(prints) * np.float32(level), noise)
+
+    def exposed(self, light: Floats, noise: float) -> NDArray[np.uint8]:
+        """Return a picture of the greys ``light`` (H, W); see ``image``."""
         if noise:
             sigma = noise * np.sqrt(0.5 + light * np.float32(0.5 / 128.0))
-            light += sigma * self._rng.standard_normal(light.shape, dtype=np.float32)
+            light = light + sigma * self._rng.standard_normal(light.shape, dtype=np.float32)
         return np.rint(light.clip(0.0, 255.0)).astype(np.uint8)
 
     def light(self, prints: Iterable[Print]) -> Floats:
@@ -110,7 +114,7 @@ class RayCaster:
         for patch in map(self.patch, prints):
             light[patch.where] *= 1.0 - patch.cover
             light[patch.where] += patch.light
-        return light * self._lamps
+        return light * self.lamps
 
     def patch(self, tag: Print) -> Patch:
         """Cast the rays around one print."""
@@ -165,7 +169,7 @@ class RayCaster:
         column, row = half + (c * d_x + s * d_y) / cell, half - (c * d_y - s * d_x) / cell
         right, to_right, on_x = _edges(column, footprint / cell)
         below, to_below, on_y = _edges(row, footprint / cell)
-        look = np.pad(np.where(self._looks[tag.tag], WHITE, BLACK), 1, mode="edge").astype(np.float32)
+        look = np.pad(np.where(self._looks[tag.tag], tag.greys[1], tag.greys[0]), 1, mode="edge").astype(np.float32)
         here, wide = look.ravel(), look.shape[1]
         at = below * wide + right
         above = here[at] + to_right * (here[at + 1] - here[at])

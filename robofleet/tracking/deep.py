@@ -1,0 +1,260 @@
+"""Finds the tags that one threshold misses: faint, blurred, or with a corner or a side covered. It is slow.
+
+What is black is decided by the darkest and brightest greys nearby, so that no contrast is expected. A tag lies flat
+at a known height and has a known size, so one whole side of a black square says where all of it is: a cover that
+leaves one side whole leaves the tag to be found. Its cells say which target it can be and what hides the others of
+them; the photometric fit, without the hidden cells, places it.
+
+A cover may hide so many bits of the code that any two tags of the family still differ by two of those that are seen.
+All bits that are seen must be right, and no other tag of the family may explain the cells nearly as well.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.tracking.photometric import CELLS, FAMILY, PhotometricFit, pattern, side_px
+from robofleet.tracking.tags import CORNERS, Findings, Found, Region, Squares
+from robofleet.tracking.targets import Target
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_ALIKE = 0.9  # least correlation of what is seen of a tag with its pattern
+_BLUR_PX = 0.8  # that takes the noise away, standard deviation
+_NEARBY = 0.8  # how far greys decide what is black: less than the white rim is wide [cells]
+_LEAST = 8  # between black and white nearby: noise that is left makes 5 [grey levels]
+_STRAIGHT = 0.05  # of a side: a line so straight is one
+_LONGER = (0.82, 1.18)  # a whole side, over the true one
+_SAME = 0.12  # places closer than this are of one square [sides]
+_RIM = 20  # of the 28 cells of the black rim that must be seen
+_PAPER = 22  # of the 36 white cells around it
+_DISTANCE = 11  # bits by which any two tags of the family differ
+_ROUGHLY = 3  # bits that may be wrong before the fit
+_APART = 2  # bits by which another tag must be worse
+
+_EDGE = np.ones((CELLS, CELLS), np.bool_)
+_EDGE[1:-1, 1:-1] = False
+
+
+class DeepSearch:
+    """Finds targets, as ``TagDetector`` does."""
+
+    def __init__(self, fit: PhotometricFit, targets: Sequence[Target]) -> None:
+        self._fit = fit
+        self._targets = tuple(targets)
+        self._sides = np.array([target.side for target in targets])
+        sizes = [side_px(fit.geometry, target) for target in targets]
+        self._sizes_px = min(sizes), max(sizes)
+        self._kinds = sorted({(target.side, target.height) for target in targets})
+        self._white = np.stack([pattern(target.tag) for target in targets]).astype(np.float32)
+        self._covers = _covers()
+        self._seen = (~self._covers).reshape(len(self._covers), -1).astype(np.float32)
+        self._family: NDArray[np.float32] | None = None
+
+    def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
+        """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
+
+        known (N,): of all targets, NaN where it is not known [m].
+        """
+        return self.place(image, self.squares(image, region), known)
+
+    def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
+        """Return what may be a target in an image (H, W), or in a region of it."""
+        left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
+        part = cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX)
+        begins, ends = self._edges(part)
+        corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
+        for side, height in self._kinds:
+            which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
+            centre, psi = self._whole_sides(begins + [left, top], ends + [left, top], side, height)
+            if not len(centre):
+                continue
+            pixels = self._pixels(centre, psi, side, height, _grid(CELLS + 2))
+            cells = _levels(part, pixels - [left, top]).reshape(-1, CELLS + 2, CELLS + 2)
+            square, target, turns = self._read(cells, which)
+            heading = psi[square] + turns * (math.pi / 2.0)
+            corners.append(self._pixels(centre[square], heading, side, height, CORNERS))
+            found.append(target)
+        return Squares(np.concatenate(corners), np.concatenate(found))
+
+    def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
+        """Return what squares of an image are; see ``detect``."""
+        tags: list[Found] = []
+        for corners, target in zip(squares.corners, squares.found.tolist(), strict=True):
+            x_y = self._fit.geometry.to_plane(corners, float(self._fit.heights[target]))
+            at = x_y[:, 0] + 1j * x_y[:, 1]
+            centre = complex(at.mean())
+            psi = float(np.angle(((at - centre) * CORNERS.conj()).sum()))
+            near = 0.5 * self._sides[target]
+            if known is not None and abs(centre - known[target]) < near:
+                continue
+            if any(tag.target == target and abs(tag.centre - centre) < near for tag in tags):
+                continue
+            tag = self.near(image, target, centre, psi)
+            if tag is not None:
+                tags.append(tag)
+        return Findings(tuple(tags), 0)
+
+    def near(self, image: Image, target: int, centre: complex, psi: float) -> Found | None:
+        """Return a target that is near a guess, whole or partly covered; None if nothing says that it is there."""
+        whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
+        if whole.alike[0] > _ALIKE:
+            return Found(target, complex(whole.centre[0]), float(whole.psi[0]))
+        cells = self._cells(image, target, centre, psi)
+        covered = self._cover(cells, target, _ROUGHLY) if cells is not None else None
+        if covered is None:
+            return None
+        fit = self._fit.fit_partly(image, target, covered, centre, psi)
+        if fit.alike[0] <= _ALIKE:
+            return None
+        cells = self._cells(image, target, complex(fit.centre[0]), float(fit.psi[0]))
+        covered = self._cover(cells, target, 0) if cells is not None else None
+        if cells is None or covered is None or self._is_like_another(cells, target):
+            return None
+        fit = self._fit.fit_partly(image, target, covered, complex(fit.centre[0]), float(fit.psi[0]))
+        if fit.alike[0] <= _ALIKE:
+            return None
+        return Found(target, complex(fit.centre[0]), float(fit.psi[0]))
+
+    # Squares
+
+    def _edges(self, image: Image) -> tuple[Array, Array]:
+        """Return begins and ends (E, 2) [px] of straight lines with black on their left and about a side long."""
+        small, large = self._sizes_px
+        reach = max(1, round(_NEARBY * small / CELLS))
+        box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
+        black = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
+        black &= cv2.compare(cv2.subtract(brightest, darkest), _LEAST, cv2.CMP_GE)
+        outlines, _ = cv2.findContours(black, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        begins, ends = [np.empty((0, 2))], [np.empty((0, 2))]
+        for outline in outlines:
+            if len(outline) < 1.5 * small:
+                continue
+            corners = cv2.approxPolyDP(outline, max(1.0, _STRAIGHT * small), closed=True)[:, 0].astype(np.float64)
+            begins.append(corners)
+            ends.append(np.roll(corners, -1, axis=0))
+        begin, end = np.concatenate(begins), np.concatenate(ends)
+        length = np.hypot(*(end - begin).T) + 1.0
+        good = (length > 0.7 * small) & (length < 1.4 * large)
+        begin, end = begin[good], end[good]
+        # Outlines go through the middles of pixels: half a pixel is missing on each side.
+        ahead = (end - begin) / np.maximum(np.hypot(*(end - begin).T), 1.0)[:, None]
+        outwards = ahead[:, ::-1] * [-1.0, 1.0]  # outlines have their black on the left, as one sees them
+        return begin + 0.5 * (outwards - ahead), end + 0.5 * (outwards + ahead)
+
+    def _whole_sides(self, begin: Array, end: Array, side: float, height: float) -> tuple[Complex, Array]:
+        """Return centres and headings of the squares, some a quarter turn off, of which these are a side."""
+        if not len(begin):
+            return np.empty(0, np.complex128), np.empty(0)
+        x_y = self._fit.geometry.to_plane(np.concatenate([begin, end]), height)
+        a, b = np.split(x_y[:, 0] + 1j * x_y[:, 1], 2)
+        length = np.abs(b - a) / side
+        good = (length > _LONGER[0]) & (length < _LONGER[1])
+        order = np.argsort(np.abs(length[good] - 1.0))
+        a, b = a[good][order], b[good][order]
+        ahead = (b - a) / np.abs(b - a)
+        return (a + b) / 2.0 + 1j * ahead * side / 2.0, np.angle(ahead)
+
+    def _pixels(self, centre: Complex, psi: Array, side: float, height: float, points: Complex) -> Array:
+        """Return where points (K,) of prints [sides] appear (M, K, 2)."""
+        at = centre[:, None] + side * np.exp(1j * psi)[:, None] * points
+        world = np.stack([at.real, at.imag, np.full(at.shape, height)], axis=-1)
+        return self._fit.geometry.project(world.reshape(-1, 3)).reshape(*at.shape, 2)
+
+    # Cells
+
+    def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Return which squares (M,) by their cells (M, 10, 10) may be which of the targets, turned how often."""
+        inner, paper = cells[:, 1:-1, 1:-1], np.ones(cells.shape[1:], np.bool_)
+        paper[1:-1, 1:-1] = False
+        white, black = np.median(cells[:, paper], axis=1), np.median(inner[:, _EDGE], axis=1)
+        half = ((white + black) / 2.0)[:, None]
+        good = white - black > _LEAST
+        good &= ((inner[:, _EDGE] < half).sum(1) >= _RIM) & ((cells[:, paper] > half).sum(1) >= _PAPER)
+        square = np.flatnonzero(good)
+        bits = (inner[square] > half[square, :, None]).astype(np.float32)
+        found: list[tuple[int, int, int]] = []
+        for turns in range(4):
+            wrong = self._wrong(np.rot90(bits, -turns, axes=(1, 2)), self._white[which])
+            found += [(int(square[i]), int(which[k]), turns) for i, k in np.argwhere(wrong <= _ROUGHLY)]
+        found.sort()
+        rows = np.array(found, np.int64).reshape(-1, 3)
+        return rows[:, 0], rows[:, 1], rows[:, 2].astype(np.float64)
+
+    def _wrong(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return how many cells (M, 8, 8) differ from patterns (N, 8, 8), with the cover that explains most: (M, N)."""
+        bits, white = bits.reshape(len(bits), -1), white.reshape(len(white), -1)
+        wrong = np.full((len(bits), len(white)), np.inf, np.float32)
+        for seen in self._seen:
+            ours, theirs = bits * seen, white * seen
+            np.minimum(wrong, ours.sum(1)[:, None] + theirs.sum(1) - 2.0 * (ours @ theirs.T), out=wrong)
+        return wrong
+
+    def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
+        """Return the cells (8, 8) of a print, 0 where black and 1 where white; None if no print can be there."""
+        one = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
+        pixels = self._pixels(*one, _grid(CELLS))[0]
+        left, top = np.floor(pixels.min(0)).astype(int) - 6
+        right, bottom = np.ceil(pixels.max(0)).astype(int) + 7
+        if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
+            return None
+        part = cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX)
+        cells = _levels(part, pixels[None] - [left, top])[0].reshape(CELLS, CELLS)
+        white = self._white[target] > 0.5
+        low, high = np.median(cells[~white]), np.median(cells[white])
+        return None if high - low < _LEAST else (cells - low) / (high - low)
+
+    def _cover(self, cells: Array, target: int, wrong: int) -> NDArray[np.bool_] | None:
+        """Return the cells (8, 8) that are hidden, if that explains all but so many wrong ones; else None."""
+        off = np.abs(cells - self._white[target]).ravel().clip(0.0, 1.0)
+        differ = self._seen @ (off > 0.5)
+        left = (self._seen @ (off * off)) / self._seen.sum(1) + np.where(differ <= wrong, 0.0, np.inf)
+        best = int(np.argmin(left))
+        return None if math.isinf(left[best]) else self._covers[best]
+
+    def _is_like_another(self, cells: Array, target: int) -> bool:
+        """Return whether another tag of the family explains cells nearly as well."""
+        if self._family is None:
+            ids = len(cv2.aruco.getPredefinedDictionary(FAMILY).bytesList)
+            self._family = np.stack([pattern(tag) for tag in range(ids)]).astype(np.float32)
+        bits = np.stack([np.rot90(cells > 0.5, turns) for turns in range(4)]).astype(np.float32)
+        wrong = self._wrong(bits, self._family)
+        wrong[0, self._targets[target].tag] = np.inf
+        return bool(wrong.min() < _APART)
+
+
+def _grid(count: int) -> Complex:
+    """Return the middles (count * count,) of a print's cells, and of those around it, row by row [sides]."""
+    at = (np.arange(count) - (count - 1) / 2.0) / CELLS
+    return (at - 1j * at[:, None]).ravel()
+
+
+def _levels(image: Image, pixels: Array) -> Array:
+    """Return an image's greys (M, K) at pixels (M, K, 2)."""
+    if not len(pixels):
+        return np.empty(pixels.shape[:2])
+    at = pixels.astype(np.float32)
+    greys = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(greys, np.float64).reshape(pixels.shape[:2])
+
+
+def _covers() -> NDArray[np.bool_]:
+    """Return what covers may hide of a print's cells (C, 8, 8): nothing, a quarter, all on one side of a line."""
+    at = np.arange(CELLS) - (CELLS - 1) / 2.0
+    covers = [np.zeros((CELLS, CELLS), np.bool_)]
+    for size in (CELLS // 2 - 1, CELLS // 2):
+        quarter = np.pad(np.ones((size, size), np.bool_), (0, CELLS - size))
+        covers += [np.rot90(quarter, turns) for turns in range(4)]
+    for angle in np.arange(16) * math.tau / 16.0:
+        depth = math.cos(angle) * at + math.sin(angle) * at[:, None]
+        for edge in np.arange(depth.max(), 0.0, -1.0) - 0.4:
+            covers.append(depth > edge)
+    bits = np.array([cover[1:-1, 1:-1].sum() for cover in covers])
+    return np.unique(np.stack(covers)[bits <= _DISTANCE - _APART], axis=0)
