@@ -9,6 +9,7 @@ A cover may hide so many bits of the code that any two tags of the family still 
 All bits that are seen must be right, and no other tag of the family may explain the cells nearly as well.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -32,14 +33,17 @@ _LEAST = 8  # between black and white nearby: noise that is left makes 5 [grey l
 _STRAIGHT = 0.05  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
 _SAME = 0.12  # places closer than this are of one square [sides]
-_RIM = 20  # of the 28 cells of the black rim that must be seen
-_PAPER = 22  # of the 36 white cells around it
+_RIM = 15  # of the 28 cells of the black rim that must be seen
+_PAPER = 19  # of the 36 white cells around it
 _DISTANCE = 11  # bits by which any two tags of the family differ
-_ROUGHLY = 3  # bits that may be wrong before the fit
+_ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
+_HIDDEN = 0.04  # what a cell costs a cover that hides it; a cell as grey as its level costs one that does not 1
+_HIDES = 0.6  # of the rim, or of the paper, that a cover hides and that does not look as if it were seen
 _APART = 2  # bits by which another tag must be worse
 
 _EDGE = np.ones((CELLS, CELLS), np.bool_)
 _EDGE[1:-1, 1:-1] = False
+_PAPER_CELLS = np.pad(np.zeros((CELLS, CELLS), np.bool_), 1, constant_values=True)
 
 
 class DeepSearch:
@@ -54,8 +58,7 @@ class DeepSearch:
         self._kinds = sorted({(target.side, target.height) for target in targets})
         self._white = np.stack([pattern(target.tag) for target in targets]).astype(np.float32)
         self._covers = _covers()
-        self._seen = (~self._covers).reshape(len(self._covers), -1).astype(np.float32)
-        self._family: NDArray[np.float32] | None = None
+        self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
 
     def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
         """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
@@ -106,21 +109,20 @@ class DeepSearch:
         whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
         if whole.alike[0] > _ALIKE:
             return Found(target, complex(whole.centre[0]), float(whole.psi[0]))
-        cells = self._cells(image, target, centre, psi)
-        covered = self._cover(cells, target, _ROUGHLY) if cells is not None else None
-        if covered is None:
+        for may_be_wrong in (_ROUGHLY, _AT_LAST):
+            cells = self._cells(image, target, centre, psi)
+            if cells is None:
+                return None
+            cover, wrong = self._cover(cells, target)
+            if wrong > may_be_wrong or not cover.any():
+                return None
+            fit = self._fit.fit_partly(image, target, cover[1:-1, 1:-1], centre, psi)
+            if fit.alike[0] <= _ALIKE:
+                return None
+            centre, psi = complex(fit.centre[0]), float(fit.psi[0])
+        if not _hides(cells, cover) or self._is_like_another(cells, target, wrong):
             return None
-        fit = self._fit.fit_partly(image, target, covered, centre, psi)
-        if fit.alike[0] <= _ALIKE:
-            return None
-        cells = self._cells(image, target, complex(fit.centre[0]), float(fit.psi[0]))
-        covered = self._cover(cells, target, 0) if cells is not None else None
-        if cells is None or covered is None or self._is_like_another(cells, target):
-            return None
-        fit = self._fit.fit_partly(image, target, covered, complex(fit.centre[0]), float(fit.psi[0]))
-        if fit.alike[0] <= _ALIKE:
-            return None
-        return Found(target, complex(fit.centre[0]), float(fit.psi[0]))
+        return Found(target, centre, psi)
 
     # Squares
 
@@ -164,6 +166,8 @@ class DeepSearch:
 
     def _pixels(self, centre: Complex, psi: Array, side: float, height: float, points: Complex) -> Array:
         """Return where points (K,) of prints [sides] appear (M, K, 2)."""
+        if not len(centre):
+            return np.empty((0, len(points), 2))
         at = centre[:, None] + side * np.exp(1j * psi)[:, None] * points
         world = np.stack([at.real, at.imag, np.full(at.shape, height)], axis=-1)
         return self._fit.geometry.project(world.reshape(-1, 3)).reshape(*at.shape, 2)
@@ -172,12 +176,11 @@ class DeepSearch:
 
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return which squares (M,) by their cells (M, 10, 10) may be which of the targets, turned how often."""
-        inner, paper = cells[:, 1:-1, 1:-1], np.ones(cells.shape[1:], np.bool_)
-        paper[1:-1, 1:-1] = False
-        white, black = np.median(cells[:, paper], axis=1), np.median(inner[:, _EDGE], axis=1)
+        inner = cells[:, 1:-1, 1:-1]
+        white, black = np.median(cells[:, _PAPER_CELLS], axis=1), np.median(inner[:, _EDGE], axis=1)
         half = ((white + black) / 2.0)[:, None]
         good = white - black > _LEAST
-        good &= ((inner[:, _EDGE] < half).sum(1) >= _RIM) & ((cells[:, paper] > half).sum(1) >= _PAPER)
+        good &= ((inner[:, _EDGE] < half).sum(1) >= _RIM) & ((cells[:, _PAPER_CELLS] > half).sum(1) >= _PAPER)
         square = np.flatnonzero(good)
         bits = (inner[square] > half[square, :, None]).astype(np.float32)
         found: list[tuple[int, int, int]] = []
@@ -190,44 +193,54 @@ class DeepSearch:
 
     def _wrong(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return how many cells (M, 8, 8) differ from patterns (N, 8, 8), with the cover that explains most: (M, N)."""
-        bits, white = bits.reshape(len(bits), -1), white.reshape(len(white), -1)
-        wrong = np.full((len(bits), len(white)), np.inf, np.float32)
-        for seen in self._seen:
-            ours, theirs = bits * seen, white * seen
-            np.minimum(wrong, ours.sum(1)[:, None] + theirs.sum(1) - 2.0 * (ours @ theirs.T), out=wrong)
+        white = white.reshape(len(white), -1).T
+        wrong, theirs = np.empty((len(bits), white.shape[1]), np.float32), self._seen @ white
+        for k, one in enumerate(bits.reshape(len(bits), -1)):  # every cover in one product
+            differ = theirs + (self._seen @ one)[:, None] - 2.0 * ((self._seen * one) @ white)
+            wrong[k] = differ.min(0)
         return wrong
 
     def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
-        """Return the cells (8, 8) of a print, 0 where black and 1 where white; None if no print can be there."""
+        """Return the cells (10, 10) of a print and its paper, 0 where black, 1 where white; None if it is not there."""
         one = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
-        pixels = self._pixels(*one, _grid(CELLS))[0]
-        left, top = np.floor(pixels.min(0)).astype(int) - 6
-        right, bottom = np.ceil(pixels.max(0)).astype(int) + 7
-        if left < 0 or top < 0 or right > image.shape[1] or bottom > image.shape[0]:
+        pixels = self._pixels(*one, _grid(CELLS + 2))[0]
+        left, top = np.floor(pixels.min(0)).astype(int) - 4
+        right, bottom = np.ceil(pixels.max(0)).astype(int) + 5
+        left, top = max(left, 0), max(top, 0)
+        if not (left + 9 < right and top + 9 < bottom and left + 9 < image.shape[1] and top + 9 < image.shape[0]):
             return None
         part = cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX)
-        cells = _levels(part, pixels[None] - [left, top])[0].reshape(CELLS, CELLS)
-        white = self._white[target] > 0.5
+        cells = _levels(part, pixels[None] - [left, top])[0].reshape(CELLS + 2, CELLS + 2)
+        white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])
         return None if high - low < _LEAST else (cells - low) / (high - low)
 
-    def _cover(self, cells: Array, target: int, wrong: int) -> NDArray[np.bool_] | None:
-        """Return the cells (8, 8) that are hidden, if that explains all but so many wrong ones; else None."""
-        off = np.abs(cells - self._white[target]).ravel().clip(0.0, 1.0)
-        differ = self._seen @ (off > 0.5)
-        left = (self._seen @ (off * off)) / self._seen.sum(1) + np.where(differ <= wrong, 0.0, np.inf)
-        best = int(np.argmin(left))
-        return None if math.isinf(left[best]) else self._covers[best]
+    def _cover(self, cells: Array, target: int) -> tuple[NDArray[np.bool_], int]:
+        """Return the cells (10, 10) that are hidden, as far as that explains, and how many others are wrong."""
+        off = np.abs(cells[1:-1, 1:-1] - self._white[target]).ravel().clip(0.0, 1.0)
+        best = int(np.argmin(self._seen @ (off * off) - _HIDDEN * self._seen.sum(1)))
+        return self._covers[best], int(self._seen[best] @ (off > 0.5))
 
-    def _is_like_another(self, cells: Array, target: int) -> bool:
-        """Return whether another tag of the family explains cells nearly as well."""
-        if self._family is None:
-            ids = len(cv2.aruco.getPredefinedDictionary(FAMILY).bytesList)
-            self._family = np.stack([pattern(tag) for tag in range(ids)]).astype(np.float32)
-        bits = np.stack([np.rot90(cells > 0.5, turns) for turns in range(4)]).astype(np.float32)
-        wrong = self._wrong(bits, self._family)
-        wrong[0, self._targets[target].tag] = np.inf
-        return bool(wrong.min() < _APART)
+    def _is_like_another(self, cells: Array, target: int, wrong: int) -> bool:
+        """Return whether another tag of the family explains cells nearly as well, who leaves so many wrong."""
+        bits = np.stack([np.rot90(cells[1:-1, 1:-1] > 0.5, turns) for turns in range(4)]).astype(np.float32)
+        others = self._wrong(bits, _family())
+        others[0, self._targets[target].tag] = np.inf
+        return bool(others.min() < wrong + _APART)
+
+
+@functools.cache
+def _family() -> NDArray[np.float32]:
+    """Return the patterns (N, 8, 8) of all tags of the family."""
+    ids = len(cv2.aruco.getPredefinedDictionary(FAMILY).bytesList)
+    return np.stack([pattern(tag) for tag in range(ids)]).astype(np.float32)
+
+
+def _hides(cells: Array, cover: NDArray[np.bool_]) -> bool:
+    """Return whether a cover hides anything: else this is another print, of which some bits are ours."""
+    inner = np.pad(_EDGE, 1)
+    rim, paper = cells[cover & inner], cells[cover & _PAPER_CELLS]
+    return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
 
 
 def _grid(count: int) -> Complex:
@@ -246,15 +259,15 @@ def _levels(image: Image, pixels: Array) -> Array:
 
 
 def _covers() -> NDArray[np.bool_]:
-    """Return what covers may hide of a print's cells (C, 8, 8): nothing, a quarter, all on one side of a line."""
-    at = np.arange(CELLS) - (CELLS - 1) / 2.0
-    covers = [np.zeros((CELLS, CELLS), np.bool_)]
-    for size in (CELLS // 2 - 1, CELLS // 2):
-        quarter = np.pad(np.ones((size, size), np.bool_), (0, CELLS - size))
+    """Return what covers may hide of a print and its paper (C, 10, 10): nothing, a quarter, all beyond a line."""
+    n = CELLS + 2
+    at = np.arange(n) - (n - 1) / 2.0
+    covers = [np.zeros((n, n), np.bool_)]
+    for size in (n // 2 - 1, n // 2):
+        quarter = np.pad(np.ones((size, size), np.bool_), (0, n - size))
         covers += [np.rot90(quarter, turns) for turns in range(4)]
     for angle in np.arange(16) * math.tau / 16.0:
         depth = math.cos(angle) * at + math.sin(angle) * at[:, None]
-        for edge in np.arange(depth.max(), 0.0, -1.0) - 0.4:
-            covers.append(depth > edge)
-    bits = np.array([cover[1:-1, 1:-1].sum() for cover in covers])
+        covers += [depth > edge for edge in np.arange(depth.max() - 1.0, 0.0, -0.5)]
+    bits = np.array([cover[2:-2, 2:-2].sum() for cover in covers])
     return np.unique(np.stack(covers)[bits <= _DISTANCE - _APART], axis=0)

@@ -170,9 +170,7 @@ def _monomials(points: Complex) -> Array:
     return np.stack([a**i * b**j for j in range(3) for i in range(3)], axis=-1)
 
 
-def _template(
-    tag: int, side_px: float, at: Complex, seen: NDArray[np.bool_] | None = None
-) -> NDArray[np.float32]:
+def _template(tag: int, side_px: float, at: Complex, seen: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
     """Return the rows (5, n) to multiply a patch of n greys with, sampled at ``at``; 0 where it is not ``seen``.
 
     Correlation times the patch's norm; contrast; contrast times the offset forward, left [sides] and counter-clockwise
@@ -188,15 +186,14 @@ def _template(
     basis = np.stack([look, -forward, -left, -spin, np.ones_like(look), at.real, at.imag]).reshape(7, -1)
     if seen is not None:
         rows = np.zeros((5, at.size))
-        rows[:, seen.ravel()] = _rows(basis[:, seen.ravel()])
+        basis = basis[:, seen.ravel()]
+        look = basis[0] - basis[0].mean()
+        rows[0, seen.ravel()] = look / np.linalg.norm(look)
+        rows[1:, seen.ravel()] = np.linalg.solve(basis @ basis.T, basis)[:4]  # at once, in the middle of a run
         return rows.astype(np.float32)
-    return _rows(basis).astype(np.float32)
-
-
-def _rows(basis: Array) -> Array:
-    """Return what ``_template`` does, of the fit's basis (7, n)."""
-    look = basis[0] - basis[0].mean()
-    return np.vstack([look / np.linalg.norm(look), np.linalg.pinv(basis.T)[:4]])
+    look = look.ravel() - look.mean()
+    rows = np.vstack([look / np.linalg.norm(look), np.linalg.pinv(basis.T)[:4]])
+    return rows.astype(np.float32)
 
 
 @image_kernel

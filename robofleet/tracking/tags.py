@@ -7,7 +7,7 @@ half a pixel; the photometric fit places them, and says whether they look like w
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -141,6 +141,16 @@ class _Searched(NamedTuple):
     visits: int  # since it changed
 
 
+class Search(Protocol):
+    """A way to find targets."""
+
+    def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
+        """Return what may be a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""
+
+    def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
+        """Return what squares of an image are; not those that stand where they are ``known``."""
+
+
 class Sweep:
     """Searches an image tile by tile, another one each time. A tile that shows what it showed is not searched again.
 
@@ -149,7 +159,7 @@ class Sweep:
     followed by some searches more, and now and then there is one without any: noise may have hidden what is there.
     """
 
-    def __init__(self, detector: TagDetector, tiles: Sequence[Region]) -> None:
+    def __init__(self, detector: Search, tiles: Sequence[Region]) -> None:
         self._detector, self._tiles = detector, tuple(tiles)
         self._searched: list[_Searched | None] = [None] * len(self._tiles)
 

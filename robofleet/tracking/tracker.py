@@ -1,9 +1,10 @@
 """Follows tags from image to image, and never guesses which is which.
 
 Each image: predict every tag by its last motion, fit it there photometrically (``photometric.py``); where that fails,
-search the region that it can have reached (``tags.py``); where that fails too, coast on the prediction and say so. One
-tile of the image is searched as a whole, another one each time: newcomers, and prints that ought not to be there, are
-found within a sweep.
+look for what is not covered of it, and search the region that it can have reached (``tags.py``, ``deep.py``); where
+that fails too, coast on the prediction and say so. One tile of the image is searched as a whole, another one each time:
+newcomers, and prints that ought not to be there, are found within a sweep. As long as a tag is missing, a second sweep
+searches deeper.
 
 A tag is known by its continuity: it cannot be further off than its robot can have driven. A print elsewhere is
 refused and reported. Only when the tag itself is gone, and the print stayed for some sweeps with no second one of its
@@ -19,11 +20,12 @@ from numpy.typing import NDArray
 
 from robofleet.clock import S
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.motion import measure, predict
 from robofleet.tracking.photometric import Fit, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
-from robofleet.tracking.tags import Found, Region, Sweep, TagDetector, tiles, wrapped
+from robofleet.tracking.tags import Findings, Found, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -32,10 +34,13 @@ Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _ALIKE = 0.8  # least correlation of a tag where it is expected: it may be partly hidden; another id reaches 0.65
+_CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
+_DEEP_TILES = (3, 3)  # of the deep search
 _BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
 _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
+_DEEP_SEARCHES = 1  # of these
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
 _MARGIN = 0.6  # of a region around what a tag can have reached [sides]
@@ -75,6 +80,7 @@ class TagTracker:
         self._targets, self._size = tuple(targets), image_size
         self._fit = PhotometricFit(geometry, targets, line_time)
         self._detector = TagDetector(self._fit, targets)
+        self._deep = DeepSearch(self._fit, targets)
         self._sides = np.array([target.side for target in targets])
         self._lies_still = np.array([target.max_speed == 0.0 for target in targets])
         self._pixels_per_m = side_px(geometry, targets[0]) / targets[0].side
@@ -91,6 +97,7 @@ class TagTracker:
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) for target in targets)
         self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
+        self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
         self._images = 0
         self._news = News()
         self._refused = 0
@@ -124,6 +131,10 @@ class TagTracker:
         centre, psi, velocity = self._predicted(index, exposure_ns)
         fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
         there = np.flatnonzero(fit.alike > _ALIKE)
+        for k in there[fit.alike[there] < _CLEAR][:_SEARCHES].tolist():
+            tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]))
+            if tag is not None:
+                fit.centre[k], fit.psi[k] = tag.centre, tag.psi
         self._measure(index[there], fit.of(there), exposure_ns)
         return set(index[there].tolist())
 
@@ -144,8 +155,19 @@ class TagTracker:
     def _search(self, image: Image, exposure_ns: int, hidden: list[int], measured: set[int]) -> set[int]:
         """Look for hidden tags where they can be, the longest hidden first; returns those that are there."""
         found: set[int] = set()
+        deep = 0
         for i in sorted(hidden, key=lambda i: self._measured_ns[i])[:_SEARCHES]:
-            findings = self._detector.detect(image, self._region(i, exposure_ns))
+            centre, psi, _ = self._predicted(np.array([i]), exposure_ns)
+            partly = self._deep.near(image, i, complex(centre[0]), float(psi[0]))
+            if partly is not None and abs(partly.centre - self._centre[i]) <= self._reach(i, exposure_ns):
+                self._take(partly, exposure_ns)
+                found.add(i)
+                continue
+            region = self._region(i, exposure_ns)
+            findings = self._detector.detect(image, region)
+            if not findings.tags and deep < _DEEP_SEARCHES:
+                findings = self._deep.detect(image, region)
+                deep += 1
             here = [
                 tag
                 for tag in findings.tags
@@ -205,6 +227,7 @@ class TagTracker:
         known = np.full_like(self._centre, np.nan)
         known[list(measured)] = self._centre[list(measured)]
         look = self._detector.detect(image, known=known) if whole else self._sweep.search(image, self._images, known)
+        look = self._deeper(look, image, known)
         self._images += 1
         self._refused += look.refused
         believed: set[int] = set()
@@ -228,6 +251,20 @@ class TagTracker:
                 self._take(tag, exposure_ns)
                 believed.add(tag.target)
         return believed
+
+    def _deeper(self, look: Findings, image: Image, known: Complex) -> Findings:
+        """Search a tile deeper if a tag is missing that a look did not find; return all that was found."""
+        missing = ~self._followed
+        missing[[tag.target for tag in look.tags]] = False
+        if not missing.any():
+            return look
+        deep = self._deep_sweep.search(image, self._images, known).tags
+        news = [
+            tag
+            for tag in deep
+            if not any(tag.target == seen.target and self._suspects.same(tag, seen.centre) for seen in look.tags)
+        ]
+        return Findings((*look.tags, *news), look.refused)
 
     def _believable(self, tag: Found, exposure_ns: int, *, whole: bool) -> bool:
         """Return whether continuity or patience allow a tag that is not followed, or is not where it was."""
