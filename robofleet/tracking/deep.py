@@ -12,7 +12,6 @@ All bits that are seen must be right, and no other tag of the family may explain
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,9 +27,10 @@ Complex = NDArray[np.complex128]
 
 _ALIKE = 0.9  # least correlation of what is seen of a tag with its pattern
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
-_NEARBY = 0.8  # how far greys decide what is black: less than the white rim is wide [cells]
-_LEAST = 8  # between black and white nearby: noise that is left makes 5 [grey levels]
-_STRAIGHT = 0.05  # of a side: a line so straight is one
+_NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
+_LEAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
+_OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
+_STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
 _SAME = 0.12  # places closer than this are of one square [sides]
 _RIM = 15  # of the 28 cells of the black rim that must be seen
@@ -72,14 +72,13 @@ class DeepSearch:
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
         part = cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX)
         begins, ends = self._edges(part)
+        corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds:
             which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
-            centre, psi = self._whole_sides(begins + [left, top], ends + [left, top], side, height)
-            if not len(centre):
-                continue
+            centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
             pixels = self._pixels(centre, psi, side, height, _grid(CELLS + 2))
-            cells = _levels(part, pixels - [left, top]).reshape(-1, CELLS + 2, CELLS + 2)
+            cells = _levels(part, pixels - corner).reshape(-1, CELLS + 2, CELLS + 2)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
             corners.append(self._pixels(centre[square], heading, side, height, CORNERS))
@@ -104,8 +103,11 @@ class DeepSearch:
                 tags.append(tag)
         return Findings(tuple(tags), 0)
 
-    def near(self, image: Image, target: int, centre: complex, psi: float) -> Found | None:
-        """Return a target that is near a guess, whole or partly covered; None if nothing says that it is there."""
+    def near(self, image: Image, target: int, centre: complex, psi: float, *, followed: bool = False) -> Found | None:
+        """Return a target that is near a guess, whole or partly covered; None if nothing says that it is there.
+
+        followed: it was there in the image before, so that no other tag of the family can be there.
+        """
         whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
         if whole.alike[0] > _ALIKE:
             return Found(target, complex(whole.centre[0]), float(whole.psi[0]))
@@ -120,7 +122,7 @@ class DeepSearch:
             if fit.alike[0] <= _ALIKE:
                 return None
             centre, psi = complex(fit.centre[0]), float(fit.psi[0])
-        if not _hides(cells, cover) or self._is_like_another(cells, target, wrong):
+        if not _hides(cells, cover) or not followed and self._is_like_another(cells, target, wrong):
             return None
         return Found(target, centre, psi)
 
@@ -134,15 +136,16 @@ class DeepSearch:
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
         black = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
         black &= cv2.compare(cv2.subtract(brightest, darkest), _LEAST, cv2.CMP_GE)
+        black = cv2.medianBlur(black, 3)  # specks would be most of the outlines
         outlines, _ = cv2.findContours(black, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        begins, ends = [np.empty((0, 2))], [np.empty((0, 2))]
-        for outline in outlines:
-            if len(outline) < 1.5 * small:
-                continue
-            corners = cv2.approxPolyDP(outline, max(1.0, _STRAIGHT * small), closed=True)[:, 0].astype(np.float64)
-            begins.append(corners)
-            ends.append(np.roll(corners, -1, axis=0))
-        begin, end = np.concatenate(begins), np.concatenate(ends)
+        fewest, straight = _OUTLINE * small, max(1.0, _STRAIGHT * small)
+        corners = [cv2.approxPolyDP(line, straight, closed=True)[:, 0] for line in outlines if len(line) > fewest]
+        if not corners:
+            return np.empty((0, 2)), np.empty((0, 2))
+        begin = np.concatenate(corners).astype(np.float64)
+        following, lasts = np.arange(1, len(begin) + 1), np.cumsum([len(polygon) for polygon in corners])
+        following[lasts - 1] = np.concatenate([[0], lasts[:-1]])
+        end = begin[following]
         length = np.hypot(*(end - begin).T) + 1.0
         good = (length > 0.7 * small) & (length < 1.4 * large)
         begin, end = begin[good], end[good]
@@ -153,8 +156,6 @@ class DeepSearch:
 
     def _whole_sides(self, begin: Array, end: Array, side: float, height: float) -> tuple[Complex, Array]:
         """Return centres and headings of the squares, some a quarter turn off, of which these are a side."""
-        if not len(begin):
-            return np.empty(0, np.complex128), np.empty(0)
         x_y = self._fit.geometry.to_plane(np.concatenate([begin, end]), height)
         a, b = np.split(x_y[:, 0] + 1j * x_y[:, 1], 2)
         length = np.abs(b - a) / side
@@ -209,7 +210,7 @@ class DeepSearch:
         left, top = max(left, 0), max(top, 0)
         if not (left + 9 < right and top + 9 < bottom and left + 9 < image.shape[1] and top + 9 < image.shape[0]):
             return None
-        part = cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX)
+        part = np.asarray(cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX), np.uint8)
         cells = _levels(part, pixels[None] - [left, top])[0].reshape(CELLS + 2, CELLS + 2)
         white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])

@@ -132,7 +132,7 @@ class TagTracker:
         fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
         there = np.flatnonzero(fit.alike > _ALIKE)
         for k in there[fit.alike[there] < _CLEAR][:_SEARCHES].tolist():
-            tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]))
+            tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
             if tag is not None:
                 fit.centre[k], fit.psi[k] = tag.centre, tag.psi
         self._measure(index[there], fit.of(there), exposure_ns)
@@ -158,7 +158,7 @@ class TagTracker:
         deep = 0
         for i in sorted(hidden, key=lambda i: self._measured_ns[i])[:_SEARCHES]:
             centre, psi, _ = self._predicted(np.array([i]), exposure_ns)
-            partly = self._deep.near(image, i, complex(centre[0]), float(psi[0]))
+            partly = self._deep.near(image, i, complex(centre[0]), float(psi[0]), followed=True)
             if partly is not None and abs(partly.centre - self._centre[i]) <= self._reach(i, exposure_ns):
                 self._take(partly, exposure_ns)
                 found.add(i)

@@ -1,6 +1,6 @@
 """How surely tags are acquired, ours and the peers', on ray-cast frames where the truth is known.
 
-    python -m tests.tracking.acquisition [--json] [--trials N] [--only NAME] [--scenes NAME]     (from the project's root)
+    python -m tests.tracking.acquisition [--json] [--trials N] [--only NAMES] [--scenes NAME]   (in the project's root)
 
 The camera and the tags are those of ``accuracy.py``; in each trial 8 tags stand somewhere else, and 10 images differ
 by their noise (3.5 grey levels). Contrast: white paper minus black, in the image, around a grey of 120; the rest of
