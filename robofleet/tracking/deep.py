@@ -70,11 +70,11 @@ class DeepSearch:
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         """Return what may be a target in an image (H, W), or in a region of it."""
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
-        part = cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX)
+        part = _smooth(image[top:bottom, left:right])
         begins, ends = self._edges(part)
         corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
-        for side, height in self._kinds:
+        for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
             pixels = self._pixels(centre, psi, side, height, _grid(CELLS + 2))
@@ -122,8 +122,10 @@ class DeepSearch:
             if fit.alike[0] <= _ALIKE:
                 return None
             centre, psi = complex(fit.centre[0]), float(fit.psi[0])
-        if not _hides(cells, cover) or not followed and self._is_like_another(cells, target, wrong):
-            return None
+            if may_be_wrong == _AT_LAST and not (
+                _hides(cells, cover) and (followed or not self._is_like_another(cells, target, wrong))
+            ):
+                return None
         return Found(target, centre, psi)
 
     # Squares
@@ -134,9 +136,9 @@ class DeepSearch:
         reach = max(1, round(_NEARBY * small / CELLS))
         box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
-        black = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
-        black &= cv2.compare(cv2.subtract(brightest, darkest), _LEAST, cv2.CMP_GE)
-        black = cv2.medianBlur(black, 3)  # specks would be most of the outlines
+        below = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
+        _, differ = cv2.threshold(cv2.subtract(brightest, darkest), _LEAST - 1, 255, cv2.THRESH_BINARY)
+        black = cv2.medianBlur(cv2.bitwise_and(below, differ), 3)  # specks would be most of the outlines
         outlines, _ = cv2.findContours(black, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         fewest, straight = _OUTLINE * small, max(1.0, _STRAIGHT * small)
         corners = [cv2.approxPolyDP(line, straight, closed=True)[:, 0] for line in outlines if len(line) > fewest]
@@ -194,9 +196,9 @@ class DeepSearch:
 
     def _wrong(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return how many cells (M, 8, 8) differ from patterns (N, 8, 8), with the cover that explains most: (M, N)."""
-        white = white.reshape(len(white), -1).T
+        white = white.reshape(-1, CELLS * CELLS).T
         wrong, theirs = np.empty((len(bits), white.shape[1]), np.float32), self._seen @ white
-        for k, one in enumerate(bits.reshape(len(bits), -1)):  # every cover in one product
+        for k, one in enumerate(bits.reshape(-1, CELLS * CELLS)):  # every cover in one product
             differ = theirs + (self._seen @ one)[:, None] - 2.0 * ((self._seen * one) @ white)
             wrong[k] = differ.min(0)
         return wrong
@@ -210,7 +212,7 @@ class DeepSearch:
         left, top = max(left, 0), max(top, 0)
         if not (left + 9 < right and top + 9 < bottom and left + 9 < image.shape[1] and top + 9 < image.shape[0]):
             return None
-        part = np.asarray(cv2.GaussianBlur(image[top:bottom, left:right], (0, 0), _BLUR_PX), np.uint8)
+        part = _smooth(image[top:bottom, left:right])
         cells = _levels(part, pixels[None] - [left, top])[0].reshape(CELLS + 2, CELLS + 2)
         white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])
@@ -238,7 +240,9 @@ def _family() -> NDArray[np.float32]:
 
 
 def _hides(cells: Array, cover: NDArray[np.bool_]) -> bool:
-    """Return whether a cover hides anything: else this is another print, of which some bits are ours."""
+    """Return whether a cover hides anything: else this may be another print, of which some bits are ours."""
+    if not cover.any():
+        return False
     inner = np.pad(_EDGE, 1)
     rim, paper = cells[cover & inner], cells[cover & _PAPER_CELLS]
     return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
@@ -248,6 +252,11 @@ def _grid(count: int) -> Complex:
     """Return the middles (count * count,) of a print's cells, and of those around it, row by row [sides]."""
     at = (np.arange(count) - (count - 1) / 2.0) / CELLS
     return (at - 1j * at[:, None]).ravel()
+
+
+def _smooth(image: Image) -> Image:
+    """Return an image with less noise."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
 
 
 def _levels(image: Image, pixels: Array) -> Array:

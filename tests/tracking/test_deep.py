@@ -1,0 +1,59 @@
+"""Tags that one threshold misses; ``python -m tests.tracking.acquisition`` has the whole table."""
+
+import numpy as np
+import pytest
+
+from robofleet.tracking.deep import DeepSearch
+from robofleet.tracking.photometric import PhotometricFit
+from robofleet.tracking.targets import Target
+from tests.tracking.acquisition import SCENES, evaluate, trials
+from tests.tracking.peers import OURS
+from tests.tracking.test_tracker import GEOMETRY, HEIGHT_M, IDS, MAX_SPEED, SIDE_M, STANDING, Watched, measured, scene
+
+
+@pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])
+def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> None:
+    row = evaluate(SCENES[title], [OURS], 2)[OURS]
+    assert row["wrong"] == 0
+    assert row["acquired"] >= least
+
+
+@pytest.mark.parametrize("title", ["a side covered, 25 %", "a corner covered, 25 %"])
+def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> None:
+    row = evaluate(SCENES[title], [OURS], 2)[OURS]
+    assert row["wrong"] == 0
+    assert row["acquired"] >= 0.9
+    assert row["max_mm"] <= 0.4
+
+
+def test_a_covered_tag_of_another_fleet_is_no_tag() -> None:
+    for title in ("covered at any angle, 25 %", "half covered"):
+        for trial in trials(SCENES[title], 2):
+            shown = {tag.tag for tag in trial.prints}
+            ours = [Target(tag, *trial.setting.targets[0][1:]) for tag in range(0, 587, 3) if tag not in shown]
+            finder = DeepSearch(PhotometricFit(trial.setting.geometry, ours), ours)
+            assert finder.detect(trial.images[0]).tags == ()
+
+
+def test_a_print_with_our_bits_and_wrong_ones_is_not_a_covered_tag() -> None:
+    targets = [Target(tag, SIDE_M, HEIGHT_M, MAX_SPEED) for tag in IDS]
+    finder, shows = DeepSearch(PhotometricFit(GEOMETRY, targets), targets), scene()
+    image = shows.render(np.array(STANDING))
+    assert {tag.target for tag in finder.detect(image).tags} == {0, 1, 2}
+    for x, y, psi in STANDING:  # each cell of a corner the other way round, the rim and the paper as they were
+        turn = np.exp(1j * psi) * SIDE_M / 8.0
+        for i, j in np.ndindex(3, 3):
+            at = complex(x, y) + turn * complex(i - 2.5, j - 2.5)
+            u, v = GEOMETRY.project(np.array([[at.real, at.imag, HEIGHT_M]]))[0].round().astype(int)
+            image[v - 1 : v + 2, u - 1 : u + 2] = 240 - image[v - 1 : v + 2, u - 1 : u + 2]
+    assert finder.detect(image).tags == ()
+
+
+def test_nothing_is_searched_deeply_while_nothing_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    for name in ("detect", "squares", "place", "near"):
+        monkeypatch.setattr(DeepSearch, name, never)
+    for sightings in Watched().at(scene(), STANDING, 30):
+        assert measured(sightings).keys() == set(IDS)
