@@ -1,8 +1,7 @@
 """The runs of a script: each ``Robotarium(...)`` that it makes is one, and ends when the next one begins."""
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from robofleet.clock import utc_now
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.fleet import Fleet, FleetError
+from robofleet.gateways.robotarium.drawing import Drawing
 from robofleet.vehicles.interface import SensorReading
 
 Array = NDArray[np.float64]
@@ -102,10 +102,12 @@ class Run:
     def __init__(self, fleet: Fleet) -> None:
         """Take a fleet that is open."""
         self._fleet = fleet
-        self._ticks = self._fleet.ticks(resume=True)
-        next(self._ticks)
         self.robots, self.config, self.folder = fleet.robots, fleet.config, fleet.folder
-        self.left_right = self._angles()  # [rad] of the wheels at first
+        self.pictures: list[Drawing] = []  # in which the script draws
+        self.steps = 0
+        self._ticks: Iterator[float] | None = None  # of the loop that the script is in
+        self._next()
+        self._first = self._angles()
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -130,7 +132,7 @@ class Run:
     @property
     def turned(self) -> Array:
         """How far the wheels have turned since the beginning (2, N) [rad]: left, right."""
-        return self._angles() - self.left_right
+        return self._angles() - self._first
 
     def _angles(self) -> Array:
         said = self._fleet.readings
@@ -139,11 +141,12 @@ class Run:
     def step(self, velocities: Array) -> None:
         """Drive with v [m/s], omega [rad/s] (2, N) until the next tick; FleetError where there is none."""
         self._fleet.drive(velocities.T)
-        next(self._ticks)
+        self.steps += 1
+        self._next()
 
     def go_to(self, poses: Array) -> None:
         """Bring the robots to poses x, y [m], psi [rad] (3, N), round each other."""
-        self._ticks.close()
+        self.stand()
         goals = {
             robot: (x, y, math.degrees(psi)) for robot, (x, y, psi) in zip(self.robots, poses.T.tolist(), strict=True)
         }
@@ -151,15 +154,23 @@ class Run:
             self._fleet.go_to(goals)
         except ValueError as error:
             raise FleetError(f"the robots cannot go to the initial conditions: {error}") from error
-        self._ticks = self._fleet.ticks(resume=True)
-        next(self._ticks)
 
     def stand(self) -> None:
-        """Let the robots stand until the next step."""
-        self._fleet.drive(np.zeros((len(self.robots), 2)))
+        """Let the robots stand until the next step, however long that takes."""
+        ticks, self._ticks = self._ticks, None
+        if isinstance(ticks, Generator):
+            ticks.close()
 
     def end(self, failed: str | None = None) -> None:
-        """End it; ``failed``: why the script ends."""
-        with suppress(FleetError):
-            self._ticks.close()
+        """End it, and keep its pictures; ``failed``: why the script ends."""
+        self.stand()
+        poses = self.poses
         self._fleet.close(failed)
+        for number, picture in enumerate(self.pictures if self.folder is not None else (), 1):
+            picture.save(self.folder / f"figure{number}.png", poses)  # type: ignore[operator]
+
+    def _next(self) -> None:
+        """Wait for the next tick."""
+        if self._ticks is None:
+            self._ticks = self._fleet.ticks(resume=True)
+        next(self._ticks)
