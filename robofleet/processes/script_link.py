@@ -80,9 +80,13 @@ def first(config: Config, count: int | None) -> Config:
         return config
     there = config.members
     if not 0 < count <= len(there):
-        raise FleetError(f"robots: {count} are asked for, and {config.arena.name} has {len(there)}: ask for 1 to them all")
+        raise FleetError(
+            f"robots: {count} are asked for, and {config.arena.name} has {len(there)}: ask for 1 to them all"
+        )
     kept = {robot.id for robot in there[:count]}
-    every = [group.model_copy(update={"robots": tuple(r for r in group.robots if r in kept)}) for group in config.groups]
+    every = [
+        group.model_copy(update={"robots": tuple(r for r in group.robots if r in kept)}) for group in config.groups
+    ]
     robots = tuple(robot for robot in config.robots if robot.id in kept)
     return config.model_copy(update={"robots": robots, "groups": tuple(group for group in every if group.robots)})
 

@@ -148,7 +148,7 @@ def _hint(error: Exception, version: int) -> str:
     there = scripts.version_installed(scripts.installed())
     if there == version:
         return ""
-    return f": the script is of version {version}, the installed {scripts.PACKAGE} of version {there}: install that version"
+    return f": the script is of version {version}, the installed {scripts.PACKAGE} of version {there}"
 
 
 def _tell(runs: "Runs") -> None:
@@ -159,8 +159,10 @@ def _tell(runs: "Runs") -> None:
     summary = run.summary
     if not summary:
         return
-    gap = summary.get("min_gap_mm")
+    gap, changed = summary.get("min_gap_mm"), summary.get("filtered_fraction") or 0.0
     said = [f"{summary['outcome']}", f"{run.steps} steps of {len(run.robots)} robots"]
     said += [] if gap is None else [f"smallest gap between bodies {gap:.0f} mm"]
-    said += [f"held {run.resumed} times and went on"] if run.resumed else []
-    print(f"robofleet: {', '.join(said)}: {run.folder}/report.html")
+    said.append(f"the barrier changed {changed:.1%} of the commands")
+    said += [f"the run was held and went on {run.resumed} times"] if run.resumed else []
+    print(printable(f"robofleet: {', '.join(said)}"))
+    print(printable(f"robofleet: {run.folder}/report.html"))

@@ -39,12 +39,14 @@ class Drawing:
         self.axes.set_xlim(x1 - margin, x2 + margin)
         self.axes.set_ylim(y1 - margin, y2 + margin)
         self.axes.add_patch(Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, linewidth=2))
-        self.robots = [Circle((x, y), diameter / 2, facecolor="#FFD700", edgecolor="k", zorder=2) for x, y, _ in poses.T]
+        self.robots = [
+            Circle((x, y), diameter / 2, facecolor="#FFD700", edgecolor="k", zorder=2) for x, y, _ in poses.T
+        ]
         self._noses = [self.axes.plot([], [], color="k", linewidth=2, zorder=2)[0] for _ in self.robots]
         for robot in self.robots:
             self.axes.add_patch(robot)
         self._radius = diameter / 2
-        hidden = backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE)
+        hidden: list[str] = backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE)  # type: ignore[no-untyped-call]
         self._window = show and plt.get_backend().lower() not in {name.lower() for name in hidden}
         self._drawn_ns = 0
         self.place(poses)

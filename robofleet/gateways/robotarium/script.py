@@ -73,7 +73,9 @@ def version_of(source: str, name: str) -> int | None:
     members, utilities = _named(ast.parse(source, name))
     found = {version: sorted(members & _MEMBERS[version] | utilities & _UTILITIES[version]) for version in VERSIONS}
     if all(found.values()):
-        raise ScriptError(f"{name} has {found[1][0]!r} of version 1, {found[2][0]!r} of version 2: say --api 1 or --api 2")
+        raise ScriptError(
+            f"{name} has {found[1][0]!r} of version 1, {found[2][0]!r} of version 2: say --api 1 or --api 2"
+        )
     return next((version for version, names in found.items() if names), None)
 
 

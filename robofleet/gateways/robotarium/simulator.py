@@ -1,4 +1,4 @@
-"""What both versions of the Robotarium's interface have in common: poses in, velocities out, one step after the other."""
+"""What both versions of the Robotarium's interface have in common: poses in, velocities out, step by step."""
 
 import sys
 from collections.abc import Callable

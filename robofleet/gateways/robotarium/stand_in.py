@@ -1,4 +1,4 @@
-"""The module ``rps.robotarium`` as scripts get it: ours, in front of the installed one. All else is the installed one's."""
+"""The module ``rps.robotarium`` as scripts get it: ours, in front of the installed one. All else is as installed."""
 
 import sys
 from collections.abc import Iterator, Sequence

@@ -106,7 +106,7 @@ class Robotarium(Simulator):
 
     def get_accelerations(self) -> Array:
         """Return accelerations along x, y, z (3, N) [m/s^2]; at rest z is -9.8."""
-        return self._told("accelerometer", 3) * [[1.0], [1.0], [-1.0]]
+        return self._told("accelerometer", 3) * np.array([[1.0], [1.0], [-1.0]])
 
     def get_gyros(self) -> Array:
         """Return turning about x, y, z (3, N) [rad/s]."""
