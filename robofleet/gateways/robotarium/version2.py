@@ -106,7 +106,7 @@ class Robotarium(Simulator):
 
     def get_accelerations(self) -> Array:
         """Return accelerations along x, y, z (3, N) [m/s^2]; at rest z is -9.8."""
-        return self._told("accelerometer", 3) * np.array([[1.0], [1.0], [-1.0]])
+        return np.asarray(self._told("accelerometer", 3) * [[1.0], [1.0], [-1.0]])
 
     def get_gyros(self) -> Array:
         """Return turning about x, y, z (3, N) [rad/s]."""
@@ -118,7 +118,7 @@ class Robotarium(Simulator):
 
     def get_orientations(self) -> Array:
         """Return headings (N,) [deg; 0 to 360]."""
-        return np.mod(np.degrees(self._told("heading", 1)[0]), 360.0)
+        return np.asarray(np.mod(np.degrees(self._told("heading", 1)[0]), 360.0))
 
     def get_encoders(self) -> NDArray[np.int32]:
         """Return the counts of the left and the right wheel (2, N) since the beginning."""
