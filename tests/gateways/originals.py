@@ -20,6 +20,7 @@ import numpy as np
 
 _SEEDED = Path(__file__).with_name("seeded.py")
 _WITHIN_S = 900.0
+_STEP_S = 0.033
 _CAMERA = "--set", "tracker.source=camera"
 
 
@@ -62,9 +63,7 @@ def compared(checkout: Path, script: Path, how: Sequence[str] = (), theirs: bool
             sys.executable, "-m", "robofleet", "robotarium", str(_SEEDED), "--api", str(version(checkout)),
             "--out", str(place / "run"), *how, "--", str(script), str(place / "ours"),
         ]  # fmt: skip
-        done = subprocess.run(
-            mine, cwd=place, env=env, capture_output=True, text=True, timeout=_WITHIN_S, check=False
-        )
+        done = subprocess.run(mine, cwd=place, env=env, capture_output=True, text=True, timeout=_WITHIN_S, check=False)
         if theirs:
             command = [sys.executable, str(_SEEDED), str(script), str(place / "theirs")]
             subprocess.run(command, cwd=place, env=env, capture_output=True, timeout=_WITHIN_S, check=False)
@@ -85,6 +84,11 @@ def _rows(checkout: Path, only: Sequence[str], how: Sequence[str]) -> Iterator[C
             yield compared(checkout, script, how)
 
 
+def _speed(said: dict[str, Any]) -> float:
+    """Return how many simulated seconds a second of CPU time gave."""
+    return said["steps"] * _STEP_S / said["cpu_s"] if said else float("nan")
+
+
 def main() -> None:
     """Print a row a script."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -93,13 +97,16 @@ def main() -> None:
     parser.add_argument("--real-time", action="store_true", help="with a simulated camera")
     asked = parser.parse_args()
     how = ("--real-time", *_CAMERA) if asked.real_time else ()
-    print(f"{'script':36} exit  steps: ours theirs  ends apart mm  barrier %  errors: ours / theirs")
+    print(
+        f"{'script':36} exit  steps: ours theirs  apart mm  barrier %  times real time: ours theirs  errors: ours / theirs"
+    )
     for row in _rows(asked.checkout.absolute(), asked.only, how):
         ours, theirs = row.ours or {}, row.theirs or {}
         changed = 100 * (row.summary.get("filtered_fraction") or 0.0)
         print(
             f"{row.name:36} {row.exit_code:4}  {ours.get('steps', '-'):>11} {theirs.get('steps', '-'):>6}  "
-            f"{row.apart_mm:13.1f}  {changed:9.2f}  {ours.get('errors')} / {theirs.get('errors')}", flush=True,
+            f"{row.apart_mm:8.1f}  {changed:9.2f}  {_speed(ours):21.1f} {_speed(theirs):6.1f}  "
+            f"{ours.get('errors')} / {theirs.get('errors')}", flush=True,
         )  # fmt: skip
         if row.exit_code:
             print("    " + "\n    ".join(row.said.strip().splitlines()[-6:]), flush=True)

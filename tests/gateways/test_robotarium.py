@@ -58,7 +58,9 @@ LAW = """
         e *= 0.12 / np.maximum(np.hypot(*e), 0.12)
         return np.vstack([c * e[0] + s * e[1], (c * e[1] - s * e[0]) / 0.05])
 """
-SCRIPT_2 = LAW + """
+SCRIPT_2 = (
+    LAW
+    + """
     import rps.robotarium as robotarium
 
     r = robotarium.Robotarium(number_of_robots=3, show_figure=True, initial_conditions=STARTS, sim_in_real_time=True)
@@ -72,7 +74,10 @@ SCRIPT_2 = LAW + """
     r.debug()
     print(json.dumps({"first": first.tolist(), "last": r.get_poses().tolist()}))
 """
-SCRIPT_1 = LAW + """
+)
+SCRIPT_1 = (
+    LAW
+    + """
     from rps.robotarium import Robotarium
 
     r = Robotarium(3, True, False, STARTS)
@@ -89,6 +94,7 @@ SCRIPT_1 = LAW + """
     r.call_at_scripts_end()
     print(json.dumps({"first": first.tolist(), "last": r.get_poses().tolist()}))
 """
+)
 
 
 @pytest.fixture
@@ -139,6 +145,7 @@ def by_the_original(steps: int) -> np.ndarray:
     return np.asarray(x)
 
 
+@pytest.mark.filterwarnings("ignore:the matrix subclass")  # np.mat is what scripts of version 1 say
 @pytest.mark.parametrize(("script", "report"), [(SCRIPT_2, "debug: 400 steps"), (SCRIPT_1, "call_at_scripts_end: 400")])
 def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
     script: str, report: str, runs: Runs, place: Path
@@ -256,7 +263,8 @@ def test_random_starts_are_drawn_as_the_original_draws_them_and_a_new_robotarium
     runs: Runs, place: Path
 ) -> None:
     said = told(
-        runs("""
+        runs(
+            """
         import json
         import numpy as np
         import rps.robotarium as robotarium
@@ -270,7 +278,8 @@ def test_random_starts_are_drawn_as_the_original_draws_them_and_a_new_robotarium
             found.append([generate_initial_conditions(4, 0.2, 2.5, 1.5).tolist(), r.get_poses().tolist()])
             r.step()
         print(json.dumps(found))
-    """.replace("json.dumps(found)", 'json.dumps({"found": found})'))
+    """.replace("json.dumps(found)", 'json.dumps({"found": found})')
+        )
     )["found"]
     for drawn, stood in np.array(said):
         assert np.abs(drawn - stood).max() < 0.02

@@ -127,7 +127,7 @@ def _run(script: Path, arguments: list[str], runs: "Runs", version: int) -> int:
         traceback.print_exception(error.with_traceback(_own(error.__traceback__, script)))
         print(printable(f"{script} ended by {failed}{_hint(error, version)}"), file=sys.stderr)
     runs.end(failed)
-    if not code and not any(run.steps for run in runs.ended):
+    if not code and not runs.moved:
         print(f"{script} never called step(): no robot moved", file=sys.stderr)
         code = 2
     return code
@@ -142,8 +142,8 @@ def _own(trace: TracebackType | None, script: Path) -> TracebackType | None:
 
 
 def _hint(error: Exception, version: int) -> str:
-    """Return what mends an import that fails since the installed package is of the other version."""
-    if not isinstance(error, ImportError) or not (error.name or "").startswith(scripts.PACKAGE):
+    """Return why a name may be missing: the installed package is of the other version."""
+    if not isinstance(error, ImportError | NameError | AttributeError | TypeError):
         return ""
     there = scripts.version_installed(scripts.installed())
     if there == version:
@@ -153,11 +153,8 @@ def _hint(error: Exception, version: int) -> str:
 
 def _tell(runs: "Runs") -> None:
     """Say what the project's own checks found in the last run."""
-    if not runs.ended:
-        return
-    run = runs.ended[-1]
-    summary = run.summary
-    if not summary:
+    run = runs.last
+    if run is None or not (summary := run.summary):
         return
     gap, changed = summary.get("min_gap_mm"), summary.get("filtered_fraction") or 0.0
     said = [f"{summary['outcome']}", f"{run.steps} steps of {len(run.robots)} robots"]

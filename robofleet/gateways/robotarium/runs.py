@@ -41,8 +41,9 @@ class Runs:
         self._config = load_config(wanted.config, wanted.changes)
         self._began = f"{utc_now():%Y%m%dT%H%M%SZ}-{wanted.name}"
         self._count = 0
-        self.ended: list[Run] = []
-        self.run: Run | None = None
+        self.moved = False  # in some run, by a step
+        self.run: Run | None = None  # that is on
+        self.last: Run | None = None  # that has begun
 
     @property
     def most(self) -> int:
@@ -61,7 +62,7 @@ class Runs:
             robots=starts.shape[1], settings=[*self.wanted.changes, *self._settings(starts, sensors, walls)],
         )  # fmt: skip
         self.run = Run(fleet.open())
-        self.ended.append(self.run)
+        self.last = self.run
         if not placed(self._config):
             self.run.go_to(starts)
         return self.run
@@ -70,6 +71,7 @@ class Runs:
         """End the run that is on; ``failed``: why its script ends."""
         run, self.run = self.run, None
         if run is not None:
+            self.moved |= run.steps > 0
             run.end(failed)
 
     def _folder(self) -> Path:
