@@ -98,7 +98,8 @@ def main() -> None:
     asked = parser.parse_args()
     how = ("--real-time", *_CAMERA) if asked.real_time else ()
     print(
-        f"{'script':36} exit  steps: ours theirs  apart mm  barrier %  times real time: ours theirs  errors: ours / theirs"
+        f"{'script':36} exit  steps: ours theirs  apart mm  barrier %  times real time: ours theirs  "
+        "errors: ours / theirs"
     )
     for row in _rows(asked.checkout.absolute(), asked.only, how):
         ours, theirs = row.ours or {}, row.theirs or {}

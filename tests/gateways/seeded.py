@@ -3,8 +3,8 @@
     PYTHONPATH=CHECKOUT python tests/gateways/seeded.py SCRIPT RESULT
     PYTHONPATH=CHECKOUT robofleet robotarium tests/gateways/seeded.py --api 2 -- SCRIPT RESULT
 
-RESULT is a JSON file: the poses at first and at last, the steps, the errors, the loop's CPU time. Whatever the script draws depends on the
-step in which it draws it alone. Random numbers of the simulators themselves change nothing.
+RESULT is a JSON file: the poses at first and at last, the steps, the errors, the loop's CPU time. What a script draws
+depends on the step in which it draws it, and on nothing that the simulators draw.
 """
 
 import json

@@ -37,10 +37,10 @@ STUB = {
             return np.array(random.sample([[x, y, 0.0] for x in range(11) for y in range(2)], N)).T
 
         def generate_random_poses(N, spacing, width, height):
-            return np.vstack([np.linspace(-width / 2, width / 2, N), np.random.uniform(-height / 2, height / 2, N), np.zeros(N)])
+            x, y = np.linspace(-width / 2, width / 2, N), np.random.uniform(-height / 2, height / 2, N)
+            return np.vstack([x, y, np.zeros(N)])
 
-        def generate_initial_conditions(N, spacing, width, height):
-            return np.vstack([np.linspace(-width / 2, width / 2, N), np.random.uniform(-height / 2, height / 2, N), np.zeros(N)])
+        generate_initial_conditions = generate_random_poses
     """,
 }  # fmt: skip
 
@@ -137,7 +137,7 @@ def told(result: Result) -> Any:
 def by_the_original(steps: int) -> np.ndarray:
     """Return where the original's robots end: exact poses, Euler's steps of 33 ms, no lag."""
     known: dict[str, Any] = {}
-    exec(textwrap.dedent(LAW), known)  # noqa: S102
+    exec(textwrap.dedent(LAW), known)
     x = known["STARTS"].copy()
     for _ in range(steps):
         v, omega = known["law"](x)
@@ -153,7 +153,7 @@ def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
     result = runs(script)
     poses = told(result)
     known: dict[str, Any] = {}
-    exec(textwrap.dedent(LAW), known)  # noqa: S102
+    exec(textwrap.dedent(LAW), known)
     first, last = np.array(poses["first"]), np.array(poses["last"])
     assert np.abs(first[:2] - known["STARTS"][:2]).max() < 0.005
     assert np.hypot(*(last - by_the_original(400))[:2]).max() < 0.03
@@ -190,7 +190,9 @@ def test_the_sensors_of_version_2_have_its_units_and_signs(runs: Runs) -> None:
             r.set_velocities(np.array([0]), np.array([[0.1], [0.2]]))
             r.step()
         said = {name: getattr(r, name)().tolist() for name in (
-            "get_accelerations", "get_gyros", "get_magnetic_fields", "get_orientations", "get_encoders", "get_distances")}
+            "get_accelerations", "get_gyros", "get_magnetic_fields", "get_orientations", "get_encoders",
+            "get_distances",
+        )}
         print(json.dumps(said | {"ahead": ahead, "psi": float(x[2, 0])}))
     """)
     )
