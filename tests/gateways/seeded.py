@@ -3,8 +3,8 @@
     PYTHONPATH=CHECKOUT python tests/gateways/seeded.py SCRIPT RESULT
     PYTHONPATH=CHECKOUT robofleet robotarium tests/gateways/seeded.py --api 2 -- SCRIPT RESULT
 
-RESULT is a JSON file: the poses at first and at last, the steps, the errors, the loop's CPU time. What a script draws
-depends on the step in which it draws it, and on nothing that the simulators draw.
+RESULT is a JSON file: the poses at first and at last, the steps, the errors, the loop's CPU time. What the simulators
+draw changes nothing of what the script draws.
 """
 
 import json
@@ -33,6 +33,15 @@ def seed(number: int) -> None:
     random.seed(number)
 
 
+def draws() -> tuple[Any, Any]:
+    return np.random.get_state(), random.getstate()
+
+
+def draw_on(states: tuple[Any, Any]) -> None:
+    np.random.set_state(states[0])
+    random.setstate(states[1])
+
+
 class Robotarium(_BASE):
     """The simulator, watched."""
 
@@ -43,7 +52,7 @@ class Robotarium(_BASE):
             if hasattr(_BASE, "initialize"):
                 how["skip_initialization"] = True
         self._harness_poses: list[np.ndarray] = []
-        self._harness_draws = 1000
+        self._harness_steps = 0
         self._harness_cpu_s: list[float] = []
         super().__init__(*args, **how)
         watched.append(self)
@@ -53,9 +62,13 @@ class Robotarium(_BASE):
         poses = super().get_poses()
         self._harness_cpu_s = [*self._harness_cpu_s[:1], time.process_time()]
         self._harness_poses = [*self._harness_poses[:1], poses.copy()]
-        self._harness_draws += 1
-        seed(self._harness_draws)
         return poses
+
+    def step(self) -> None:
+        states = draws()
+        super().step()
+        draw_on(states)
+        self._harness_steps += 1
 
 
 def shows_nothing(_canvas: Any) -> None:
@@ -87,7 +100,7 @@ finally:
         said = {
             "first": one._harness_poses[0].tolist(),
             "last": one._harness_poses[-1].tolist(),
-            "steps": one._harness_draws - 1000,
+            "steps": one._harness_steps,
         }
         cpu_s = one._harness_cpu_s[-1] - one._harness_cpu_s[0]
         result.write_text(json.dumps(said | {"errors": errors, "cpu_s": cpu_s}))
