@@ -107,6 +107,7 @@ class Run:
         self.robots, self.config, self.folder = fleet.robots, fleet.config, fleet.folder
         self.pictures: list[Drawing] = []  # in which the script draws
         self.steps = 0
+        self._sensed: tuple[SensorReading | None, ...] | None = None  # at this tick
         self._ticks: Iterator[float] | None = None  # of the loop that the script is in
         self._next()
         self._first = self._angles()
@@ -129,7 +130,9 @@ class Run:
     @property
     def sensors(self) -> tuple[SensorReading | None, ...]:
         """What the robots' sensors say, by the project's conventions."""
-        return self._fleet.sensors
+        if self._sensed is None:
+            self._sensed = self._fleet.sensors
+        return self._sensed
 
     @property
     def turned(self) -> Array:
@@ -176,3 +179,4 @@ class Run:
         if self._ticks is None:
             self._ticks = self._fleet.ticks(resume=True)
         next(self._ticks)
+        self._sensed = None
