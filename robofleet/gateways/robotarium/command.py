@@ -160,6 +160,6 @@ def _tell(runs: "Runs") -> None:
     said = [f"{summary['outcome']}", f"{run.steps} steps of {len(run.robots)} robots"]
     said += [] if gap is None else [f"smallest gap between bodies {gap:.0f} mm"]
     said.append(f"the barrier changed {changed:.1%} of the commands")
-    said += [f"the run was held and went on {run.resumed} times"] if run.resumed else []
+    said += [f"the run was held and went on {run.resumed} time{'s' * (run.resumed > 1)}"] if run.resumed else []
     print(printable(f"robofleet: {', '.join(said)}"))
     print(printable(f"robofleet: {run.folder}/report.html"))
