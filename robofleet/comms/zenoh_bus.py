@@ -15,7 +15,7 @@ from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.credentials import Credentials
 from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, REQUEST, SAFE_REQUEST, TOPICS, Topic, key, largest, served_by
-from robofleet.comms.living import Living, RoleTakenError, alive_key, others
+from robofleet.comms.living import Living, RoleTakenError, alive_key, others, roles
 from robofleet.patterns import QUIC
 
 _ANSWER_WITHIN_NS = S
@@ -32,6 +32,11 @@ _TRANSPORT = {
     "transport/link/tx/lease": 500,  # [ms]; the default of 10 s would hide a stopped process for as long
     "transport/link/tx/keep_alive": 4,
     "transport/link/rx/max_message_size": LARGEST_MESSAGE,
+}
+# Beyond this computer: a link that is away for less goes on, and signs of life take less of the air.
+_FAR = {
+    "transport/link/tx/lease": 1000,
+    "transport/link/tx/keep_alive": 3,
 }
 # Who connects and says nothing, or nonsense, takes nobody's place: of Zenoh's own 100, each is held for 10 s.
 _DOOR = {
@@ -57,8 +62,8 @@ def router_settings(endpoint: str, network: Network | None = None) -> dict[str, 
     }  # fmt: skip
     if network is not None:
         settings["listen/endpoints"] = [endpoint, *map(_linked, network.endpoints)]
-        settings |= {"access_control": network.permitted, **_certified(network.credentials)}
-    return settings | _TRANSPORT
+        settings |= {"access_control": network.permitted, **_certified(network.credentials), **_FAR}
+    return _TRANSPORT | settings
 
 
 def open_router(endpoint: str, network: Network | None = None) -> zenoh.Session:
@@ -135,7 +140,7 @@ class ZenohBus:
         self._session = _open(
             {
                 **_TRANSPORT,
-                **({} if credentials is None else _certified(credentials)),
+                **({} if credentials is None else _certified(credentials) | _FAR),
                 **({} if session is None else {"id": session}),
                 "mode": "client",
                 "connect/endpoints": [*map(_linked, endpoints)],
@@ -250,6 +255,10 @@ class ZenohBus:
             living = Living(self._session, self._arena, server)
             self._living[server] = living, now_ns
         return living
+
+    def roles(self) -> set[str]:
+        """Return the roles that somebody on this bus has."""
+        return roles(self._session, self._arena)
 
     def part(self) -> "ZenohBus":
         """Return this bus once more; when that one is closed, what it declared is gone, and this one goes on."""

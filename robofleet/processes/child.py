@@ -14,7 +14,8 @@ from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
 from robofleet.processes.keeping import FileKeeping
-from robofleet.processes.log_lines import never_raise, say_of_links
+from robofleet.processes.link_log import FewLines, say_linked, say_refused
+from robofleet.processes.log_lines import never_raise
 from robofleet.processes.network import Keys, network
 from robofleet.processes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError, unkept
@@ -74,10 +75,13 @@ def _route(config: Config, lifeline: Lifeline) -> None:
     """Be Zenoh's router; one that stays between runs takes up new keys and revocations then, as a new program."""
     stays = config.bus.router == "service"
     beyond = network(config, all_units=not stays)  # a unit's revocation does not end it
+    say = FewLines(_say, WallClock().now_ns)
     if beyond is not None:
-        _log_links()
+        _log_refused(say)
     keys = Keys(config) if beyond is not None and stays else None
-    with closing(open_router(config.bus.endpoint, beyond)):
+    with closing(open_router(config.bus.endpoint, beyond)) as router:
+        if beyond is not None:
+            router.info.declare_link_events_listener(say_linked(beyond.permitted, say), history=True)
         lifeline.ready()
         while not lifeline.cut and (keys is None or not keys.changed()):
             threading.Event().wait(0.05)
@@ -86,7 +90,7 @@ def _route(config: Config, lifeline: Lifeline) -> None:
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # Zenoh keeps its sockets until the end
 
 
-def _log_links() -> None:
+def _log_refused(say: FewLines) -> None:
     """Let the log say which links were refused: Zenoh says so on stdout, and whoever knocks decides how often."""
     import zenoh  # noqa: PLC0415
 
@@ -96,7 +100,7 @@ def _log_links() -> None:
     os.dup2(write, sys.__stdout__.fileno() if sys.__stdout__ is not None else 1)
     os.close(write)
     lines = os.fdopen(read, errors="replace")
-    threading.Thread(target=say_of_links, args=(lines, _say, WallClock().now_ns), daemon=True).start()
+    threading.Thread(target=say_refused, args=(lines, say), daemon=True).start()
     zenoh.init_log_from_env_or("warn")
 
 

@@ -1,5 +1,6 @@
 """The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -195,7 +196,7 @@ def driver(
     if unit is not None:
         if config is not None or robots is not None:
             _wrong("--unit: each run brings its configuration: leave CONFIG and --robots out")
-        _wait_for_runs(unit, lifeline)
+        _wait_for_runs(unit)
         return
     if config is None or robots is None:
         missing = "CONFIG" if config is None else "--robots"
@@ -213,17 +214,16 @@ def _wrong(line: str) -> None:
         raise RefusedError(line)
 
 
-def _wait_for_runs(unit: str, lifeline: int | None) -> None:
-    """Be the driver of this computer's robots, whatever run comes."""
+def _wait_for_runs(unit: str) -> None:
+    """Be the driver of this computer's robots, whatever run comes: as a program without the command line's packages."""
     from robofleet.config.robot_file import load_robot_file, robot_file  # noqa: PLC0415
-    from robofleet.processes import daemon  # noqa: PLC0415
 
     with bad_input():
         file = robot_file()
         robot = load_robot_file(file)
         if robot.unit != unit:
             raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
-        daemon.main(robot, file, lifeline)
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "robofleet.processes.daemon"])
 
 
 def router(
@@ -267,16 +267,21 @@ def hosts(
 
     $ robofleet hosts lab.yaml
 
-    The second one needs no run, where the router stays between runs (bus.router: service).
+    The second one needs no run, where the router stays between runs (bus.router: service). A computer that has joined
+    as an operator or a viewer sees the robots that are linked.
     """
     from robofleet.processes import hosts as asking  # noqa: PLC0415
     from robofleet.processes import operator  # noqa: PLC0415
 
     file = None if arena is None else Path(arena)
-    if file is None or not (file.exists() or file.suffix):
-        file = Path(_running(arena).folder) / "config.yaml"
+    named = file is None or not (file.exists() or file.suffix)  # as an arena
+    there = _elsewhere(arena) if named else None
     try:
-        found = asking.hosts(_for_one_process(file))
+        if there is not None:
+            found = asking.hosts_elsewhere(there)
+        else:
+            file = Path(_running(arena).folder) / "config.yaml" if file is None or named else file
+            found = asking.hosts(_for_one_process(file))
     except operator.UnreachableError as error:
         _told(False, str(error))
     if as_json:

@@ -16,7 +16,8 @@ from robofleet.comms.keys import CONFIG, HOST
 from robofleet.comms.living import RoleTakenError
 from robofleet.comms.messages import HANDED
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.config.robot_file import RobotFile
+from robofleet.config.load import ConfigError
+from robofleet.config.robot_file import RobotFile, load_robot_file, robot_file
 from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
 from robofleet.processes import driver_settings
@@ -140,27 +141,36 @@ def _joined(robot: RobotFile, clock: Clock, own: Credentials, session: str) -> Z
         raise RefusedError(str(error)) from error
 
 
-def main(robot: RobotFile, file: Path, lifeline: int | None) -> None:
-    """Be a robot's driver until this process is ended. RefusedError where its keys cannot be used."""
+def main() -> None:
+    """Be this computer's driver until the process is ended. RefusedError where its file or its keys cannot be used."""
     never_raise(stdout=True)
-    held = Lifeline(lifeline)
-    with held.logged(driver_role(robot.unit), robot.arena):
-        ahead_of_others()
-        try:
-            own, told = credentials(robot.arena, robot.unit), passport(robot.arena, robot.unit)
-        except KeysError as error:
-            raise RefusedError(str(error)) from error
-        clock, waker = WallClock(), Waker()
-        print(f"{robot.unit} of {robot.arena}: waiting for the router at {', '.join(robot.router)}", file=sys.stderr)
-        with closing(_joined(robot, clock, own, session_id(told))) as bus:
-            host = {
-                "version": version("robofleet"), "host": socket.gethostname(),
-                "since": f"{utc_now():%Y-%m-%dT%H:%M:%SZ}",
-                "certificate_ends": f"{told.not_after:%Y-%m-%d}",
-            }  # fmt: skip
-            node = Daemon(
-                robot, file, bus, clock, waker, host,
-                lambda line: print(line, file=sys.stderr, flush=True),
-            )  # fmt: skip
-            realtime_priority(_PRIORITY)
-            run(node, clock, held, waker)
+    file = robot_file()
+    try:
+        robot = load_robot_file(file)
+        own, told = credentials(robot.arena, robot.unit), passport(robot.arena, robot.unit)
+    except (ConfigError, KeysError) as error:
+        raise RefusedError(str(error)) from error
+    held = Lifeline(None)
+    ahead_of_others()
+    clock, waker = WallClock(), Waker()
+    _say(f"{robot.unit} of {robot.arena}: waiting for the router at {', '.join(robot.router)}")
+    with closing(_joined(robot, clock, own, session_id(told))) as bus:
+        host = {
+            "version": version("robofleet"), "host": socket.gethostname(), "since": f"{utc_now():%Y-%m-%dT%H:%M:%SZ}",
+            "certificate_ends": f"{told.not_after:%Y-%m-%d}",
+        }  # fmt: skip
+        node = Daemon(robot, file, bus, clock, waker, host, _say)
+        realtime_priority(_PRIORITY)
+        run(node, clock, held, waker)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except RefusedError as refused:
+        _say(str(refused))
+        sys.exit(2)

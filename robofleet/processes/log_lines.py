@@ -4,13 +4,11 @@ A robot must not lose its emergency stop because the disk is full, or because no
 """
 
 import io
-import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
-from typing import IO, Any, TextIO
+from typing import Any, TextIO
 
-_MOST_LINES, _MINUTE_NS = 20, 60_000_000_000
 _LOST = (OSError, ValueError, RuntimeError)  # no room, no reader; closed, or not to be encoded; said amid saying
 
 
@@ -49,25 +47,3 @@ def never_raise(*, stdout: bool = False) -> None:
 
 def _unfailing(stream: TextIO) -> Any:
     return stream if isinstance(stream, Unfailing) else Unfailing(stream)
-
-
-_ANSI = re.compile(r"\x1b\[[0-9;]*m")
-_WHERE = re.compile(r"^\S+\s+WARN\s+.*?(?P<room>zenoh\S*): (?P<words>.*?)(?: at /\S+)?$")
-
-
-def say_of_links(lines: IO[str], say: Callable[[str], None], now_ns: Callable[[], int]) -> None:
-    """Say in the log whom the router let in no further, and why; at most a few lines a minute, whoever knocks."""
-    left, until_ns, more = _MOST_LINES, 0, 0
-    for line in lines:
-        if now_ns() >= until_ns:
-            if more:
-                say(f"{more} more links were refused")
-            left, until_ns, more = _MOST_LINES, now_ns() + _MINUTE_NS, 0
-        found = _WHERE.match(_ANSI.sub("", line).strip())
-        if found is None or "zenoh_link" not in found["room"]:
-            continue
-        if left:
-            left -= 1
-            say(f"a link was refused: {found['words'].partition('. Hint:')[0]}")
-        else:
-            more += 1

@@ -8,8 +8,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryFile
 
-import typer
-
 import robofleet
 
 WEB_PACKAGES = ("segno", "starlette", "uvicorn", "websockets")  # the operator's page; of the extra ``lab``
@@ -35,6 +33,8 @@ class RefusedError(Exception):
 @contextmanager
 def bad_input() -> Iterator[None]:
     """End with exit code 2 and one line a fault."""
+    import typer  # noqa: PLC0415 - the processes of a run are no commands
+
     from robofleet.config.load import ConfigError  # noqa: PLC0415
 
     try:

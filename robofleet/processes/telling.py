@@ -66,7 +66,7 @@ class ByRadio:
     _AFTER_NS = 15 * MS  # a command: the status arrives before the next tick where the link takes up to 9 ms each way
     _SILENT_NS = 40 * MS  # without a command
     _LATE_NS = 80 * MS  # in health a gate lives on nonces of up to 70 ms: an enable answers every second status
-    _WATCHED_NS = 60 * S  # after it was bad: an enable answers every status, so that BAD_LINK_NS is late
+    _WATCHED_NS = 10 * S  # after it was bad: an enable answers every status, so that BAD_LINK_NS is late
 
     def __init__(self) -> None:
         self.hurry = Hurry.NO

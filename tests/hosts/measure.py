@@ -11,6 +11,7 @@ Each prints one JSON object. All traffic stays inside the namespaces, and a run 
 
 import argparse
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -32,7 +33,7 @@ from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Event, Phase
-from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, join
+from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network
 from tests.hosts.radio import PATTERNS
 from tests.processes.realrun import wait
@@ -128,11 +129,16 @@ def closed(recording: Recording) -> dict[str, Any]:
 def lap() -> dict[str, Any]:
     """One lap through the rendered camera, with the page open on a host of its own."""
     with laboratory() as (network, stack):
+        lab, phone = network["lab"], network["phone"]
+        said(lab, "keys", "add", "platoon", "web", "--address", lab.address)
         file = configuration(network, *ROBOTS)
         fleet = Fleet(network, ROBOTS, stack)
-        run = fleet.run(file, "lap")
+        run = fleet.run(file, "lap", "--web-host", lab.address)
         begun(fleet, run, "lap")
-        page = network["desk"].begin("web", "--no-browser", log=network["desk"].folder / "page.log")
+        (address,) = re.findall(r"for a viewer: (\S+)", fleet.log("lap"))
+        authority = phone.folder / "config" / "robofleet" / "keys" / "platoon" / "authority.pem"
+        looking = phone.command(sys.executable, "-m", "tests.hosts.visitor", address, str(authority))
+        page = subprocess.Popen(looking, stdout=subprocess.PIPE, text=True)
         stack.callback(page.kill)
         daemons = {robot: psutil.Process(fleet.daemons[robot].pid) for robot in ROBOTS}
         daemons = {robot: next(iter(one.children()), one) for robot, one in daemons.items()}
@@ -151,8 +157,9 @@ def lap() -> dict[str, Any]:
                 "own_memory_mb": round(own.memory_full_info().uss / 1e6, 1),
             }  # fmt: skip
         assert run.wait(120) is not None
-        recording = read(network["lab"].folder / "lap")
-        return {**summary(network, "lap"), **closed(recording), "daemons": used}
+        shown = json.loads(page.communicate(timeout=30)[0] or "{}")
+        recording = read(lab.folder / "lap")
+        return {**summary(network, "lap"), **closed(recording), "page": shown, "daemons": used}
 
 
 def radio(pattern: str, laps: int, seed: int) -> dict[str, Any]:
@@ -230,42 +237,61 @@ def laboratory_dies() -> dict[str, Any]:
         run = fleet.run(file, "first", *_TRUTH)
         begun(fleet, run, "first")
         there = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
-        twins = [one for one in there if "twins" in one.cmdline()]
-        stopped = {}
-        began_ns = CLOCK.now_ns()
+        twins = [one for one in there if "twins" in one.cmdline()]  # they are the robots
         for one in there:
-            if one not in twins:  # they are the robots
+            if one not in twins:
                 one.kill()
-        CLOCK.sleep_until(began_ns + S)
+        CLOCK.sleep_until(CLOCK.now_ns() + S)
         for one in twins:
             one.kill()
         run.wait(20)
-        stopped["daemons_live"] = all(daemon.poll() is None for daemon in fleet.daemons.values())
+        live, began_ns = all(daemon.poll() is None for daemon in fleet.daemons.values()), CLOCK.now_ns()
         again = fleet.run(file, "second", *_TRUTH, "--reset")
         begun(fleet, again, "second")
+        drives_s = (CLOCK.now_ns() - began_ns) / S
         again.send_signal(signal.SIGINT)
         again.wait(60)
-        logs = (network["lab"].folder / "second" / "log" / "supervisor.log").read_text()
-        return {**stopped, "second": summary(network, "second"), "supervisor": logs[-300:]}
+        recording = read(network["lab"].folder / "second")
+        stood = {robot: recording.of_robot(STATUS, robot)[0]["target_after_ns"] / MS for robot in ROBOTS}
+        return {"daemons_live": live, "drives_after_start_s": round(drives_s, 1), "zero_after_nonce_ms": stood}
 
 
-def stop(times: int) -> dict[str, Any]:
-    """Emergency stops from the operator's host, while the fleet drives."""
+def stop(times: int, driving: int) -> dict[str, Any]:
+    """Emergency stops from the operator's host: of robots that wait, reset after each, and of some that drive."""
     with laboratory() as (network, stack):
-        file = configuration(network, *ROBOTS, duration_s=300.0)
+        lab, file = network["lab"], configuration(network, *ROBOTS, duration_s=300.0)
         fleet = Fleet(network, ROBOTS, stack)
-        took_ms, failed = [], []
-        for number in range(times):
-            name = f"stop{number}"
-            run = fleet.run(file, name, *_TRUTH, "--reset")
-            begun(fleet, run, name)
+        took: dict[str, list[float]] = {"waiting": [], "driving": []}
+        failed = []
+
+        def stopped(robots: str) -> None:
             answer = network["desk"].robofleet("stop")
-            run.wait(60)
             if answer.returncode == 0:
-                took_ms.append(float(answer.stdout.rsplit("after ", 1)[1].split()[0]))
+                took[robots].append(float(answer.stdout.rsplit("after ", 1)[1].split()[0]))
             else:
                 failed.append(answer.stderr)
-        return {"times": times, "worst_ms": max(took_ms), "median_ms": float(np.median(took_ms)), "failed": failed}
+
+        desk, names = network["desk"], ("router", "twins", "supervisor")  # one by one: no launcher ends at a stop
+        alone = [lab.begin(process, str(file), log=lab.folder / f"{process}.log") for process in names]
+        for process in alone:
+            stack.callback(ended, process)
+        assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 60)
+        for _ in range(times):
+            stopped("waiting")
+            assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 20)
+        for process in reversed(alone):
+            ended(process)
+        for number in range(driving):
+            run = fleet.run(file, f"stop{number}", *_TRUTH, "--reset")
+            begun(fleet, run, f"stop{number}")
+            stopped("driving")
+            run.wait(60)
+        told = {
+            robots: {"times": len(ms), "median_ms": float(np.median(ms)), "worst_ms": max(ms)}
+            for robots, ms in took.items()
+            if ms
+        }
+        return {**told, "failed": failed}
 
 
 def main() -> None:
@@ -279,11 +305,13 @@ def main() -> None:
     air.add_argument("--seed", type=int, default=1)
     what.add_parser("cut").add_argument("seconds", type=float, nargs="+")
     what.add_parser("laboratory")
-    what.add_parser("stop").add_argument("--times", type=int, default=100)
+    stops = what.add_parser("stop")
+    stops.add_argument("--times", type=int, default=100)
+    stops.add_argument("--driving", type=int, default=0)
     asked = told.parse_args()
     found: dict[str, Callable[[], Any]] = {
         "lap": lap, "radio": lambda: radio(asked.pattern, asked.laps, asked.seed), "cut": lambda: cut(asked.seconds),
-        "laboratory": laboratory_dies, "stop": lambda: stop(asked.times),
+        "laboratory": laboratory_dies, "stop": lambda: stop(asked.times, asked.driving),
     }  # fmt: skip
     print(json.dumps(found[asked.what](), indent=1))
 

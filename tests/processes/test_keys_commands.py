@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -479,3 +480,16 @@ def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch
     service = (desk / "systemd" / "robofleet-unit.service").read_text()
     assert re.search(r"^ExecStart=/\S.* driver --unit r1$", service, re.MULTILINE)
     assert load_robot_file(desk / "etc" / "robot.yaml").unit == "r1"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
+def test_systemd_has_nothing_to_complain_of_in_it(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    monkeypatch.setattr("os.geteuid", lambda: 0)
+    (desk / "systemd").mkdir()
+    said("join", bundle, "--service")
+    service = desk / "systemd" / "robofleet-unit.service"
+    found = subprocess.run(
+        ["systemd-analyze", "verify", str(service)], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert (found.returncode, found.stderr) == (0, "")

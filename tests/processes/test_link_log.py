@@ -1,8 +1,18 @@
-"""What the router's log says of links that it refused, whoever knocks how often."""
+"""What the router's log says of links: who has come, and who was refused, whoever knocks how often."""
 
+from contextlib import closing
 from io import StringIO
+from pathlib import Path
 
-from robofleet.processes.log_lines import say_of_links
+import pytest
+
+from robofleet.clock import MS, S, WallClock
+from robofleet.comms.authority import ROUTER, Authority, identities
+from robofleet.comms.credentials import Credentials, session_id
+from robofleet.comms.permissions import UNIT, access_control
+from robofleet.comms.zenoh_bus import Network, ZenohBus, open_router
+from robofleet.processes.link_log import FewLines, say_linked, say_refused
+from tests.endpoints import free_port, own_endpoint
 
 ANSI = "\x1b[2m2026-11-23T13:15:28.536023Z\x1b[0m \x1b[33m WARN\x1b[0m acc-0 ThreadId(04) \x1b[2m"
 NO_CERTIFICATE = (
@@ -30,7 +40,7 @@ def said_of(lines: list[str], at_s: list[float]) -> list[str]:
             now[0] = round(next(times) * 1e9)
             return line
 
-    say_of_links(Lines("".join(lines)), said.append, now_ns)
+    say_refused(Lines("".join(lines)), FewLines(said.append, now_ns))
     return said
 
 
@@ -45,4 +55,38 @@ def test_each_refused_link_is_said_with_its_reason_and_nothing_else_is() -> None
 def test_a_flood_of_them_costs_twenty_lines_a_minute_and_is_counted() -> None:
     said = said_of([NO_CERTIFICATE] * 1001, [1.0] * 1000 + [62.0])
     assert len(said) == 20 + 1 + 1
-    assert said[20] == "980 more links were refused"
+    assert said[20] == "980 more lines about links were left out"
+
+
+@pytest.mark.parametrize("protocol", ["tls", "quic"])
+def test_who_links_is_named_by_its_certificate(protocol: str, tmp_path: Path) -> None:
+    clock, said = WallClock(), list[str]()
+    authority = Authority.create("lab", tmp_path / "keys")
+    authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
+    for name in ("r1", "stolen"):
+        authority.issue(name, UNIT)
+    known = [who for who in identities(authority) if who.name != "stolen"]  # as after its revocation
+    beyond = f"{protocol}/127.0.0.1:{free_port()}"
+    network = Network([beyond], Credentials.at(authority.folder, ROUTER), access_control("lab", known))
+
+    def linked(name: str, session: str | None) -> ZenohBus:
+        return ZenohBus(
+            "lab", beyond, name, clock, credentials=Credentials.at(authority.folder, name), session=session
+        )  # fmt: skip
+
+    def hears(line: str) -> bool:
+        end_ns = clock.now_ns() + 5 * S
+        while not any(one.startswith(line) for one in said) and clock.now_ns() < end_ns:
+            clock.sleep_until(clock.now_ns() + 5 * MS)
+        return any(one.startswith(line) for one in said)
+
+    own = session_id(authority.entries()["r1"].newest)
+    with closing(open_router(own_endpoint(), network)) as router:
+        router.info.declare_link_events_listener(say_linked(network.permitted, said.append), history=True)
+        with closing(linked("r1", own)):
+            assert hears(f"r1 has come, from {protocol}/127.0.0.1:")
+        assert hears("r1 has gone")
+        with closing(linked("r1", None)):
+            assert hears(f"a second host with the certificate of r1, {protocol}/127.0.0.1:")
+        with closing(linked("stolen", None)):
+            assert hears(f"stolen is revoked, or unknown: from {protocol}/127.0.0.1:")

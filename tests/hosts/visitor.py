@@ -1,0 +1,37 @@
+"""A browser on another host that has the operator's page open: it counts what it is told.
+
+python -m tests.hosts.visitor ADDRESS AUTHORITY.pem
+"""
+
+import json
+import ssl
+import sys
+from contextlib import suppress
+from urllib.parse import urlsplit
+
+import httpx
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+
+def visit(address: str, authority: str) -> dict[str, int]:
+    """Open a page by its one-time address, and stay until it ends."""
+    trusted, parts = ssl.create_default_context(cafile=authority), urlsplit(address)
+    with httpx.Client(verify=trusted, base_url=f"https://{parts.netloc}", follow_redirects=True) as client:
+        client.get(f"{parts.path}?{parts.query}").raise_for_status()
+        cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+    told = {"messages": 0, "bytes": 0}
+    origin, live = f"https://{parts.netloc}", f"wss://{parts.netloc}/live"
+    with (
+        connect(live, ssl=trusted, origin=origin, additional_headers={"Cookie": cookies}) as page,  # type: ignore[arg-type]
+        suppress(ConnectionClosed),
+    ):
+        while True:
+            message = page.recv(timeout=5)
+            told["messages"] += 1
+            told["bytes"] += len(message)
+    return told
+
+
+if __name__ == "__main__":
+    print(json.dumps(visit(*sys.argv[1:])))
