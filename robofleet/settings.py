@@ -4,13 +4,30 @@ Every number has a least and a greatest value: what is outside exists in no labo
 nothing somewhere far from the line that says it. Every text and every list has a longest.
 """
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.patterns import NAME_PATTERN
 
-LAST_TAG = 586  # AprilTag 36h11 has 587 ids
+
+class Family(NamedTuple):
+    """A family of AprilTags."""
+
+    cells: int  # along a side, black rim included
+    ids: int
+    distance: int  # bits by which any two tags differ
+    alike: float  # least correlation of a tag that is followed: above that of any two
+
+
+FamilyName = Literal["36h11", "25h9", "16h5"]
+FAMILIES: dict[str, Family] = {
+    "36h11": Family(8, 587, 11, 0.8),
+    "25h9": Family(7, 35, 9, 0.8),
+    "16h5": Family(6, 30, 5, 0.87),
+}
+
+LAST_TAG = FAMILIES["36h11"].ids - 1  # of the largest family
 TAGS = LAST_TAG + 1  # so many robots can a camera tell apart
 ROBOTS = 2048  # of a fleet
 MANY = 10_000  # of anything in a list

@@ -80,7 +80,7 @@ class FloorTag(Model):
     """A tag at a surveyed place. The tag does not move, so it shows whether the camera does."""
 
     tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
-    """Id of the tag, of the family 36h11."""
+    """Id of the tag, of the family ``tracker.family``."""
     side_m: Length
     """Side of its black square."""
     x_m: Coordinate

@@ -21,7 +21,7 @@ from robofleet.patterns import (
     SOCKET,
     TCP,
 )
-from robofleet.settings import LAST_TAG
+from robofleet.settings import FAMILIES
 
 Complaint = tuple[str, str]  # dotted path, message
 
@@ -49,6 +49,8 @@ _PATTERNS = {
     NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
     ENDPOINT_PATTERN: "must be private, or look like unixsock-stream//run/lab/bus.sock or tcp/127.0.0.1:7447",
 }
+
+LEAST_CELL_PX = 1.5  # of a tag straight below the camera: fewer do not tell black from white
 
 
 def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
@@ -244,6 +246,18 @@ def _tag_sizes(config: Config) -> Iterator[Complaint]:
         ("camera.simulated.posters", camera.simulated.posters),
     ):
         tags += [(f"{kind}.{i}", tag.side_m, tag.height_m) for i, tag in enumerate(prints)]
+        for i, lying in enumerate(prints):
+            yield from _id(config, f"{kind}.{i}.tag", lying.tag)
+    family = FAMILIES[tracker.family]
+    for path, side_m, height_m in tags if tracker.source == "camera" else ():
+        cell_px = min(model.focal_px) * side_m / family.cells / max(eye_m - height_m, 1e-9)
+        if 0.0 < cell_px < LEAST_CELL_PX:
+            least_m = side_m * LEAST_CELL_PX / cell_px
+            yield (
+                path,
+                f"a cell of a {tracker.family} tag of {side_m:g} m has {cell_px:.2g} px, {LEAST_CELL_PX:g} are needed: "
+                f"print it {least_m:.2g} m large, hang the camera lower, or take a family with fewer cells",
+            )
     for path, side_m, height_m in tags:
         if max(model.focal_px) * side_m >= least_px * (eye_m - height_m):
             tag = f"a tag of {side_m:g} m at {height_m:g} m"
@@ -296,8 +310,14 @@ def _units(config: Config) -> Iterator[Complaint]:
                 f"robots.{i}.unit",
                 f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name",
             )
-        if robot.tag > LAST_TAG and config.tracker.source == "camera" and robot.reality == "real":
-            yield f"robots.{i}.tag", f"{robot.tag}: the family 36h11 has the ids 0 to {LAST_TAG}: give it one of these"
+        if config.tracker.source == "camera" and robot.reality == "real":
+            yield from _id(config, f"robots.{i}.tag", robot.tag)
+
+
+def _id(config: Config, path: str, tag: int) -> Iterator[Complaint]:
+    family = config.tracker.family
+    if tag > (last := FAMILIES[family].ids - 1):
+        yield path, f"{tag}: the family {family} has the ids 0 to {last}: give it one of these"
 
 
 def _members(config: Config) -> Iterator[Complaint]:

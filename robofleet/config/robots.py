@@ -106,7 +106,7 @@ class Robot(Model):
     id: Name
     """Name of the robot on the bus, in messages and in the summary."""
     tag: Annotated[int, Field(ge=0, le=65535)]
-    """Id of its AprilTag, of the family 36h11: at most 586 where a camera must see it."""
+    """Id of its AprilTag, of the family ``tracker.family``, where a camera must see it."""
     unit: Name | None = None
     """Name of the driver process that drives it, with all robots of the same unit; null: ``drivers`` says it."""
     tag_height_m: Height | None = None

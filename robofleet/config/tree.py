@@ -23,6 +23,7 @@ from robofleet.settings import (
     Coordinate,
     Count,
     Delay,
+    FamilyName,
     Fraction,
     Height,
     Length,
@@ -109,6 +110,9 @@ class TrackerSettings(Model):
     source: Literal["camera", "truth"]
     """``camera``: the detector finds the tags in the camera's images. ``truth``: all robots are simulated and publish
     their true poses."""
+    family: FamilyName = "36h11"
+    """AprilTag family of all tags. 36h11 has 587 ids, 25h9 has 35, 16h5 has 30. Fewer ids have larger cells in a tag of
+    the same side."""
     tag_side_m: Length
     """Side of the black square of a robot's tag."""
     tag_height_m: Height

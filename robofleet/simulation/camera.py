@@ -85,7 +85,7 @@ class SceneRenderer:
         self._boxes = np.zeros((_IMAGES, len(robots) + len(prints) + 1, 4), np.int64)
         self._rendered = 0
         self._heights = np.array([target.height for target in robots])
-        looks = [cells(target.tag) for target in robots]
+        looks = [cells(target.tag, target.family) for target in robots]
         self._looks = np.stack([*looks, np.zeros_like(looks[0])])
         self.moved(geometry)
         self.looks = np.arange(len(robots))  # (N,) which robot's tag each robot carries; N: plain paper
@@ -104,11 +104,11 @@ class SceneRenderer:
         self._ground = np.rint(ground * self._gain).astype(np.uint8)
         self._boxes[:] = 0
         quiet = np.full_like(self._ground, self._offset)
-        for k, ((tag, side, tag_height, _), x, y, psi) in enumerate(self._prints):
+        for k, ((tag, side, tag_height, _, family), x, y, psi) in enumerate(self._prints):
             lying, height = np.array([[x, y, psi]]), np.array([tag_height])
             still, further = np.zeros((1, 3)), self._further_by(height)
             boxes = self._boxes[0, len(self._robots) + k :][:1]
-            self._draw(self._ground, quiet, cells(tag)[None], side, height, further, lying, still, still, boxes)
+            self._draw(self._ground, quiet, cells(tag, family)[None], side, height, further, lying, still, still, boxes)
         self._boxes[1:] = self._boxes[0]
         self._unseen = _IMAGES  # images of another place
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import image_kernel, infinite_kernel
 from robofleet.simulation.floor import BLACK, WHITE
-from robofleet.tracking.photometric import CELLS, pattern
+from robofleet.tracking.photometric import pattern
 from robofleet.tracking.projection import project
 
 Array32 = NDArray[np.float32]
@@ -55,7 +55,7 @@ def draw(  # type: ignore[no-untyped-def]
     """Blend the prints ``seen``, and bodies below them, into an image; ``boxes`` (N, 4) become theirs."""
     exposure, line_time = shutter
     instants = np.empty((_MOST_INSTANTS, 6), np.float32)
-    paper = side / 2 + side / CELLS
+    paper = side / 2 + side / (black.shape[1] - 2 * _RIM)
     boxes[:] = 0
     for n in seen:
         u, v = _centre(camera, poses[n], offsets[n], heights[n])
@@ -129,7 +129,7 @@ def _robot(  # type: ignore[no-untyped-def]
     exposure, line_time, black, side, sigma, paper, body_radius,
 ):  # fmt: skip
     """Blend a robot, the mean of its ``instants``, into the disc in ``box`` that it can reach."""
-    room = np.empty(5 * _CHUNK, np.float32)
+    room, count = np.empty(5 * _CHUNK, np.float32), black.shape[0] - 2 * _RIM
     for i in range(box[1], box[3]):
         if line_time > 0.0:
             _place(pose, velocity, tag_offset, (i - v) * line_time, exposure, instants)
@@ -141,9 +141,9 @@ def _robot(  # type: ignore[no-untyped-def]
             for k in range(len(instants)):
                 _shape(
                     plane_x[i, left:right], plane_y[i, left:right], eye, further, instants[k], paper, body_radius,
-                    _RAMP * sigma, CELLS / side, room,
+                    _RAMP * sigma, count / side, 0.5 * black.shape[0], room,
                 )  # fmt: skip
-                _print(black, side / (CELLS * sigma), right - left, room)
+                _print(black, side / (count * sigma), right - left, room)
             _blend(
                 image[i, left:right], noise[i, left:right], offset, gain[i, left:right], 1.0 / len(instants), room
             )  # fmt: skip
@@ -151,11 +151,11 @@ def _robot(  # type: ignore[no-untyped-def]
 
 @image_kernel
 def _shape(  # type: ignore[no-untyped-def]
-    plane_x, plane_y, eye, further, instant, paper, body_radius, ramp, per_m, room
+    plane_x, plane_y, eye, further, instant, paper, body_radius, ramp, per_m, middle_cell, room
 ):
     """Fill how much of each pixel of a row is tag, and where on its print that is [cells, with the rim]; add tag and
     body to the cover, and the body's grey to the light. The compiler does eight pixels at once."""
-    one, middle = np.float32(1.0), np.float32(0.5 * CELLS + _RIM)
+    one, middle = np.float32(1.0), np.float32(middle_cell)
     to_tag, to_body = np.float32(further[0]), np.float32(further[1])
     eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
     tag_x, tag_y, c, s, body_x, body_y = instant[0], instant[1], instant[2], instant[3], instant[4], instant[5]
@@ -222,9 +222,9 @@ def _beyond(at, per_blur):  # type: ignore[no-untyped-def]
     return _NORMAL[i] + p * (_NORMAL[i + 1] - _NORMAL[i]), _NORMAL[j] + q * (_NORMAL[j + 1] - _NORMAL[j])
 
 
-def cells(tag: int) -> Array32:
-    """Return a tag (12, 12) for ``draw``."""
-    return np.pad(1.0 - pattern(tag), _RIM).astype(np.float32)
+def cells(tag: int, family: str) -> Array32:
+    """Return a tag (C, C), of 36h11 (12, 12), for ``draw``."""
+    return np.pad(1.0 - pattern(tag, family), _RIM).astype(np.float32)
 
 
 KERNELS = (renew, draw, centres)  # that are called from Python

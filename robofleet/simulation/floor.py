@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import CELLS
-
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory
+_CELLS = 8  # along a print that is no tag
 _PIXEL_M = 0.002  # side of a pixel of the drawn floor
 WIDEST = 2.0  # that the floor is drawn out to [camera's heights]; its rim goes on for ever
 _AROUND_M = 0.3  # drawn beyond what is in view: a camera may be knocked
@@ -40,8 +39,8 @@ class Floor:
             bends = rng.uniform(0, size) + 8.0 * np.stack([np.cos(heading), np.sin(heading)], axis=1).cumsum(0)
             cv2.polylines(floor, [bends.astype(np.int32)], False, 45, 4, cv2.LINE_AA)
         for _ in range(12):
-            cells = np.zeros((CELLS, CELLS), np.uint8)
-            cells[1:-1, 1:-1] = rng.integers(0, 2, (CELLS - 2, CELLS - 2))
+            cells = np.zeros((_CELLS, _CELLS), np.uint8)
+            cells[1:-1, 1:-1] = rng.integers(0, 2, (_CELLS - 2, _CELLS - 2))
             _paste(floor, 30 + 180 * np.pad(cells, 1, constant_values=1), side, rng)
         self._grays = np.asarray(cv2.GaussianBlur(floor, (0, 0), blur_px * 1.5), np.uint8)  # a pixel is about 1.5
 
@@ -54,7 +53,7 @@ class Floor:
 
 def _paste(floor: Image, cells: Image, side: float, rng: np.random.Generator) -> None:
     """Lay a print of ``cells`` somewhere onto ``floor``."""
-    scale, angle = side / (CELLS * _PIXEL_M), rng.uniform(-math.pi, math.pi)
+    scale, angle = side / (_CELLS * _PIXEL_M), rng.uniform(-math.pi, math.pi)
     c, s = scale * math.cos(angle), scale * math.sin(angle)
     x, y = rng.uniform(0, floor.shape[::-1])
     onto = np.array([[c, -s, x], [s, c, y]])

@@ -30,7 +30,7 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
         camera.noise_gray,
         rng,
         shutter=Shutter(camera.exposure_s, camera.model.line_time_s),
-        prints=[_print(tag) for tag in lying],
+        prints=[_print(tag, config.tracker.family) for tag in lying],
         offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in offsets]),
         light=simulated.light,
     )
@@ -93,6 +93,6 @@ def _progress(knock: Knock, t: float) -> float:
     return min(1.0, math.floor(_SLOW_STEPS * (t - knock.at_s) / knock.over_s) / _SLOW_STEPS)
 
 
-def _print(tag: FloorTag) -> Print:
-    target = Target(tag.tag, tag.side_m, tag.height_m, 0.0)
+def _print(tag: FloorTag, family: str) -> Print:
+    target = Target(tag.tag, tag.side_m, tag.height_m, 0.0, family)
     return Print(target, tag.x_m, tag.y_m, math.radians(tag.heading_deg))

@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import CELLS, FAMILY, PhotometricFit, pattern, side_px
+from robofleet.settings import FAMILIES, Family
+from robofleet.tracking.photometric import PhotometricFit, pattern, side_px
 from robofleet.tracking.tags import CORNERS, Findings, Found, Region, Squares
 from robofleet.tracking.targets import Target
 
@@ -33,17 +34,12 @@ _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step 
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
 _SAME = 0.12  # places closer than this are of one square [sides]
-_RIM = 15  # of the 28 cells of the black rim that must be seen
-_PAPER = 19  # of the 36 white cells around it
-_DISTANCE = 11  # bits by which any two tags of the family differ
+_RIM = 0.53  # of the black rim that must be seen
+_PAPER = 0.53  # of the white paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
 _HIDDEN = 0.04  # what a cell costs a cover that hides it; a cell as grey as its level costs one that does not 1
 _HIDES = 0.6  # of the rim, or of the paper, that a cover hides and that does not look as if it were seen
 _APART = 2  # bits by which another tag must be worse
-
-_EDGE = np.ones((CELLS, CELLS), np.bool_)
-_EDGE[1:-1, 1:-1] = False
-_PAPER_CELLS = np.pad(np.zeros((CELLS, CELLS), np.bool_), 1, constant_values=True)
 
 
 class DeepSearch:
@@ -56,8 +52,12 @@ class DeepSearch:
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._sizes_px = min(sizes), max(sizes)
         self._kinds = sorted({(target.side, target.height) for target in targets})
-        self._white = np.stack([pattern(target.tag) for target in targets]).astype(np.float32)
-        self._covers = _covers()
+        family = FAMILIES[fit.family]
+        self._cells_across, n = family.cells, family.cells + 2
+        self._grid, self._covers = _grid(n, family.cells), _covers(family)
+        depth = np.minimum.outer(*2 * (np.minimum(np.arange(n), np.arange(n)[::-1]),))  # 0: paper, 1: rim
+        self._paper, self._rim = depth == 0, depth == 1
+        self._white = np.stack([pattern(target.tag, fit.family) for target in targets]).astype(np.float32)
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
 
     def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
@@ -77,8 +77,8 @@ class DeepSearch:
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
-            pixels = self._pixels(centre, psi, side, height, _grid(CELLS + 2))
-            cells = _levels(part, pixels - corner).reshape(-1, CELLS + 2, CELLS + 2)
+            pixels = self._pixels(centre, psi, side, height, self._grid)
+            cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
             corners.append(self._pixels(centre[square], heading, side, height, CORNERS))
@@ -123,7 +123,7 @@ class DeepSearch:
                 return None
             centre, psi = complex(fit.centre[0]), float(fit.psi[0])
             if may_be_wrong == _AT_LAST and not (
-                _hides(cells, cover) and (followed or not self._is_like_another(cells, target, wrong))
+                self._hides(cells, cover) and (followed or not self._is_like_another(cells, target, wrong))
             ):
                 return None
         return Found(target, centre, psi)
@@ -133,7 +133,7 @@ class DeepSearch:
     def _edges(self, image: Image) -> tuple[Array, Array]:
         """Return begins and ends (E, 2) [px] of straight lines with black on their left and about a side long."""
         small, large = self._sizes_px
-        reach = max(1, round(_NEARBY * small / CELLS))
+        reach = max(1, round(_NEARBY * small / self._cells_across))
         box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
         below = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
@@ -178,12 +178,14 @@ class DeepSearch:
     # Cells
 
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Return which squares (M,) by their cells (M, 10, 10) may be which of the targets, turned how often."""
+        """Return which squares (M,) by their cells (M, C + 2, C + 2) may be which of the targets, turned how often."""
         inner = cells[:, 1:-1, 1:-1]
-        white, black = np.median(cells[:, _PAPER_CELLS], axis=1), np.median(inner[:, _EDGE], axis=1)
+        white, black = np.median(cells[:, self._paper], axis=1), np.median(cells[:, self._rim], axis=1)
         half = ((white + black) / 2.0)[:, None]
         good = white - black > _LEAST
-        good &= ((inner[:, _EDGE] < half).sum(1) >= _RIM) & ((cells[:, _PAPER_CELLS] > half).sum(1) >= _PAPER)
+        good &= ((cells[:, self._rim] < half).sum(1) >= _RIM * self._rim.sum()) & (
+            (cells[:, self._paper] > half).sum(1) >= _PAPER * self._paper.sum()
+        )
         square = np.flatnonzero(good)
         bits = (inner[square] > half[square, :, None]).astype(np.float32)
         found: list[tuple[int, int, int]] = []
@@ -195,31 +197,31 @@ class DeepSearch:
         return rows[:, 0], rows[:, 1], rows[:, 2].astype(np.float64)
 
     def _wrong(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return how many cells (M, 8, 8) differ from patterns (N, 8, 8), with the cover that explains most: (M, N)."""
-        white = white.reshape(-1, CELLS * CELLS).T
+        """Return how many cells (M, C, C) differ from patterns (N, C, C), with the cover that explains most: (M, N)."""
+        white = white.reshape(-1, self._seen.shape[1]).T
         wrong, theirs = np.empty((len(bits), white.shape[1]), np.float32), self._seen @ white
-        for k, one in enumerate(bits.reshape(-1, CELLS * CELLS)):  # every cover in one product
+        for k, one in enumerate(bits.reshape(-1, self._seen.shape[1])):  # every cover in one product
             differ = theirs + (self._seen @ one)[:, None] - 2.0 * ((self._seen * one) @ white)
             wrong[k] = differ.min(0)
         return wrong
 
     def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
-        """Return the cells (10, 10) of a print and its paper, 0 where black, 1 where white; None if it is not there."""
+        """Return the cells (C + 2, C + 2) of a print and its paper, 0: black, 1: white; None if it is not there."""
         one = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
-        pixels = self._pixels(*one, _grid(CELLS + 2))[0]
+        pixels = self._pixels(*one, self._grid)[0]
         left, top = np.floor(pixels.min(0)).astype(int) - 4
         right, bottom = np.ceil(pixels.max(0)).astype(int) + 5
         left, top = max(left, 0), max(top, 0)
         if not (left + 9 < right and top + 9 < bottom and left + 9 < image.shape[1] and top + 9 < image.shape[0]):
             return None
         part = _smooth(image[top:bottom, left:right])
-        cells = _levels(part, pixels[None] - [left, top])[0].reshape(CELLS + 2, CELLS + 2)
+        cells = _levels(part, pixels[None] - [left, top])[0].reshape(self._rim.shape)
         white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])
         return None if high - low < _LEAST else (cells - low) / (high - low)
 
     def _cover(self, cells: Array, target: int) -> tuple[NDArray[np.bool_], int]:
-        """Return the cells (10, 10) that are hidden, as far as that explains, and how many others are wrong."""
+        """Return the cells (C + 2, C + 2) that are hidden, as far as that explains, and how many others are wrong."""
         off = np.abs(cells[1:-1, 1:-1] - self._white[target]).ravel().clip(0.0, 1.0)
         best = int(np.argmin(self._seen @ (off * off) - _HIDDEN * self._seen.sum(1)))
         return self._covers[best], int(self._seen[best] @ (off > 0.5))
@@ -227,30 +229,27 @@ class DeepSearch:
     def _is_like_another(self, cells: Array, target: int, wrong: int) -> bool:
         """Return whether another tag of the family explains cells nearly as well, who leaves so many wrong."""
         bits = np.stack([np.rot90(cells[1:-1, 1:-1] > 0.5, turns) for turns in range(4)]).astype(np.float32)
-        others = self._wrong(bits, _family())
+        others = self._wrong(bits, _family(self._fit.family))
         others[0, self._targets[target].tag] = np.inf
         return bool(others.min() < wrong + _APART)
 
+    def _hides(self, cells: Array, cover: NDArray[np.bool_]) -> bool:
+        """Return whether a cover hides anything: else this may be another print, of which some bits are ours."""
+        if not cover.any():
+            return False
+        rim, paper = cells[cover & self._rim], cells[cover & self._paper]
+        return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
+
 
 @functools.cache
-def _family() -> NDArray[np.float32]:
-    """Return the patterns (N, 8, 8) of all tags of the family."""
-    ids = len(cv2.aruco.getPredefinedDictionary(FAMILY).bytesList)
-    return np.stack([pattern(tag) for tag in range(ids)]).astype(np.float32)
+def _family(name: str) -> NDArray[np.float32]:
+    """Return the patterns (N, C, C) of all tags of a family."""
+    return np.stack([pattern(tag, name) for tag in range(FAMILIES[name].ids)]).astype(np.float32)
 
 
-def _hides(cells: Array, cover: NDArray[np.bool_]) -> bool:
-    """Return whether a cover hides anything: else this may be another print, of which some bits are ours."""
-    if not cover.any():
-        return False
-    inner = np.pad(_EDGE, 1)
-    rim, paper = cells[cover & inner], cells[cover & _PAPER_CELLS]
-    return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
-
-
-def _grid(count: int) -> Complex:
-    """Return the middles (count * count,) of a print's cells, and of those around it, row by row [sides]."""
-    at = (np.arange(count) - (count - 1) / 2.0) / CELLS
+def _grid(count: int, cells: int) -> Complex:
+    """Return the middles (count * count,) of the cells of a print and its paper, row by row [sides]."""
+    at = (np.arange(count) - (count - 1) / 2.0) / cells
     return (at - 1j * at[:, None]).ravel()
 
 
@@ -268,9 +267,9 @@ def _levels(image: Image, pixels: Array) -> Array:
     return np.asarray(greys, np.float64).reshape(pixels.shape[:2])
 
 
-def _covers() -> NDArray[np.bool_]:
-    """Return what covers may hide of a print and its paper (C, 10, 10): nothing, a quarter, all beyond a line."""
-    n = CELLS + 2
+def _covers(family: Family) -> NDArray[np.bool_]:
+    """Return what covers may hide of a print and its paper (K, C + 2, C + 2): nothing, a quarter, all beyond a line."""
+    n = family.cells + 2
     at = np.arange(n) - (n - 1) / 2.0
     covers = [np.zeros((n, n), np.bool_)]
     for size in (n // 2 - 1, n // 2):
@@ -280,4 +279,4 @@ def _covers() -> NDArray[np.bool_]:
         depth = math.cos(angle) * at + math.sin(angle) * at[:, None]
         covers += [depth > edge for edge in np.arange(depth.max() - 1.0, 0.0, -0.5)]
     bits = np.array([cover[2:-2, 2:-2].sum() for cover in covers])
-    return np.unique(np.stack(covers)[bits <= _DISTANCE - _APART], axis=0)
+    return np.unique(np.stack(covers)[bits <= family.distance - _APART], axis=0)

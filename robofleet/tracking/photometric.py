@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import image_kernel
+from robofleet.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.projection import project
 from robofleet.tracking.targets import Target
@@ -25,9 +26,6 @@ from robofleet.tracking.targets import Target
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
-
-CELLS = 8  # of the pattern, black rim included
-FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 
 _SAMPLES_PX = 1.0  # of the fitted square, a pixel; fewer alias, and the error then depends on where the edges lie
 _FEWEST, _MOST = 16, 64  # samples along a side
@@ -62,12 +60,13 @@ class PhotometricFit:
         """Take a rolling shutter's time from row to row [s]."""
         self.geometry = geometry
         self._line_time = line_time
+        self.family = targets[0].family
         self._sides = np.array([target.side for target in targets])
         self.heights = np.array([target.height for target in targets])
         sizes = [side_px(geometry, target) for target in targets]
         at = _samples(round(min(max(_SAMPLES_PX * 2.0 * _REACH * max(sizes), _FEWEST), _MOST)))
-        self._prints = [(target.tag, px) for target, px in zip(targets, sizes, strict=True)]
-        self._templates = np.stack([_template(tag, px, at) for tag, px in self._prints])
+        self._prints = [(pattern(target.tag, self.family), px) for target, px in zip(targets, sizes, strict=True)]
+        self._templates = np.stack([_template(white, px, at) for white, px in self._prints])
         self._partly: dict[tuple[int, bytes], tuple[NDArray[np.float32], Indices]] = {}  # templates, concealed samples
         self._at = at[0].real.astype(np.float32)
         self._to_coefficients = np.linalg.inv(_monomials(_NODES))
@@ -100,11 +99,11 @@ class PhotometricFit:
         velocity: complex = 0.0,
         omega: float = 0.0,
     ) -> Fit:
-        """Return the pose of one target by the cells that are not ``covered`` (8, 8), row 0 at the print's top."""
+        """Return the pose of one target by the cells that are not ``covered`` (C, C), row 0 at the print's top."""
         key = target, covered.tobytes()
         if key not in self._partly:
             at = self._at[None, :] - 1j * self._at[:, None]
-            cell = np.clip(np.floor((self._at + 0.5) * CELLS), 0, CELLS - 1).astype(int)
+            cell = np.clip(np.floor((self._at + 0.5) * len(covered)), 0, len(covered) - 1).astype(int)
             seen = ~covered[cell[:, None], cell]
             if len(self._partly) >= _KEPT:
                 self._partly.clear()
@@ -152,10 +151,14 @@ def side_px(geometry: CameraGeometry, target: Target) -> float:
     return float(geometry.K[0, 0]) * target.side / (float(geometry.position[2]) - target.height)
 
 
-def pattern(tag: int) -> NDArray[np.bool_]:
-    """Return the tag's cells (8, 8), true where white, row 0 at the top as OpenCV prints it."""
-    family = cv2.aruco.getPredefinedDictionary(FAMILY)
-    return np.asarray(family.generateImageMarker(tag, CELLS) > 0)
+def dictionary(family: str) -> cv2.aruco.Dictionary:
+    """Return all tags of a family."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
+
+
+def pattern(tag: int, family: str) -> NDArray[np.bool_]:
+    """Return the tag's cells (C, C), black rim included, true where white, row 0 at the top as OpenCV prints it."""
+    return np.asarray(dictionary(family).generateImageMarker(tag, FAMILIES[family].cells) > 0)
 
 
 def _samples(count: int) -> Complex:
@@ -170,17 +173,19 @@ def _monomials(points: Complex) -> Array:
     return np.stack([a**i * b**j for j in range(3) for i in range(3)], axis=-1)
 
 
-def _template(tag: int, side_px: float, at: Complex, seen: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+def _template(
+    white: NDArray[np.bool_], side_px: float, at: Complex, seen: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
     """Return the rows (5, n) to multiply a patch of n greys with, sampled at ``at``; 0 where it is not ``seen``.
 
     Correlation times the patch's norm; contrast; contrast times the offset forward, left [sides] and counter-clockwise
     [rad]. Brightness and a slope of the light are fitted too, and dropped.
     """
     blur = _BLUR_PX / side_px
-    z = (at[0].real[:, None] - (np.arange(CELLS + 1) / CELLS - 0.5)) / blur
+    z = (at[0].real[:, None] - (np.arange(len(white) + 1) / len(white) - 0.5)) / blur
     step = np.vectorize(math.erf)(z / math.sqrt(2.0)) / 2.0
     slope = np.exp(-z * z / 2.0) / (blur * math.sqrt(2.0 * math.pi))
-    cell, edge, black = step[:, :-1] - step[:, 1:], slope[:, :-1] - slope[:, 1:], 1.0 - pattern(tag)
+    cell, edge, black = step[:, :-1] - step[:, 1:], slope[:, :-1] - slope[:, 1:], 1.0 - white
     look, forward, left = -cell @ black @ cell.T, -cell @ black @ edge.T, edge @ black @ cell.T
     spin = at.real * left - at.imag * forward
     basis = np.stack([look, -forward, -left, -spin, np.ones_like(look), at.real, at.imag]).reshape(7, -1)

@@ -1,4 +1,4 @@
-"""Finds a fleet's AprilTags (36h11) in an image, or in a region of it, with no memory of other images.
+"""Finds a fleet's AprilTags in an image, or in a region of it, with no memory of other images.
 
 A tag lies flat at a known height. With the pattern upright as OpenCV prints it (``cv2.aruco.generateImageMarker``),
 the print's right is its forward x, its top its left y. OpenCV finds and identifies the squares, with corners good to
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import CELLS, FAMILY, PhotometricFit, side_px
+from robofleet.tracking.photometric import PhotometricFit, dictionary, side_px
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -70,9 +70,9 @@ class TagDetector:
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._perimeter_px = (0.5 * 4.0 * min(sizes), 2.0 * 4.0 * max(sizes))
-        family = cv2.aruco.getPredefinedDictionary(FAMILY)
+        family = dictionary(fit.family)
         ids = [target.tag for target in targets]
-        fleet = cv2.aruco.Dictionary(family.bytesList[ids], CELLS - 2, family.maxCorrectionBits)
+        fleet = cv2.aruco.Dictionary(family.bytesList[ids], family.markerSize, family.maxCorrectionBits)
         self._parameters = _parameters()
         self._detector = cv2.aruco.ArucoDetector(fleet, self._parameters)
 

@@ -12,6 +12,7 @@ class Target(NamedTuple):
     side: float  # of its black square [m]
     height: float  # above the floor [m]
     max_speed: float  # 0 for a tag that lies still [m/s]
+    family: str = "36h11"  # one for all of a tracker
 
 
 def robot_targets(config: Config) -> list[Target]:
@@ -23,6 +24,7 @@ def robot_targets(config: Config) -> list[Target]:
             t.tag_side_m,
             t.tag_height_m if robot.tag_height_m is None else robot.tag_height_m,
             robot.vehicle.max_speed_m_s,
+            t.family,
         )
         for robot in config.seen
     ]
@@ -30,4 +32,5 @@ def robot_targets(config: Config) -> list[Target]:
 
 def floor_targets(config: Config) -> list[Target]:
     """Return the tags that lie on the floor, in the configuration's order."""
-    return [Target(floor.tag, floor.side_m, floor.height_m, 0.0) for floor in config.tracker.floor_tags]
+    t = config.tracker
+    return [Target(floor.tag, floor.side_m, floor.height_m, 0.0, t.family) for floor in t.floor_tags]

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import S
+from robofleet.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.events import News, Notice, TrackerEvent
@@ -33,7 +34,6 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_ALIKE = 0.8  # least correlation of a tag where it is expected: it may be partly hidden; another id reaches 0.65
 _CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
@@ -78,6 +78,7 @@ class TagTracker:
         """Take the image's (width, height) and a rolling shutter's time from row to row [s]."""
         n = len(targets)
         self._targets, self._size = tuple(targets), image_size
+        self._alike = FAMILIES[targets[0].family].alike  # a tag where it is expected may be partly hidden
         self._fit = PhotometricFit(geometry, targets, line_time)
         self._detector = TagDetector(self._fit, targets)
         self._deep = DeepSearch(self._fit, targets)
@@ -130,7 +131,7 @@ class TagTracker:
             return set()
         centre, psi, velocity = self._predicted(index, exposure_ns)
         fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
-        there = np.flatnonzero(fit.alike > _ALIKE)
+        there = np.flatnonzero(fit.alike > self._alike)
         for k in there[fit.alike[there] < _CLEAR][:_SEARCHES].tolist():
             tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
             if tag is not None:
