@@ -4,7 +4,7 @@ Every number has a least and a greatest value: what is outside exists in no labo
 nothing somewhere far from the line that says it. Every text and every list has a longest.
 """
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -26,6 +26,12 @@ FAMILIES: dict[str, Family] = {
     "25h9": Family(7, 35, 9, 0.8),
     "16h5": Family(6, 30, 5, 0.87),
 }
+
+
+def is_family(name: str) -> TypeGuard[FamilyName]:
+    """Return whether this is a family's name."""
+    return name in FAMILIES
+
 
 LAST_TAG = FAMILIES["36h11"].ids - 1  # of the largest family
 TAGS = LAST_TAG + 1  # so many robots can a camera tell apart

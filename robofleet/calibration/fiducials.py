@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from robofleet.calibration.frames import Named
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import Survey
+from robofleet.settings import FAMILIES, FamilyName
+from robofleet.tracking.photometric import dictionary
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_CELLS = 8  # of the pattern, black rim included
 _MARGIN = 0.5  # of the white around it that is compared, too [cells]
 _FINE = 16  # pixels of the drawn print, a cell
 _BLUR_PX = 0.6  # standard deviation expected of lens and pixel; a wrong one does not bias
@@ -71,10 +72,11 @@ class Look(NamedTuple):
 
 
 class TagFinder:
-    """Finds every tag of 36h11 in an image."""
+    """Finds every tag of a family in an image."""
 
-    def __init__(self) -> None:
-        self._family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    def __init__(self, family: FamilyName) -> None:
+        self._family = dictionary(family)
+        self._cells = FAMILIES[family].cells
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
         self._detector = cv2.aruco.ArucoDetector(self._family, parameters)
@@ -91,9 +93,9 @@ class TagFinder:
 
     def _laid_over(self, image: Image, tag: int, corners: Array) -> Seen | None:
         """Return the print that has its corners near (4, 2) [px]; None if none there looks like the tag."""
-        cell = max(2.0, float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()) / _CELLS)
+        cell = max(2.0, float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()) / self._cells)
         template, middle = self._template(tag, cell)
-        rim = cell * _CELLS / 2.0
+        rim = cell * self._cells / 2.0
         drawn = middle + rim * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         # The patch keeps the warp's numbers small, which are single precision.
         left, top = (int(corner) for corner in np.maximum(corners.min(0) - 2.0 * cell, 0.0))
@@ -113,11 +115,11 @@ class TagFinder:
 
     def _template(self, tag: int, cell: float) -> tuple[NDArray[np.float32], float]:
         """Return the print as a camera shows it with ``cell`` pixels a cell, and its middle's coordinate."""
-        print_ = np.pad(self._family.generateImageMarker(tag, _CELLS), 1, constant_values=255)
+        print_ = np.pad(self._family.generateImageMarker(tag, self._cells), 1, constant_values=255)
         drawn = np.kron(print_, np.ones((_FINE, _FINE), np.uint8)).astype(np.float32)
         scale = _FINE / cell
         blurred = cv2.GaussianBlur(drawn, (0, 0), _BLUR_PX * scale)
-        size = math.ceil((_CELLS + 2.0 * _MARGIN) * cell)
+        size = math.ceil((self._cells + 2.0 * _MARGIN) * cell)
         middle = (size - 1) / 2.0
         shift = (len(drawn) - 1) / 2.0 - scale * middle
         at = np.array([[scale, 0.0, shift], [0.0, scale, shift]])
@@ -140,7 +142,7 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     ]
     if outside:
         raise CalibrationError(outside)
-    finder = TagFinder()
+    finder = TagFinder(survey.family)
     found = [finder.find(image) for _, image in images]
     twice = {tag for prints in found for tag, seen in prints.items() if len(seen) > 1}
     tracks = {

@@ -15,7 +15,7 @@ from robofleet.config import groups
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.tree import Config
 from robofleet.figures import QUIET
-from robofleet.settings import LAST_TAG
+from robofleet.settings import FAMILIES, FamilyName
 
 MOST = 8
 _CORNERS = (-1, -1), (1, -1), (1, 1), (-1, 1)
@@ -34,10 +34,12 @@ class Floor(NamedTuple):
     size_m: tuple[float, float]
     tags: tuple[FloorTag, ...]  # where they shall lie, or lie already
     surveyed: bool  # the configuration has them already
+    family: FamilyName
 
     def survey(self) -> list[str]:
         """Return the lines of a survey file; places that nobody has measured yet are empty."""
         return [
+            *([] if self.family == "36h11" else [f"family: {self.family}"]),
             "floor_tags:",
             *(
                 f"  - {{tag: {tag.tag}, side_m: {tag.side_m:g}, x_m: {tag.x_m:g}, y_m: {tag.y_m:g}}}"
@@ -55,23 +57,24 @@ def planned(config: Config, count: int, side_mm: float, first_id: int) -> Floor:
     """
     arena = config.arena
     if config.tracker.floor_tags:
-        return Floor(arena.name, arena.size_m, config.tracker.floor_tags, surveyed=True)
+        return Floor(arena.name, arena.size_m, config.tracker.floor_tags, surveyed=True, family=config.tracker.family)
     if not LEAST <= count <= MOST:
         raise CalibrationError(f"--count {count}: must be {LEAST} to {MOST}")
-    inset = piece_side(side_mm) / 2e3
+    family = config.tracker.family
+    inset, last = piece_side(side_mm, family) / 2e3, FAMILIES[family].ids - 1
     half = [side / 2 - inset for side in arena.size_m]
     if min(half) < 2 * inset:
         raise CalibrationError(f"--side-mm {side_mm:g}: too large for an arena of {_size(arena.size_m)} m")
     robots = {robot.tag for robot in config.robots}
-    ids = list(itertools.islice((tag for tag in range(first_id, LAST_TAG + 1) if tag not in robots), count))
+    ids = list(itertools.islice((tag for tag in range(first_id, last + 1) if tag not in robots), count))
     if len(ids) < count:
-        raise CalibrationError(f"--first-id {first_id}: {count} free ids up to {LAST_TAG} are needed: begin lower")
+        raise CalibrationError(f"--first-id {first_id}: {count} free ids up to {last} are needed: begin lower")
     places = (*_CORNERS, *_MIDDLES)[:count]
     tags = [
         FloorTag(tag=tag, side_m=side_mm / 1e3, x_m=round(x * half[0], 2), y_m=round(y * half[1], 2))
         for tag, (x, y) in zip(ids, places, strict=True)
     ]
-    return Floor(arena.name, arena.size_m, tuple(tags), surveyed=False)
+    return Floor(arena.name, arena.size_m, tuple(tags), surveyed=False, family=family)
 
 
 def pages(config: Config, floor: Floor, paper: str, command: str) -> list[Page]:
@@ -80,7 +83,9 @@ def pages(config: Config, floor: Floor, paper: str, command: str) -> list[Page]:
     prints = [
         page
         for side_m in sides
-        for page in tag_pages([tag.tag for tag in floor.tags if tag.side_m == side_m], 1e3 * side_m, paper, command)
+        for page in tag_pages(
+            [tag.tag for tag in floor.tags if tag.side_m == side_m], 1e3 * side_m, paper, command, floor.family
+        )
     ]
     return [*_survey_pages(config, floor, paper, command), *prints]
 

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.store import CalibrationError
 from robofleet.figures import INK, QUIET
+from robofleet.settings import FAMILIES, FamilyName
+from robofleet.tracking.photometric import dictionary
 
 # Width and height, upright [mm].
 PAPERS: dict[str, tuple[float, float]] = {
     "a4": (210.0, 297.0), "a3": (297.0, 420.0), "a2": (420.0, 594.0), "a1": (594.0, 841.0), "a0": (841.0, 1189.0),
     "letter": (215.9, 279.4), "legal": (215.9, 355.6), "tabloid": (279.4, 431.8),
 }  # fmt: skip
-TAG_CELLS = 8  # of a tag's side, black rim included
 MARKER_CELLS = 7  # of a board's marker
 LARGEST_BOARD = (11, 8)  # squares of a board that the paper alone decides
 
@@ -103,30 +104,29 @@ def outline(black: NDArray[Any]) -> Outline:
     return Outline(np.array(vertices, dtype=np.float64), codes)
 
 
-def piece_side(side: float) -> float:
+def piece_side(side: float, family: FamilyName = "36h11") -> float:
     """Return the side of a tag's piece of paper whose black square has that side [mm]."""
-    return side * (1.0 + 2.0 / TAG_CELLS) + 2.0 * RIM
+    return side * (1.0 + 2.0 / FAMILIES[family].cells) + 2.0 * RIM
 
 
-def tag_pages(ids: Sequence[int], side: float, paper: str, command: str) -> list[Page]:
+def tag_pages(ids: Sequence[int], side: float, paper: str, command: str, family: FamilyName = "36h11") -> list[Page]:
     """Return sheets of tags whose black square has that side [mm]."""
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    piece = piece_side(side)
+    tags, cells, piece = dictionary(family), FAMILIES[family].cells, piece_side(side, family)
     size, columns, rows = _grid(piece, paper)
     if columns * rows == 0:
         raise CalibrationError(f"--side-mm {side:g}: with its white rim {piece:.4g} mm wide, too large for {paper}")
     pages = []
     for start in range(0, len(ids), columns * rows):
         page = Page(size)
-        foot(page, command, f"AprilTag 36h11, black square {side:g} mm")
+        foot(page, command, f"AprilTag {family}, black square {side:g} mm")
         left = (page.width + LEFT - MARGIN - columns * piece) / 2.0
         top = page.height - MARGIN
         for k, tag in enumerate(ids[start : start + columns * rows]):
             x, y = left + k % columns * piece, top - (k // columns + 1) * piece
             _piece(page, x, y, piece, tag, f"id {tag}   {side:g} mm")
-            black = family.generateImageMarker(tag, TAG_CELLS) == 0
+            black = tags.generateImageMarker(tag, cells) == 0
             inset = (piece - side) / 2.0
-            page.fill(outline(black), x + inset, y + inset, side / TAG_CELLS, f"tag-{tag}")
+            page.fill(outline(black), x + inset, y + inset, side / cells, f"tag-{tag}")
         pages.append(page)
     return pages
 

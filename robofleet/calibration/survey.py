@@ -14,7 +14,7 @@ from pydantic import Field
 
 from robofleet.calibration.store import CalibrationError, load
 from robofleet.config.calibrated import FloorTag
-from robofleet.settings import Coordinate, Model, NonNegative, within
+from robofleet.settings import Coordinate, FamilyName, Model, NonNegative, within
 
 LEAST = 4  # marks that determine where a camera hangs
 _LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line
@@ -34,6 +34,7 @@ class SurveyedPoint(Model):
 class Survey(Model):
     """Tags and points of one floor."""
 
+    family: FamilyName = "36h11"
     floor_tags: Annotated[tuple[FloorTag, ...], Field(strict=False)] = ()
     points: Annotated[tuple[SurveyedPoint, ...], Field(strict=False)] = ()
 

@@ -22,7 +22,7 @@ from robofleet.calibration.sheets import PAPERS, board_page, tag_pages, write
 from robofleet.calibration.sizes import count as columns_and_rows
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import load_config
-from robofleet.settings import LAST_TAG
+from robofleet.settings import FAMILIES, LAST_TAG, FamilyName, is_family
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 
@@ -36,14 +36,18 @@ def tags(
     out: OutFile,
     side_mm: Annotated[float, typer.Option("--side-mm", help="Side of the black square")] = 70.0,
     paper: PaperName = "a4",
+    family: Annotated[str, typer.Option("--family", help=f"{', '.join(FAMILIES)}: as tracker.family")] = "36h11",
 ) -> None:
-    """AprilTags 36h11, to cut out. A print's right is its robot's forward.
+    """AprilTags, to cut out. A print's right is its robot's forward.
 
     $ robofleet sheet tags --ids 1-4,10 --side-mm 70 --out tags.pdf
     """
     _check(paper, out, {"--side-mm": side_mm})
-    command = f"tags --ids {ids} --side-mm {side_mm:g} --paper {paper.lower()}"
-    for file in write(tag_pages(parse_ids(ids), side_mm, paper.lower(), _command(command, out)), out):
+    if not is_family(family):
+        raise CalibrationError(f"--family {family}: must be {', '.join(FAMILIES)}")
+    named = "" if family == "36h11" else f" --family {family}"
+    command = f"tags --ids {ids} --side-mm {side_mm:g} --paper {paper.lower()}{named}"
+    for file in write(tag_pages(parse_ids(ids, family), side_mm, paper.lower(), _command(command, out), family), out):
         print(file)
 
 
@@ -108,16 +112,17 @@ def board(
     )
 
 
-def parse_ids(text: str) -> list[int]:
+def parse_ids(text: str, family: FamilyName = "36h11") -> list[int]:
     """Return the ids of a list of numbers and ranges; CalibrationError for what is none of the family, or twice."""
     ids: list[int] = []
+    greatest = FAMILIES[family].ids - 1
     for part in text.split(","):
         ends = part.strip().split("-")
         if len(ends) > 2 or not all(end.strip().isdecimal() for end in ends):
             raise CalibrationError(f"--ids {text}: {part.strip()!r} is neither an id nor a range; write it as 1-4,10")
         first, last = int(ends[0]), int(ends[-1])
-        if last > LAST_TAG or first > last:
-            raise CalibrationError(f"--ids {text}: {part.strip()!r} is not in 0-{LAST_TAG}, or goes backwards")
+        if last > greatest or first > last:
+            raise CalibrationError(f"--ids {text}: {part.strip()!r} is not in 0-{greatest}, or goes backwards")
         ids += range(first, last + 1)
     twice = sorted({tag for tag in ids if ids.count(tag) > 1})
     if twice:
