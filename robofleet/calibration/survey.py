@@ -14,7 +14,7 @@ from pydantic import Field
 
 from robofleet.calibration.store import CalibrationError, load
 from robofleet.config.calibrated import FloorTag
-from robofleet.settings import Coordinate, FamilyName, Model, NonNegative, within
+from robofleet.settings import FAMILIES, Coordinate, FamilyName, Model, NonNegative, within
 
 LEAST = 4  # marks that determine where a camera hangs
 _LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line
@@ -67,6 +67,8 @@ def _faults(survey: Survey) -> Iterator[str]:
     for i, mark in enumerate(survey.marks):
         where = f"floor_tags.{i}" if i < tags else f"points.{i - tags}"
         name = mark.tag if isinstance(mark, FloorTag) else mark.name
+        if isinstance(mark, FloorTag) and mark.tag >= (ids := FAMILIES[survey.family].ids):
+            yield f"{where}.tag: {mark.tag}: the family {survey.family} has the ids 0 to {ids - 1}: mend one"
         if name in names:
             yield f"{where}: {name!r} is {names[name]}'s already: survey each mark once"
         place = (mark.x_m, mark.y_m, mark.height_m)

@@ -1,10 +1,11 @@
 """Tags of every family that a laboratory may take."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from robofleet.config.files import load_config
 
-from robofleet.config.faults import ConfigError
+from robofleet.config.load import ConfigError, load_config
 from robofleet.settings import FAMILIES
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.targets import Target
@@ -23,7 +24,7 @@ from tests.tracking.test_tracker import (
     measured,
 )
 
-PLATOON = "configs/platoon.yaml"
+PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 
 
 def targets(family: str) -> list[Target]:
