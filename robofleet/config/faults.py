@@ -254,7 +254,7 @@ def _tag_sizes(config: Config) -> Iterator[Complaint]:
         if 0.0 < cell_px < LEAST_CELL_PX:
             least_m = side_m * LEAST_CELL_PX / cell_px
             yield (
-                path,
+                path.replace("tracker.tag_height_m", "tracker.tag_side_m"),
                 f"a cell of a {tracker.family} tag of {side_m:g} m has {cell_px:.2g} px, {LEAST_CELL_PX:g} are needed: "
                 f"print it {least_m:.2g} m large, hang the camera lower, or take a family with fewer cells",
             )
