@@ -9,8 +9,10 @@ The script is a client without privileges. What it wishes goes over the bus to t
 limits, the barrier and every gate stand behind it.
 """
 
+import argparse
 import math
 import secrets
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -26,8 +28,9 @@ from robofleet.behaviours.interface import Dots, Line, WishKind
 from robofleet.behaviours.script import journey
 from robofleet.comms.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Note, NoteKind, RobotTick
 from robofleet.config import groups, slices
+from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes.script_link import FleetError, Link
+from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link
 from robofleet.valid_json import dumps
 
 __all__ = ["Fleet", "FleetError"]
@@ -77,7 +80,31 @@ class Fleet:
         self._where, self._lockstep, self._out, self._group, self._copy = where, lockstep, out, group, config
         self._changes = [*settings, *([] if seed is None else [f"run.seed={seed}"])]
         self._link: Link | None = None
+        self._program = False  # a person who started it reads what is wrong
         self.summary: Summary = {}
+
+    @classmethod
+    def from_arguments(cls, config: str | Path, arguments: Sequence[str] | None = None) -> Self:
+        """Return what the script's command line asks for: ``[WHERE] [--real-time] [--set KEY=VALUE] [--seed N] ...``
+
+        Without arguments it is a run of ``config`` in lockstep. ``--help`` tells the script's docstring and all
+        arguments. What is wrong is told in a line, and the script ends with exit code 2. ``arguments``: others than
+        those of the command line.
+        """
+        about = getattr(sys.modules["__main__"], "__doc__", None)
+        raw = argparse.RawDescriptionHelpFormatter
+        parser = argparse.ArgumentParser(description=about, formatter_class=raw, allow_abbrev=False)
+        add = parser.add_argument
+        add("where", nargs="?", default=config, metavar="WHERE", help="another configuration, or an arena with a run")
+        add("--real-time", action="store_true", help="a run in real time; else in lockstep on a simulated clock")
+        add("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE", help="change a key; repeatable")
+        add("--seed", type=int, metavar="N", help="default: run.seed")
+        add("--out", type=Path, metavar="DIR", help="default: runs/<UTC time>-<name>")
+        chosen = vars(parser.parse_args(arguments))
+        lockstep = not chosen.pop("real_time") and Path(chosen["where"]).suffix in CONFIGURATIONS
+        fleet = cls(chosen.pop("where"), lockstep=lockstep, **chosen)
+        fleet._program = True
+        return fleet
 
     # The run
 
@@ -143,7 +170,13 @@ class Fleet:
 
     def __enter__(self) -> Self:
         """Begin."""
-        return self.open()
+        try:
+            return self.open()
+        except (ConfigError, FleetError) as error:
+            if self._program:
+                print(error, file=sys.stderr)
+                raise SystemExit(2) from error
+            raise
 
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
