@@ -187,6 +187,8 @@ class Fleet:
         if isinstance(error, KeyboardInterrupt):  # an arena's run goes on
             well, why = self._link is None or not self._link.ends, "the operator interrupted"
         self.close(None if well else why)
+        if self._program and self.folder is not None:
+            print(self.folder / "report.html")
 
     # What is known
 

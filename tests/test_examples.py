@@ -33,7 +33,7 @@ def test_every_example_is_short_and_says_how_it_is_started() -> None:
         text = file.read_text()
         assert f"\nStart it with: python configs/examples/{file.name}" in text
         lines = text.count("\n")
-        assert lines <= 80
+        assert lines <= 85
         assert re.search(rf"^\| \[{file.name}\]\({file.name}\) \| .* \| {lines} \|$", table, re.MULTILINE)
     assert len([*EXAMPLES.glob("*.py")]) == table.count("\n| [")
 
@@ -145,8 +145,11 @@ def test_keys_drive_the_chosen_robot() -> None:
         teleop.teleoperate(fleet, [*"3aa", *[""] * 30, "9", "?", *" w"])
         turned = fleet.poses[:, 2] - before[:, 2]
         assert np.remainder(turned[2], 2 * np.pi) == pytest.approx(0.6 * 32 * fleet.tick_s, rel=0.2)
-        teleop.teleoperate(fleet, "s" * 100)  # never faster than the limit
-    assert kept({"fleet": fleet}) == {}
+        before = fleet.poses
+        teleop.teleoperate(fleet, "s" * 90)
+        backed = before[0, 0] - fleet.poses[0, 0]
+        assert 0.3 < backed < 90 * fleet.tick_s * teleop.LIMIT[0]
+    assert fleet.summary["min_gap_mm"] >= BARRIER_MM
 
 
 @pytest.fixture
@@ -209,6 +212,7 @@ def test_what_the_command_line_asks_for_is_done_and_what_is_wrong_is_a_line(
     ) as fleet:
         assert (fleet.config.run.seed, fleet.config.tracker.source) == (5, "truth")
     assert (tmp_path / "kept" / "summary.json").is_file()
+    assert capsys.readouterr().out == f"{tmp_path / 'kept' / 'report.html'}\n"
     for wrong, why in [
         (["nowhere"], "nowhere"),
         (["--set=run.sed=5"], "did you mean 'seed'"),
