@@ -12,7 +12,7 @@ import numpy as np
 
 from robofleet import Fleet
 
-K, ADMITTED = 1.0, 0.1  # gain [1/s]; highest speed of a robot [m/s]
+K, SPEED = 1.0, 0.1  # gain [1/s]; highest speed of a robot [m/s]
 LAPLACIAN = np.array([[1, -1, 0, 0], [-1, 2, -1, 0], [0, -1, 2, -1], [0, 0, -1, 1]])  # r1 - r2 - r3 - r4
 SHAPES = {  # places of r1 to r4 [m]
     "line": [(-0.6, 0.0), (-0.2, 0.0), (0.6, 0.0), (0.2, 0.0)],
@@ -22,8 +22,8 @@ SHAPES = {  # places of r1 to r4 [m]
 
 
 def slowed(velocities: np.ndarray) -> np.ndarray:
-    """Slow all robots together (N, 2), so that the fastest has the admitted speed: the shape of the motion is kept."""
-    return velocities / max(1.0, np.linalg.norm(velocities, axis=1).max() / ADMITTED)
+    """Slow all robots together (N, 2), so that the fastest has SPEED at most: each keeps its direction."""
+    return velocities / max(1.0, np.linalg.norm(velocities, axis=1).max() / SPEED)
 
 
 with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:

@@ -26,7 +26,7 @@ def oval(t: float) -> tuple[np.ndarray, np.ndarray]:
 with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     n = len(fleet.robots)
     fleet.go_to({robot: (-GAP * i, -OVAL[1], 0) for i, robot in enumerate(fleet.robots)})
-    fleet.mark("the leader's way", [oval(t)[0] for t in np.linspace(0, PERIOD, 100)], line=True)
+    fleet.mark("the leader's way", [oval(t)[0] for t in np.linspace(0, PERIOD, 100)], closed=True)
     for t in fleet.ticks(30):
         x, v = fleet.points, np.zeros((n, 2))
         place, speed = oval(t)

@@ -41,8 +41,8 @@ opti.minimize(away + 0.02 * turned + 0.001 * ca.sumsqr(u) + 10 * ca.sum1(inside)
 opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
 
 with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
-    angle = np.linspace(0, 2 * np.pi, 50)
-    fleet.mark("obstacle", OBSTACLE + RADIUS * np.column_stack([np.cos(angle), np.sin(angle)]), line=True)
+    angle = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    fleet.mark("obstacle", OBSTACLE + RADIUS * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
     clearance = np.inf
     wishes = np.zeros((len(fleet.robots), 2))
     for _ in fleet.ticks(30):

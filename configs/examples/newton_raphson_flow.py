@@ -64,7 +64,7 @@ with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     heading = np.arctan2(way[:, 1], way[:, 0])
     centre = reference(0.0) - AHEAD * np.column_stack([np.cos(heading), np.sin(heading)])
     fleet.go_to({robot: (*centre[i], np.degrees(heading[i])) for i, robot in enumerate(fleet.robots)})
-    fleet.mark("ellipse", [reference(t)[0] for t in np.linspace(0, LAP_S, 100)], line=True)
+    fleet.mark("ellipse", [reference(t)[0] for t in np.linspace(0, LAP_S, 100)], closed=True)
 
     u, control, tracking = np.zeros((len(fleet.robots), 2)), [], []
     for t in fleet.ticks(20):

@@ -33,7 +33,9 @@ def filtered(velocity: np.ndarray, point: np.ndarray, obstacle: np.ndarray) -> n
 with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     goals = fleet.points * [-1, 1]
     fleet.mark("goals", goals)
-    fleet.mark("obstacles", DISCS)
+    angle = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    for k, disc in enumerate(DISCS):
+        fleet.mark(f"obstacle {k + 1}", disc + KEEP * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
     nearest = np.inf
     for _ in fleet.ticks(40):
         x = fleet.points
