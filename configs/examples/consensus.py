@@ -10,13 +10,14 @@ Start it with: python configs/examples/consensus.py
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet import Fleet
 
 K = 0.06  # [1/s]
 
 
-def ring(n: int) -> np.ndarray:
+def ring(n: int) -> NDArray[np.float64]:
     """Return the Laplacian (n, n) of a ring: each robot knows the one before it and the one behind it."""
     to_next = np.roll(np.eye(n), 1, axis=1)
     return 2 * np.eye(n) - to_next - to_next.T

@@ -9,6 +9,7 @@ Start it with: python configs/examples/formation.py
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet import Fleet
 
@@ -21,9 +22,10 @@ SHAPES = {  # places of r1 to r4 [m]
 }
 
 
-def slowed(velocities: np.ndarray) -> np.ndarray:
+def slowed(velocities: NDArray[np.float64]) -> NDArray[np.float64]:
     """Slow all robots together (N, 2), so that the fastest has SPEED at most: each keeps its direction."""
-    return velocities / max(1.0, np.linalg.norm(velocities, axis=1).max() / SPEED)
+    fastest = float(np.linalg.norm(velocities, axis=1).max())
+    return velocities / max(1.0, fastest / SPEED)
 
 
 with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:

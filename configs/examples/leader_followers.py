@@ -9,6 +9,7 @@ Start it with: python configs/examples/leader_followers.py
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet import Fleet
 
@@ -16,7 +17,7 @@ GAP, K = 0.3, 1.0  # from point to point [m]; gain [1/s]
 OVAL, PERIOD = np.array([0.9, 0.6]), 55.0  # half axes [m], time of a lap [s]
 
 
-def oval(t: float) -> tuple[np.ndarray, np.ndarray]:
+def oval(t: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where the leader's point is to be at a time [m], and how fast it moves there [m/s]."""
     rate = 2 * np.pi / PERIOD
     s, c = np.sin(rate * t), np.cos(rate * t)

@@ -51,8 +51,8 @@ with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
         opti.set_initial(plan.value_variables())  # the next plan is much the same
         wishes[0] = plan.value(u[:, 0])
         fleet.drive(wishes)
-        fleet.mark("plan", plan.value(z[:2, :]).T, line=True)
-        clearance = min(clearance, np.linalg.norm(fleet.poses[0, :2] - OBSTACLE) - RADIUS)
+        fleet.mark("plan", np.transpose(plan.value(z[:2, :])), line=True)
+        clearance = min(clearance, float(np.linalg.norm(fleet.poses[0, :2] - OBSTACLE)) - RADIUS)
         off = fleet.poses[0] - GOAL
         if np.linalg.norm(off[:2]) < NEAR[0] and abs(off[2]) < NEAR[1]:
             break

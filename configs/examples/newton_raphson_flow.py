@@ -10,6 +10,7 @@ Start it with: python configs/examples/newton_raphson_flow.py
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet import Fleet
 
@@ -17,7 +18,7 @@ ALPHA, T, STEPS = 45.0, 0.6, 6  # the paper's gain [1/s] and horizon [s]; steps 
 AHEAD = 0.08  # of the point, before the axle [m]
 RADII, LAP_S = np.array([1.0, 0.6]), 60.0  # the ellipse that the robots drive [m]
 
-Array = np.ndarray
+Array = NDArray[np.float64]
 
 
 def f(x: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -58,7 +59,8 @@ with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     def reference(t: float) -> Array:
         """Return where the robots' points are to be (N, 2) [m]."""
         angle = first + 2 * np.pi * t / LAP_S
-        return RADII * np.column_stack([np.cos(angle), np.sin(angle)])
+        place: Array = RADII * np.column_stack([np.cos(angle), np.sin(angle)])
+        return place
 
     way = reference(0.1) - reference(0.0)
     heading = np.arctan2(way[:, 1], way[:, 0])

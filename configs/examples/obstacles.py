@@ -10,6 +10,7 @@ Start it with: python configs/examples/obstacles.py
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet import Fleet
 
@@ -17,16 +18,17 @@ SPEED, K, GAMMA = 0.12, 1.0, 1.0  # highest [m/s]; gains of goal and filter [1/s
 DISCS = np.array([[0.0, 0.1], [0.5, -0.55]])  # centres of the obstacles [m]
 KEEP = 0.25  # of a point ahead from a disc's centre, and from another point ahead [m]
 
+Array = NDArray[np.float64]
 
-def filtered(velocity: np.ndarray, point: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
+
+def filtered(velocity: Array, point: Array, obstacle: Array) -> Array:
     """Return the velocity that keeps d' >= -gamma (d - keep), for the distance d from the obstacle."""
-    away = point - obstacle
-    d = np.linalg.norm(away)
-    away /= d
-    lacking = -GAMMA * (d - KEEP) - velocity @ away
+    d = float(np.linalg.norm(point - obstacle))
+    away = (point - obstacle) / d
+    lacking = float(-GAMMA * (d - KEEP) - velocity @ away)
     if lacking <= 0:
         return velocity
-    right = np.array([-away[1], away[0]])  # of who drives towards it
+    right: Array = np.array([-away[1], away[0]])  # of who drives towards it
     return velocity + lacking * (away + right)
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet import Fleet
 
-Array = np.ndarray
+Array = NDArray[np.float64]
 CONFIG = Path(__file__).parents[1] / "script.yaml"
 SCALE = np.array([0.15, 2.0])  # what the action 1 is: v [m/s], omega [rad/s]
 NEAR, LIMIT_S = 0.02, 20.0  # all goals are reached within [m]; an episode takes no longer
@@ -48,7 +49,7 @@ class Reach:
         over = next(self.ticks, None) is None
         seen = self._observation()
         away = np.linalg.norm(seen, axis=1)
-        return seen, -self.fleet.tick_s * away.mean(), bool((away < NEAR).all()), over, {}
+        return seen, -self.fleet.tick_s * float(away.mean()), bool((away < NEAR).all()), over, {}
 
     def close(self) -> None:
         """End the run."""
@@ -70,8 +71,9 @@ def rollout(env: Reach, policy: Callable[[Array], Array], seed: int) -> tuple[fl
 
 
 def straight(seen: Array) -> Array:
-    """Drive the point ahead straight to its goal: with its distance from the axle, sideways is turning."""
-    return seen * [1.0, 1.0 / 0.08] / SCALE
+    """Drive the point ahead straight to its goal: forwards is driving, and sideways is turning about the axle."""
+    action: Array = seen * [1.0, 1.0 / 0.08] / SCALE
+    return action
 
 
 if __name__ == "__main__":
