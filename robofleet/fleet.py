@@ -398,11 +398,17 @@ class Fleet:
         if self._strange * self._tick_s > _OTHERS_S:
             raise FleetError("another script drives these robots: end that one first")
 
+    @property
+    def _wanted(self) -> str:
+        return f"must be ({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
+
     def _checked(self, values: ArrayLike, what: str) -> Array:
-        found = np.asarray(values, dtype=np.float64)
+        try:
+            found = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{what}: this {type(values).__name__} is no array of numbers, {self._wanted}") from error
         if found.shape != (len(self.robots), 2):
-            wanted = f"({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
-            raise ValueError(f"{what}: the shape is {found.shape}, must be {wanted}")
+            raise ValueError(f"{what}: the shape is {found.shape}, {self._wanted}")
         if not np.abs(found).max() < _BEYOND:  # not so of NaN
             row = int((~(np.abs(found) < _BEYOND)).any(axis=1).argmax())
             said = f"{found[row].tolist()} of {self.robots[row]}"
