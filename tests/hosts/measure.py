@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 import psutil
-import yaml
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.keys import STATE, STATUS, key
@@ -272,21 +271,21 @@ def stop(times: int, driving: int) -> dict[str, Any]:
             else:
                 failed.append(answer.stderr)
 
+        desk, names = network["desk"], ("router", "twins", "supervisor")  # one by one: no launcher ends at a stop
+        alone = [lab.begin(process, str(file), log=lab.folder / f"{process}.log") for process in names]
+        for process in alone:
+            stack.callback(ended, process)
+        assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 60)
+        for _ in range(times):
+            stopped("waiting")
+            assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 20)
+        for process in reversed(alone):
+            ended(process)
         for number in range(driving):
             run = fleet.run(file, f"stop{number}", *_TRUTH, "--reset")
             begun(fleet, run, f"stop{number}")
             stopped("driving")
             run.wait(60)
-        tree = yaml.safe_load(file.read_text())  # these processes one by one: no launcher ends at a stop
-        tree["tracker"] = {**tree.get("tracker", {}), "source": "truth"}
-        file.write_text(yaml.safe_dump(tree))
-        for process in ("router", "twins", "supervisor"):
-            stack.callback(ended, lab.begin(process, str(file), log=lab.folder / f"{process}.log"))
-        desk = network["desk"]
-        assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 60)
-        for _ in range(times):
-            stopped("waiting")
-            assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 20)
         told = {
             robots: {"times": len(ms), "median_ms": float(np.median(ms)), "worst_ms": max(ms)}
             for robots, ms in took.items()
@@ -308,7 +307,7 @@ def main() -> None:
     what.add_parser("laboratory")
     stops = what.add_parser("stop")
     stops.add_argument("--times", type=int, default=100)
-    stops.add_argument("--driving", type=int, default=10)
+    stops.add_argument("--driving", type=int, default=0)
     asked = told.parse_args()
     found: dict[str, Callable[[], Any]] = {
         "lap": lap, "radio": lambda: radio(asked.pattern, asked.laps, asked.seed), "cut": lambda: cut(asked.seconds),
