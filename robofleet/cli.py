@@ -15,6 +15,7 @@ from robofleet.calibration.commands import entry as laboratory
 from robofleet.clock import utc_now
 from robofleet.doctor import command as doctoring
 from robofleet.experiments import trials
+from robofleet.gateways.robotarium import command as gateway
 from robofleet.processes import commands, going, join_command, keys_commands, run_commands, usage
 from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
@@ -57,6 +58,7 @@ for _afterwards in run_commands.app.registered_commands:
 app.add_typer(doctoring.app)
 app.add_typer(trials.app)
 app.add_typer(studies.app)
+app.add_typer(gateway.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
 app.add_typer(keys_commands.app)

@@ -26,12 +26,15 @@ from numpy.typing import ArrayLike, NDArray
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Dots, Line, WishKind
 from robofleet.behaviours.script import journey
+from robofleet.comms import sensors
 from robofleet.comms.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Note, NoteKind, RobotTick
 from robofleet.config import groups, slices
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
 from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link
+from robofleet.safety.supervisor import Event, Phase
 from robofleet.valid_json import dumps
+from robofleet.vehicles.interface import SensorReading
 
 __all__ = ["Fleet", "FleetError"]
 
@@ -70,18 +73,22 @@ class Fleet:
         settings: Sequence[str] = (),
         group: str | None = None,
         config: str | Path | None = None,
+        robots: int | None = None,
     ) -> None:
         """Take what the run is made of; ``open``, or the ``with``, begins it.
 
         ``out``: the folder of the recording; None: ``runs/<UTC time>-<name>``; False: nothing is kept. ``seed``:
         another one than ``run.seed``. ``settings``: ``KEY=VALUE`` as behind ``--set``. ``group``: which group, where
-        scripts drive several. ``config``: the run's configuration, where the arena is another computer's.
+        scripts drive several. ``config``: the run's configuration, where the arena is another computer's. ``robots``:
+        only the first so many of the configuration's, without all others.
         """
         self._where, self._lockstep, self._out, self._group, self._copy = where, lockstep, out, group, config
         self._changes = [*settings, *([] if seed is None else [f"run.seed={seed}"])]
+        self._asked_for = robots
         self._link: Link | None = None
         self._program = False  # a person who started it reads what is wrong
         self.summary: Summary = {}
+        self.held = 0  # times that the run was resumed by itself
 
     @classmethod
     def from_arguments(cls, config: str | Path, arguments: Sequence[str] | None = None) -> Self:
@@ -120,8 +127,9 @@ class Fleet:
         if self._link is not None:
             raise FleetError("this fleet is open already")
         link = script_runs.opened(
-            self._where, self._changes, self._out, self._group, self._copy, lockstep=self._lockstep
-        )
+            self._where, self._changes, self._out, self._group, self._copy, lockstep=self._lockstep,
+            robots=self._asked_for,
+        )  # fmt: skip
         self._begin(link, script_runs.group_of(link.config, self._group))
         try:
             if link.ends:  # an arena's may be held: the script can resume it
@@ -250,13 +258,27 @@ class Fleet:
                 found[row] = said[1][place]
         return found
 
+    @property
+    def sensors(self) -> tuple[SensorReading | None, ...]:
+        """What the sensors of each robot told last: gyro, accelerometer, magnetometer, heading, distances; SI units in
+        the robot's frame. None: it tells nothing, or ``robots[].sensors`` is not set.
+        """
+        found: dict[str, SensorReading] = {}
+        for unit in self.config.sensing:
+            payload = self._running.unit_sensors(unit)
+            said = None if payload is None else sensors.decoded(payload)
+            if said is not None:
+                found |= {self._config.units[unit][place]: reading for place, reading in said[1].items()}
+        return tuple(found.get(robot) for robot in self.robots)
+
     # What the robots do
 
-    def ticks(self, seconds: float | None = None) -> Iterator[float]:
+    def ticks(self, seconds: float | None = None, *, resume: bool = False) -> Iterator[float]:
         """Yield the time since the loop's first tick [s], once a tick; without ``seconds`` for ever.
 
         The newest ``drive`` or ``move`` lasts until the next one. When the loop ends the robots stand. While the run
-        is held in real time the loop waits; ticks that the script is too slow for are left out.
+        is held in real time the loop waits; ticks that the script is too slow for are left out. ``resume``: a run that
+        is held because the script was late, or because simulated robots block each other, goes on by itself.
 
         Raises:
             FleetError: if the run ends, or in lockstep is held.
@@ -264,7 +286,7 @@ class Fleet:
         first: int | None = None
         try:
             while True:
-                self._next()
+                self._next(resume=resume)
                 first = self._run_tick if first is None else first
                 t = (self._run_tick - first) * self._tick_s
                 if seconds is not None and t >= seconds - _ROUNDING:
@@ -385,10 +407,12 @@ class Fleet:
         self._tick: int = TICK_RECORD.head_of(record, "tick")
         self._run_tick: int = TICK_RECORD.head_of(record, "run_tick")
 
-    def _next(self) -> None:
+    def _next(self, *, resume: bool = False) -> None:
         """Wait for a tick of a run that is not held."""
         link = self._running
         while True:
+            if resume and link.status.phase is Phase.HOLD:
+                self._go_on()
             self._read(link.next_tick())
             if self._run_tick >= 0:
                 break
@@ -401,6 +425,16 @@ class Fleet:
     @property
     def _wanted(self) -> str:
         return f"must be ({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
+
+    def _go_on(self) -> None:
+        """Resume a run that nobody else has to look at."""
+        cause = self._running.status.cause
+        if cause is Event.SCRIPT_SILENT or (cause is Event.DEADLOCKED and self._config.simulated):
+            self._read(self._running.tick)
+            self._running.wish(self._encoded(WishKind.STAND))
+            with suppress(FleetError):  # they do not rest yet
+                self.resume()
+            self.held += 1
 
     def _checked(self, values: ArrayLike, what: str) -> Array:
         try:
