@@ -15,6 +15,7 @@ import robofleet
 from robofleet import cli
 from robofleet.config import starting
 from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
 
 ROOT = Path(__file__).parents[1]
 
@@ -74,6 +75,9 @@ def test_the_starting_files_can_be_read(tmp_path: Path) -> None:
     for file in files:
         assert f"{file}: " in done.output
         load_config(file)  # nothing in it is wrong
+    assert f"python {tmp_path}/lab/examples/hello.py" in done.output
+    theirs, ours = ({file.name for file in (place / "examples").glob("*.py")} for place in (tmp_path / "lab", SHIPPED))
+    assert theirs == ours > {"hello.py"}
 
 
 def test_init_leaves_what_is_there(tmp_path: Path) -> None:
@@ -105,3 +109,11 @@ def test_every_public_name_is_there() -> None:
     assert {name: getattr(robofleet, name) for name in robofleet.__all__}.keys() == set(robofleet.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         robofleet.nothing  # noqa: B018
+
+
+def test_a_script_beside_a_clone_finds_the_package_and_not_the_clone(tmp_path: Path) -> None:
+    (tmp_path / "robofleet").mkdir()  # as a clone is named
+    (tmp_path / "hello.py").write_text("import robofleet\nprint(robofleet.Fleet)\n")
+    done = subprocess.run([sys.executable, tmp_path / "hello.py"], capture_output=True, text=True, check=False)
+    why = "an environment of before pyproject.toml had a package-dir: install it again, pip install -e '.[dev]'"
+    assert done.stdout == f"{robofleet.Fleet}\n", f"{why}: {done.stderr}"
