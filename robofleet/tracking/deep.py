@@ -6,7 +6,8 @@ leaves one side whole leaves the tag to be found. Its cells say which target it 
 them; the photometric fit, without the hidden cells, places it.
 
 A cover may hide so many bits of the code that any two tags of the family still differ by two of those that are seen.
-All bits that are seen must be right, and no other tag of the family may explain the cells nearly as well.
+Of the cells that are seen one may be wrong, as a cover's edge may lie on it; no other tag of the family may explain
+them nearly as well.
 """
 
 import functools
