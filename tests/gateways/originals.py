@@ -1,6 +1,6 @@
 """The Robotarium's own example scripts, here and in their own simulator: which run, and where the robots end.
 
-    python -m tests.gateways.originals CHECKOUT [--only NAME ...] [--ideal] [--real-time]
+    python -m tests.gateways.originals CHECKOUT [--only NAME ...] [--here] [--ideal] [--real-time]
 
 CHECKOUT is a clone of robotarium/robotarium_python_simulator: 6bb184e for version 1. It needs cvxopt, and scipy for
 version 1. Each script runs unmodified; random draws are equal in both.
@@ -103,10 +103,10 @@ def _read(file: Path) -> dict[str, Any] | None:
     return json.loads(file.read_text()) if file.is_file() else None
 
 
-def _rows(checkout: Path, only: Sequence[str], how: Sequence[str]) -> Iterator[Compared]:
+def _rows(checkout: Path, only: Sequence[str], how: Sequence[str], theirs: bool) -> Iterator[Compared]:
     for script in scripts(checkout):
         if not only or script.stem in only:
-            yield compared(checkout, script, how)
+            yield compared(checkout, script, how, theirs)
 
 
 def _speed(said: dict[str, Any]) -> float:
@@ -119,6 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkout", type=Path)
     parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--here", action="store_true", help="not in their simulator")
     parser.add_argument("--ideal", action="store_true", help="robots without errors")
     parser.add_argument("--real-time", action="store_true", help="with a simulated camera")
     asked = parser.parse_args()
@@ -127,7 +128,7 @@ def main() -> None:
         f"{'script':36} exit  steps: ours theirs  apart mm  shape mm  barrier %  times real time: ours theirs  "
         "errors: ours / theirs"
     )
-    for row in _rows(asked.checkout.absolute(), asked.only, how):
+    for row in _rows(asked.checkout.absolute(), asked.only, how, not asked.here):
         ours, theirs = row.ours or {}, row.theirs or {}
         changed = 100 * (row.summary.get("filtered_fraction") or 0.0)
         print(
