@@ -213,6 +213,8 @@ def init(
             raise RefusedError(f"DIR: {folder} cannot be written: {error.strerror}: name another folder") from error
     for file in files:
         print(f"{file}: {_first_comment(file)}")
+    hello = shlex.quote(str(folder / "examples" / "hello.py"))
+    print(f"{folder / 'examples'}: Scripts that drive the robots of script.yaml. Start with: python {hello}")
     print("Next:", shlex.join(["robofleet", "run", str(folder / "platoon.yaml"), "--web"]))
 
 

@@ -9,8 +9,10 @@ The script is a client without privileges. What it wishes goes over the bus to t
 limits, the barrier and every gate stand behind it.
 """
 
+import argparse
 import math
 import secrets
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -27,8 +29,9 @@ from robofleet.behaviours.script import journey
 from robofleet.comms import sensors
 from robofleet.comms.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Note, NoteKind, RobotTick
 from robofleet.config import groups, slices
+from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes.script_link import FleetError, Link
+from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.valid_json import dumps
 from robofleet.vehicles.interface import SensorReading
@@ -83,8 +86,32 @@ class Fleet:
         self._changes = [*settings, *([] if seed is None else [f"run.seed={seed}"])]
         self._asked_for = robots
         self._link: Link | None = None
+        self._program = False  # a person who started it reads what is wrong
         self.summary: Summary = {}
         self.held = 0  # times that the run was resumed by itself
+
+    @classmethod
+    def from_arguments(cls, config: str | Path, arguments: Sequence[str] | None = None) -> Self:
+        """Return what the script's command line asks for: ``[WHERE] [--real-time] [--set KEY=VALUE] [--seed N] ...``
+
+        Without arguments it is a run of ``config`` in lockstep. ``--help`` tells the script's docstring and all
+        arguments. What is wrong is told in a line, and the script ends with exit code 2. ``arguments``: others than
+        those of the command line.
+        """
+        about = getattr(sys.modules["__main__"], "__doc__", None)
+        raw = argparse.RawDescriptionHelpFormatter
+        parser = argparse.ArgumentParser(description=about, formatter_class=raw, allow_abbrev=False)
+        add = parser.add_argument
+        add("where", nargs="?", default=config, metavar="WHERE", help="another configuration, or an arena with a run")
+        add("--real-time", action="store_true", help="a run in real time; else in lockstep on a simulated clock")
+        add("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE", help="change a key; repeatable")
+        add("--seed", type=int, metavar="N", help="default: run.seed")
+        add("--out", type=Path, metavar="DIR", help="default: runs/<UTC time>-<name>")
+        chosen = vars(parser.parse_args(arguments))
+        lockstep = not chosen.pop("real_time") and Path(chosen["where"]).suffix in CONFIGURATIONS
+        fleet = cls(chosen.pop("where"), lockstep=lockstep, **chosen)
+        fleet._program = True
+        return fleet
 
     # The run
 
@@ -151,7 +178,13 @@ class Fleet:
 
     def __enter__(self) -> Self:
         """Begin."""
-        return self.open()
+        try:
+            return self.open()
+        except (ConfigError, FleetError) as error:
+            if self._program:
+                print(error, file=sys.stderr)
+                raise SystemExit(2) from error
+            raise
 
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
@@ -162,6 +195,8 @@ class Fleet:
         if isinstance(error, KeyboardInterrupt):  # an arena's run goes on
             well, why = self._link is None or not self._link.ends, "the operator interrupted"
         self.close(None if well else why)
+        if self._program and self.folder is not None:
+            print(self.folder / "report.html")
 
     # What is known
 
@@ -387,6 +422,10 @@ class Fleet:
         if self._strange * self._tick_s > _OTHERS_S:
             raise FleetError("another script drives these robots: end that one first")
 
+    @property
+    def _wanted(self) -> str:
+        return f"must be ({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
+
     def _go_on(self) -> None:
         """Resume a run that nobody else has to look at."""
         cause = self._running.status.cause
@@ -398,10 +437,12 @@ class Fleet:
             self.held += 1
 
     def _checked(self, values: ArrayLike, what: str) -> Array:
-        found = np.asarray(values, dtype=np.float64)
+        try:
+            found = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{what}: this {type(values).__name__} is no array of numbers, {self._wanted}") from error
         if found.shape != (len(self.robots), 2):
-            wanted = f"({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
-            raise ValueError(f"{what}: the shape is {found.shape}, must be {wanted}")
+            raise ValueError(f"{what}: the shape is {found.shape}, {self._wanted}")
         if not np.abs(found).max() < _BEYOND:  # not so of NaN
             row = int((~(np.abs(found) < _BEYOND)).any(axis=1).argmax())
             said = f"{found[row].tolist()} of {self.robots[row]}"

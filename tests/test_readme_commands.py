@@ -22,7 +22,7 @@ import yaml
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from robofleet import cli
+from robofleet import Fleet, cli
 from robofleet.config.load import load_config
 from robofleet.experiments.paper import EXPERIMENTS
 from robofleet.processes.check import load_checked
@@ -243,6 +243,9 @@ def laboratory(name: str, arguments: list[str]) -> None:
 def argparse_only(file: Path, name: str | None, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a program up to where its parser has taken its arguments."""
     text = file.read_text()
+    if "Fleet.from_arguments(" in text:
+        Fleet.from_arguments("configs/script.yaml", arguments)
+        return
     if "argparse" not in text:
         known = set(arguments) <= set(re.findall(r'"(--\w+)"', text))
         assert known, f"{file.name} takes no {arguments}"

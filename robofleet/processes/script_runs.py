@@ -13,10 +13,8 @@ from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked
 from robofleet.processes.operator import NoArenaError, chosen
 from robofleet.processes.refusal import RefusedError, new_folder
-from robofleet.processes.script_link import FleetError, Link, first, scripted
+from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link, first, scripted
 from robofleet.vehicles.interface import DriverError
-
-_CONFIGURATIONS = ".yaml", ".yml"
 
 Out = str | Path | Literal[False] | None
 
@@ -28,7 +26,7 @@ def opened(
     """Return a run that is on; ConfigError or FleetError where there is none."""
     file = Path(where)
     try:
-        if file.suffix not in _CONFIGURATIONS:
+        if file.suffix not in CONFIGURATIONS:
             if lockstep or changes or robots is not None:
                 raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
             return _joined(str(where), group, copy)
