@@ -9,7 +9,6 @@ version 1. Each script runs unmodified; random draws are equal in both.
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -94,7 +93,7 @@ def _ended(command: Sequence[str], place: Path, env: dict[str, str]) -> tuple[in
             said, _ = process.communicate(timeout=_WITHIN_S)
             return process.returncode, said
         except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGINT)
+            process.terminate()
             said, _ = process.communicate()
             return None, said
 
@@ -111,7 +110,7 @@ def _rows(checkout: Path, only: Sequence[str], how: Sequence[str], theirs: bool)
 
 def _speed(said: dict[str, Any]) -> float:
     """Return how many simulated seconds a second of CPU time gave."""
-    return said["steps"] * _STEP_S / said["cpu_s"] if said else float("nan")
+    return said["steps"] * _STEP_S / said["cpu_s"] if said and said["cpu_s"] else float("nan")
 
 
 def main() -> None:
