@@ -38,15 +38,20 @@ class Fit:
     views: tuple[View, ...]
     poses: Array  # (V, 6)
     residuals: tuple[Array, ...]  # V of (M, 2) [px], projected minus found
-    information: Array  # (V, P, P) of the lens, poses eliminated [1 / px^2 of noise]
-    pulls: Array  # (V, P) of each view on the lens, poses eliminated; they add up to none
+    roots: Array  # (V, P, P): R of each view's Jacobian by the lens, poses eliminated; R^T R is its information
+    rests: Array  # (V, P) [px]: its weighted residuals along R's rows; R^T of them is its pull on the lens
     prior: Array  # (P,)
     noise_px: float  # standard deviation of a coordinate, robust
 
     @property
+    def information(self) -> Array:
+        """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
+        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + np.diag(self.prior))
+
+    @property
     def covariance(self) -> Array:
         """Return the lens's covariance (P, P): the Jacobian's, with the robust noise."""
-        return self.noise_px**2 * inverse(self.information.sum(axis=0) + np.diag(self.prior))
+        return self.noise_px**2 * inverse(self.information)
 
     @property
     def typical_px(self) -> Array:
@@ -58,20 +63,19 @@ class Fit:
         """Return how hard each view (V,) pulls on the lens, against what noise would do: 1 on average.
 
         A view whose corners fit, but only because the others gave way or its pose did, shows here: the pull's square
-        in terms of its covariance, a chi-square over P.
+        in terms of its covariance, a chi-square over P. One view alone leaves most of a rich lens open, so that its
+        information has no inverse that a computer could find. Along the rows of R none is needed: there noise has the
+        same variance in all directions, of which the fit has taken the share R S^-1 R^T, with S the information of
+        all views.
         """
-        spread = inverse(self.information.sum(axis=0) + np.diag(self.prior))
-        pulls = [
-            pull @ inverse(own - own @ spread @ own) @ pull
-            for own, pull in zip(self.information, self.pulls, strict=True)
-        ]
-        return np.array(pulls) / (self.noise_px**2 * len(self.prior))
+        told = [rest @ unexplained for rest, unexplained in zip(self.rests, self._unexplained(), strict=True)]
+        return np.array(told) / (self.noise_px**2 * len(self.prior))
 
     @property
     def leaving_out(self) -> Array:
         """Return how the lens (V, P) changes when a view is left out, to first order."""
-        whole = self.information.sum(axis=0) + np.diag(self.prior)
-        return np.array([-inverse(whole - own) @ pull for own, pull in zip(self.information, self.pulls, strict=True)])
+        known = inverse(self.information)
+        return np.array([-known @ R.T @ e for R, e in zip(self.roots, self._unexplained(), strict=True)])
 
     @property
     def jackknife(self) -> Array:
@@ -80,6 +84,11 @@ class Fit:
         count = len(changes)
         centred = changes - changes.mean(axis=0)
         return np.asarray(centred.T @ centred * (count - 1) / count)
+
+    def _unexplained(self) -> list[Array]:
+        """Return each view's rests (P,) [px] against the lens of the others: (I - R S^-1 R^T)^-1 of its own."""
+        known, identity = inverse(self.information), np.eye(len(self.prior))
+        return [np.linalg.solve(identity - R @ known @ R.T, e) for R, e in zip(self.roots, self.rests, strict=True)]
 
     def without(self, left_out: Sequence[int]) -> "Fit":
         """Return the fit to the other views, from here."""
@@ -168,18 +177,32 @@ def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Array) -
 def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Array) -> Fit:
     scale = _noise(residuals)
     weights = [_weights(r, scale) for r in residuals]
-    reduced = [_reduced(_blocks(lens, *p), 0.0) for p in zip(views, poses, residuals, weights, strict=True)]
+    roots, rests = zip(*(_root(lens, *p) for p in zip(views, poses, residuals, weights, strict=True)), strict=True)
     free = 2.0 * sum(float(w.sum()) for w in weights) - 6 * len(views) - len(lens.values)
     noise = np.sqrt(_weighted(residuals, weights) / max(free, 1.0))
-    information, pulls = (np.array(parts) for parts in zip(*reduced, strict=True))
-    return Fit(lens, views, poses, tuple(residuals), information, pulls, prior, float(noise))
+    return Fit(lens, views, poses, tuple(residuals), np.array(roots), np.array(rests), prior, float(noise))
 
 
-def _blocks(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> _Blocks:
+def _rows(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return a view's weighted Jacobians (2M, P), (2M, 6), and what is to be explained (2M,)."""
     _, J_lens, J_pose = lens.project(view.points, pose)
     root = np.sqrt(weights)[:, None, None]
     A, B = (root * J_lens).reshape(-1, len(lens.values)), (root * J_pose).reshape(-1, 6)
-    r = -(root[..., 0] * residuals).ravel()
+    return A, B, -(root[..., 0] * residuals).ravel()
+
+
+def _root(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
+    """Return R (P, P) of a view's Jacobian by the lens, its pose eliminated, and the residuals along its rows (P,)."""
+    A, B, r = _rows(lens, view, pose, residuals, weights)
+    count = A.shape[1]
+    triangle = np.zeros((6 + count, 7 + count))
+    found = np.linalg.qr(np.column_stack([B, A, r]), mode="r")[: 6 + count]
+    triangle[: len(found)] = found
+    return triangle[6:, 6:-1], triangle[6:, -1]
+
+
+def _blocks(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> _Blocks:
+    A, B, r = _rows(lens, view, pose, residuals, weights)
     return _Blocks(A.T @ A, A.T @ B, B.T @ B, A.T @ r, B.T @ r)
 
 
