@@ -23,11 +23,18 @@ _POWERS = {  # of a ray's slope (or angle), by which a coefficient's share of it
 }
 _PRIOR = 0.5  # standard deviation of a distortion's share at the image's corner, and of the focal length's
 _PRIOR_CENTRE = 0.1  # of the image's size
-_START_NOISE_PX = 0.2
+_PRIOR_TILT = 0.02  # of the sensor's tilt [rad]: no camera for a ceiling is built to be tilted
 _HUBER = 3.0  # [standard deviations of a coordinate]
 _FOCAL_STARTS = (0.4, 0.6, 0.9, 1.4, 2.2, 4.0)  # [image widths]
 _START_VIEWS = 8  # that choose among them
 _STEPS = 60
+
+
+class Prior(NamedTuple):
+    """Any lens that could be: what is known before a view is seen."""
+
+    values: Array  # (P,)
+    information: Array  # (P,), the inverse of each value's variance
 
 
 @dataclass(frozen=True)
@@ -40,13 +47,13 @@ class Fit:
     residuals: tuple[Array, ...]  # V of (M, 2) [px], projected minus found
     roots: Array  # (V, P, P): R of each view's Jacobian by the lens, poses eliminated; R^T R is its information
     rests: Array  # (V, P) [px]: its weighted residuals along R's rows; R^T of them is its pull on the lens
-    prior: Array  # (P,)
+    prior: "Prior"
     noise_px: float  # standard deviation of a coordinate, robust
 
     @property
     def information(self) -> Array:
         """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
-        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + np.diag(self.prior))
+        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information))
 
     @property
     def covariance(self) -> Array:
@@ -69,7 +76,7 @@ class Fit:
         all views.
         """
         told = [rest @ unexplained for rest, unexplained in zip(self.rests, self._unexplained(), strict=True)]
-        return np.array(told) / (self.noise_px**2 * len(self.prior))
+        return np.array(told) / (self.noise_px**2 * len(self.lens.values))
 
     @property
     def leaving_out(self) -> Array:
@@ -87,7 +94,7 @@ class Fit:
 
     def _unexplained(self) -> list[Array]:
         """Return each view's rests (P,) [px] against the lens of the others: (I - R S^-1 R^T)^-1 of its own."""
-        known, identity = inverse(self.information), np.eye(len(self.prior))
+        known, identity = inverse(self.information), np.eye(len(self.lens.values))
         return [np.linalg.solve(identity - R @ known @ R.T, e) for R, e in zip(self.roots, self.rests, strict=True)]
 
     def without(self, left_out: Sequence[int]) -> "Fit":
@@ -130,13 +137,14 @@ def view_information(J_lens: Array, J_pose: Array) -> Array:
     return np.asarray(A.T @ A - A.T @ B @ np.linalg.solve(B.T @ B, B.T @ A))
 
 
-def _prior(lens: Lens) -> Array:
-    """Return the information (P,) of what any lens could be, in the units of the start's noise."""
+def _prior(lens: Lens) -> Prior:
+    """Return what any lens could be, about one without distortion."""
     width, height = lens.size
     corner = float(np.hypot(width, height) / 2 / lens.values[0])
-    powers = np.array(_POWERS[lens.kind][: len(lens.values) - 4])
+    powers = np.array(_POWERS[lens.kind][: len(lens.values) - 4], np.float64)
     sigma = [_PRIOR * lens.values[0], _PRIOR * lens.values[0], _PRIOR_CENTRE * width, _PRIOR_CENTRE * height]
-    return np.asarray((_START_NOISE_PX / np.array([*sigma, *_PRIOR * corner**-powers])) ** 2)
+    shares = np.where(powers > 0, _PRIOR * corner**-powers, _PRIOR_TILT)
+    return Prior(lens.values, np.array([*sigma, *shares]) ** -2.0)
 
 
 class _Blocks(NamedTuple):
@@ -149,20 +157,21 @@ class _Blocks(NamedTuple):
     pull_pose: Array  # (6,)
 
 
-def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Array) -> Fit:
+def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Prior) -> Fit:
     """Return the fit that Levenberg and Marquardt's steps end at; weights and noise follow the residuals."""
-    centre, damping = lens.values, 1e-3
+    damping = 1e-3
     residuals = _residuals(lens, views, poses)
     for _ in range(_STEPS):
         noise = _noise(residuals)
         weights = [_weights(r, noise) for r in residuals]
         blocks = [_blocks(lens, *parts) for parts in zip(views, poses, residuals, weights, strict=True)]
-        before = _weighted(residuals, weights) + float(prior @ (lens.values - centre) ** 2)
+        known = noise**2 * prior.information
+        before = _weighted(residuals, weights) + float(known @ (lens.values - prior.values) ** 2)
         while damping < 1e12:
-            step, steps = _step(blocks, prior, prior * (centre - lens.values), damping)
+            step, steps = _step(blocks, known, known * (prior.values - lens.values), damping)
             tried = replace(lens, values=lens.values + step)
             moved = _residuals(tried, views, poses + steps)
-            after = _weighted(moved, weights) + float(prior @ (tried.values - centre) ** 2)
+            after = _weighted(moved, weights) + float(known @ (tried.values - prior.values) ** 2)
             if after <= before:
                 break
             damping *= 10.0
@@ -174,7 +183,7 @@ def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Array) -
     return _told(lens, views, poses, residuals, prior)
 
 
-def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Array) -> Fit:
+def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Prior) -> Fit:
     scale = _noise(residuals)
     weights = [_weights(r, scale) for r in residuals]
     roots, rests = zip(*(_root(lens, *p) for p in zip(views, poses, residuals, weights, strict=True)), strict=True)
