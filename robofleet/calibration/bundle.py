@@ -17,13 +17,15 @@ from robofleet.calibration.board import Array, View
 from robofleet.calibration.lens import Lens, cost
 from robofleet.tracking.camera import Lens as Kind
 
-_POWERS = {  # of a ray's slope (or angle), by which a coefficient's share of it grows
-    "pinhole": (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3, 0, 0),
-    "fisheye": (2, 4, 6, 8),
+_EVEN, _DECENTRED = ((2, 0.5), (4, 0.25), (6, 0.125), (8, 0.0625)), ((1, 0.05), (3, 0.05))
+_BELOW = ((2, 0.2), (4, 0.1), (6, 0.05))  # of a denominator, which must keep far from 0 inside the image
+_SHARES = {  # of each coefficient: power of a ray's slope (or angle), and its share's prior at the image's corner
+    "pinhole": (*_EVEN[:2], *_DECENTRED[:1] * 2, _EVEN[2], *_BELOW, *_DECENTRED * 2),
+    "fisheye": _EVEN,
 }
-_PRIOR = 0.5  # standard deviation of a distortion's share at the image's corner, and of the focal length's
+_PRIOR_FOCAL = 0.5  # standard deviation, of the start's
+_PRIOR_TILT = 0.02  # [rad]: a camera for a ceiling has no sensor that is tilted on purpose
 _PRIOR_CENTRE = 0.1  # of the image's size
-_PRIOR_TILT = 0.02  # of the sensor's tilt [rad]: no camera for a ceiling is built to be tilted
 _HUBER = 3.0  # [standard deviations of a coordinate]
 _FOCAL_STARTS = (0.4, 0.6, 0.9, 1.4, 2.2, 4.0)  # [image widths]
 _START_VIEWS = 8  # that choose among them
@@ -140,11 +142,10 @@ def view_information(J_lens: Array, J_pose: Array) -> Array:
 def _prior(lens: Lens) -> Prior:
     """Return what any lens could be, about one without distortion."""
     width, height = lens.size
-    corner = float(np.hypot(width, height) / 2 / lens.values[0])
-    powers = np.array(_POWERS[lens.kind][: len(lens.values) - 4], np.float64)
-    sigma = [_PRIOR * lens.values[0], _PRIOR * lens.values[0], _PRIOR_CENTRE * width, _PRIOR_CENTRE * height]
-    shares = np.where(powers > 0, _PRIOR * corner**-powers, _PRIOR_TILT)
-    return Prior(lens.values, np.array([*sigma, *shares]) ** -2.0)
+    corner, focal = float(np.hypot(width, height) / 2 / lens.values[0]), _PRIOR_FOCAL * lens.values[0]
+    shares = [share * corner**-power for power, share in _SHARES[lens.kind]]
+    sigma = [focal, focal, _PRIOR_CENTRE * width, _PRIOR_CENTRE * height, *shares, _PRIOR_TILT, _PRIOR_TILT]
+    return Prior(lens.values, np.array(sigma[: len(lens.values)]) ** -2.0)
 
 
 class _Blocks(NamedTuple):
