@@ -115,10 +115,9 @@ def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[Vi
         lens = Lens(kind, size, values)
         starts.append((sum(cost(lens.project(v.points, lens.pose(v))[0] - v.pixels) for v in few), scale, lens))
     lens = min(starts, key=lambda start: start[:2])[2]
-    prior, poses = _prior(lens), np.array([lens.pose(view) for view in views])
-    first = _adjusted(lens, views, poses, prior)
+    first = _adjusted(lens, views, np.array([lens.pose(view) for view in views]), _prior(lens, lens.values[0]))
     again = np.array([first.lens.pose(view) for view in views])  # some may have started on the wrong one of two
-    return _adjusted(first.lens, views, again, prior)
+    return _adjusted(first.lens, views, again, _prior(lens, first.lens.values[0]))
 
 
 def typical(residuals: Array) -> float:
@@ -139,13 +138,13 @@ def view_information(J_lens: Array, J_pose: Array) -> Array:
     return np.asarray(A.T @ A - A.T @ B @ np.linalg.solve(B.T @ B, B.T @ A))
 
 
-def _prior(lens: Lens) -> Prior:
-    """Return what any lens could be, about one without distortion."""
-    width, height = lens.size
-    corner, focal = float(np.hypot(width, height) / 2 / lens.values[0]), _PRIOR_FOCAL * lens.values[0]
-    shares = [share * corner**-power for power, share in _SHARES[lens.kind]]
-    sigma = [focal, focal, _PRIOR_CENTRE * width, _PRIOR_CENTRE * height, *shares, _PRIOR_TILT, _PRIOR_TILT]
-    return Prior(lens.values, np.array(sigma[: len(lens.values)]) ** -2.0)
+def _prior(start: Lens, focal: float) -> Prior:
+    """Return what any lens could be, about one without distortion; ``focal``: its length, roughly [px]."""
+    width, height = start.size
+    corner = float(np.hypot(width, height)) / 2 / focal
+    shares = [share * corner**-power for power, share in _SHARES[start.kind]]
+    sigma = [_PRIOR_FOCAL * focal, _PRIOR_FOCAL * focal, _PRIOR_CENTRE * width, _PRIOR_CENTRE * height, *shares, _PRIOR_TILT, _PRIOR_TILT]
+    return Prior(start.values, np.array(sigma[: len(start.values)]) ** -2.0)
 
 
 class _Blocks(NamedTuple):
