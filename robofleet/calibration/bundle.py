@@ -18,13 +18,13 @@ from robofleet.calibration.lens import Lens, cost
 from robofleet.tracking.camera import Lens as Kind
 
 _EVEN, _DECENTRED = ((2, 0.5), (4, 0.25), (6, 0.125), (8, 0.0625)), ((1, 0.05), (3, 0.05))
-_BELOW = ((2, 0.2), (4, 0.1), (6, 0.05))  # of a denominator, which must keep far from 0 inside the image
+_BELOW = ((2, 0.3), (4, 0.15), (6, 0.075))  # of a denominator, which must keep far from 0 inside the image
 _SHARES = {  # of each coefficient: power of a ray's slope (or angle), and its share's prior at the image's corner
     "pinhole": (*_EVEN[:2], *_DECENTRED[:1] * 2, _EVEN[2], *_BELOW, *_DECENTRED * 2),
     "fisheye": _EVEN,
 }
 _PRIOR_FOCAL = 0.5  # standard deviation, of the start's
-_PRIOR_TILT = 0.02  # [rad]: a camera for a ceiling has no sensor that is tilted on purpose
+_PRIOR_TILT = 0.015  # [rad]: a camera for a ceiling has no sensor that is tilted on purpose
 _PRIOR_CENTRE = 0.1  # of the image's size
 _HUBER = 3.0  # [standard deviations of a coordinate]
 _FOCAL_STARTS = (0.4, 0.6, 0.9, 1.4, 2.2, 4.0)  # [image widths]
