@@ -51,6 +51,7 @@ class Marks:
     pixels: Array  # (N, 2)
     ahead: Array  # (N, 2) of a tag's right edge, in the middle; NaN: a point
     sigma_px: Array  # (N,) of a pixel's coordinate
+    by_lens: Array | float = 0.0  # (N, 2, K) how x, y follow the lens's values [m], if they were seen; 0: by hand
 
     def __len__(self) -> int:
         """Return N."""
@@ -60,7 +61,8 @@ class Marks:
         """Return some of them."""
         names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
         arrays = (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
-        return Marks(names, *(array[which] for array in arrays))
+        by_lens = self.by_lens if isinstance(self.by_lens, float) else self.by_lens[which]
+        return Marks(names, *(array[which] for array in arrays), by_lens)
 
 
 class Look(NamedTuple):
