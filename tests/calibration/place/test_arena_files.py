@@ -225,7 +225,7 @@ def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
     code, said = lab.verify(lab.folder / "pushed.png")
     assert code == 2
     assert "the camera is in its place" in said
-    assert said.count("from its survey (") == 1
+    assert said.count("from where it was at the calibration (") == 1
     assert "tag 103: lies 1" in said
     assert lab.camera.read_bytes() == before
     few = rendered(TRUTH, FLOOR[:3], rng)
