@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.frames import Named
+from robofleet.calibration.frames import MIRRORED, Named
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import Survey
 
@@ -133,7 +133,8 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     """Return where the survey's tags are, averaged over images of one still scene, and its points.
 
     The spread over the images tells how exact a tag's pixel is, and whether somebody carried it meanwhile.
-    CalibrationError if there is nothing to look at, or a point lies outside of ``size``: width, height [px].
+    CalibrationError if there is nothing to look at, if the images are mirrored, or if a point lies outside of ``size``:
+    width, height [px].
     """
     if survey.floor_tags and not images:
         raise CalibrationError("tags were surveyed, and there is no image to find them in: name images, or --live")
@@ -157,6 +158,8 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     carried = {tag for tag, spread in spreads.items() if spread > 3.0 * usual + _MOVED_PX}
     marks = _marks(survey, {tag: track for tag, track in tracks.items() if tag not in carried})
     surveyed = {tag.tag for tag in survey.floor_tags}
+    if not tracks and any(surveyed & finder.find(cv2.flip(image, 1)).keys() for _, image in images):
+        raise CalibrationError(MIRRORED)
     strangers = {tag for prints in found for tag in prints} - surveyed
     notes = [
         *(f"tag {tag}: is surveyed, but is in no image" for tag in sorted(surveyed - twice - set(tracks)) if images),
