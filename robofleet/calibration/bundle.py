@@ -55,7 +55,9 @@ class Fit:
     @property
     def information(self) -> Array:
         """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
-        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information))
+        return np.asarray(
+            np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information)
+        )
 
     @property
     def covariance(self) -> Array:
@@ -143,7 +145,15 @@ def _prior(start: Lens, focal: float) -> Prior:
     width, height = start.size
     corner = float(np.hypot(width, height)) / 2 / focal
     shares = [share * corner**-power for power, share in _SHARES[start.kind]]
-    sigma = [_PRIOR_FOCAL * focal, _PRIOR_FOCAL * focal, _PRIOR_CENTRE * width, _PRIOR_CENTRE * height, *shares, _PRIOR_TILT, _PRIOR_TILT]
+    sigma = [
+        _PRIOR_FOCAL * focal,
+        _PRIOR_FOCAL * focal,
+        _PRIOR_CENTRE * width,
+        _PRIOR_CENTRE * height,
+        *shares,
+        _PRIOR_TILT,
+        _PRIOR_TILT,
+    ]
     return Prior(start.values, np.array(sigma[: len(start.values)]) ** -2.0)
 
 

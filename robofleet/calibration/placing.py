@@ -3,10 +3,10 @@
 A mark's pixel is a ray; where it meets the plane of the mark's height is where the mark is *seen*. Its error there is
 the survey's (one standard deviation for both coordinates), the pixel's, and, if the lens comes with a covariance, the
 lens's, which the errors of all marks have in common. Marks whose places were themselves seen through the lens follow
-its errors too (``Marks.by_lens``); only the difference counts then. The pose that explains the differences best, weighted by the
-inverse of all that, is six small numbers away from the one before: the camera turns about the world's x, y, z through
-its optical centre [rad], and shifts along them [m]. To first order a ray's meeting point then moves by the turned ray,
-slid along the ray back onto the plane.
+its errors too (``Marks.by_lens``); only the difference counts then. The pose that explains the differences best,
+weighted by the inverse of all that, is six small numbers away from the one before: the camera turns about the world's
+x, y, z through its optical centre [rad], and shifts along them [m]. To first order a ray's meeting point then moves by
+the turned ray, slid along the ray back onto the plane.
 
 What the fit would say of a mark without that mark follows in closed form from the same matrices: with
 P = V^-1 - V^-1 J C J^T V^-1, its error is P_ii^-1 (P r)_i, with covariance P_ii^-1.

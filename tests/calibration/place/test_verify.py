@@ -43,9 +43,7 @@ class Lab:
         placement = agree(LENS, then, SURVEY_M).placement
         seen = {
             name: SeenMark(x_m=x, y_m=y, height_m=height, pixel_px=(u, v), sigma_px=PIXEL)
-            for name, (x, y, height), (u, v) in zip(
-                then.names, then.points.tolist(), then.pixels.tolist(), strict=True
-            )
+            for name, (x, y, height), (u, v) in zip(then.names, then.points.tolist(), then.pixels.tolist(), strict=True)
         }
         self.calibrated = Calibrated(placement.T_world_camera, placement.covariance, SURVEY_M, seen)
 
