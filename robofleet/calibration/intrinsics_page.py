@@ -43,7 +43,7 @@ def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Rep
     report.section("Where the board was")
     report.figure(coverage_figure(measured), "Corners of the views that were used, by the edge that was away.")
     report.section("On the floor")
-    report.figure(floor_figure(measured), _floor_caption(measured))
+    report.figure(floor_figure(measured), _floor_caption(measured), long=True)
     report.section("Residuals")
     report.figure(residual_figure(measured), "Left: each corner's residual. Right: their mean over cells, magnified.")
     _views(report, measured, gathering)
