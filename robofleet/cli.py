@@ -15,6 +15,7 @@ from robofleet.calibration.commands import entry as laboratory
 from robofleet.clock import utc_now
 from robofleet.doctor import command as doctoring
 from robofleet.experiments import trials
+from robofleet.gateways.robotarium import command as gateway
 from robofleet.processes import commands, going, join_command, keys_commands, run_commands, usage
 from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
@@ -57,6 +58,7 @@ for _afterwards in run_commands.app.registered_commands:
 app.add_typer(doctoring.app)
 app.add_typer(trials.app)
 app.add_typer(studies.app)
+app.add_typer(gateway.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
 app.add_typer(keys_commands.app)
@@ -211,6 +213,8 @@ def init(
             raise RefusedError(f"DIR: {folder} cannot be written: {error.strerror}: name another folder") from error
     for file in files:
         print(f"{file}: {_first_comment(file)}")
+    hello = shlex.quote(str(folder / "examples" / "hello.py"))
+    print(f"{folder / 'examples'}: Scripts that drive the robots of script.yaml. Start with: python {hello}")
     print("Next:", shlex.join(["robofleet", "run", str(folder / "platoon.yaml"), "--web"]))
 
 

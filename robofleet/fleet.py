@@ -9,8 +9,10 @@ The script is a client without privileges. What it wishes goes over the bus to t
 limits, the barrier and every gate stand behind it.
 """
 
+import argparse
 import math
 import secrets
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,11 +26,15 @@ from numpy.typing import ArrayLike, NDArray
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Dots, Line, WishKind
 from robofleet.behaviours.script import journey
+from robofleet.comms import sensors
 from robofleet.comms.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Note, NoteKind, RobotTick
 from robofleet.config import groups, slices
+from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes.script_link import FleetError, Link
+from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link
+from robofleet.safety.supervisor import Event, Phase
 from robofleet.valid_json import dumps
+from robofleet.vehicles.interface import SensorReading
 
 __all__ = ["Fleet", "FleetError"]
 
@@ -67,17 +73,45 @@ class Fleet:
         settings: Sequence[str] = (),
         group: str | None = None,
         config: str | Path | None = None,
+        robots: int | None = None,
     ) -> None:
         """Take what the run is made of; ``open``, or the ``with``, begins it.
 
         ``out``: the folder of the recording; None: ``runs/<UTC time>-<name>``; False: nothing is kept. ``seed``:
         another one than ``run.seed``. ``settings``: ``KEY=VALUE`` as behind ``--set``. ``group``: which group, where
-        scripts drive several. ``config``: the run's configuration, where the arena is another computer's.
+        scripts drive several. ``config``: the run's configuration, where the arena is another computer's. ``robots``:
+        only the first so many of the configuration's, without all others.
         """
         self._where, self._lockstep, self._out, self._group, self._copy = where, lockstep, out, group, config
         self._changes = [*settings, *([] if seed is None else [f"run.seed={seed}"])]
+        self._asked_for = robots
         self._link: Link | None = None
+        self._program = False  # a person who started it reads what is wrong
         self.summary: Summary = {}
+        self.held = 0  # times that the run was resumed by itself
+
+    @classmethod
+    def from_arguments(cls, config: str | Path, arguments: Sequence[str] | None = None) -> Self:
+        """Return what the script's command line asks for: ``[WHERE] [--real-time] [--set KEY=VALUE] [--seed N] ...``
+
+        Without arguments it is a run of ``config`` in lockstep. ``--help`` tells the script's docstring and all
+        arguments. What is wrong is told in a line, and the script ends with exit code 2. ``arguments``: others than
+        those of the command line.
+        """
+        about = getattr(sys.modules["__main__"], "__doc__", None)
+        raw = argparse.RawDescriptionHelpFormatter
+        parser = argparse.ArgumentParser(description=about, formatter_class=raw, allow_abbrev=False)
+        add = parser.add_argument
+        add("where", nargs="?", default=config, metavar="WHERE", help="another configuration, or an arena with a run")
+        add("--real-time", action="store_true", help="a run in real time; else in lockstep on a simulated clock")
+        add("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE", help="change a key; repeatable")
+        add("--seed", type=int, metavar="N", help="default: run.seed")
+        add("--out", type=Path, metavar="DIR", help="default: runs/<UTC time>-<name>")
+        chosen = vars(parser.parse_args(arguments))
+        lockstep = not chosen.pop("real_time") and Path(chosen["where"]).suffix in CONFIGURATIONS
+        fleet = cls(chosen.pop("where"), lockstep=lockstep, **chosen)
+        fleet._program = True
+        return fleet
 
     # The run
 
@@ -93,8 +127,9 @@ class Fleet:
         if self._link is not None:
             raise FleetError("this fleet is open already")
         link = script_runs.opened(
-            self._where, self._changes, self._out, self._group, self._copy, lockstep=self._lockstep
-        )
+            self._where, self._changes, self._out, self._group, self._copy, lockstep=self._lockstep,
+            robots=self._asked_for,
+        )  # fmt: skip
         self._begin(link, script_runs.group_of(link.config, self._group))
         try:
             if link.ends:  # an arena's may be held: the script can resume it
@@ -143,7 +178,13 @@ class Fleet:
 
     def __enter__(self) -> Self:
         """Begin."""
-        return self.open()
+        try:
+            return self.open()
+        except (ConfigError, FleetError) as error:
+            if self._program:
+                print(error, file=sys.stderr)
+                raise SystemExit(2) from error
+            raise
 
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
@@ -154,6 +195,8 @@ class Fleet:
         if isinstance(error, KeyboardInterrupt):  # an arena's run goes on
             well, why = self._link is None or not self._link.ends, "the operator interrupted"
         self.close(None if well else why)
+        if self._program and self.folder is not None:
+            print(self.folder / "report.html")
 
     # What is known
 
@@ -215,13 +258,27 @@ class Fleet:
                 found[row] = said[1][place]
         return found
 
+    @property
+    def sensors(self) -> tuple[SensorReading | None, ...]:
+        """What the sensors of each robot told last: gyro, accelerometer, magnetometer, heading, distances; SI units in
+        the robot's frame. None: it tells nothing, or ``robots[].sensors`` is not set.
+        """
+        found: dict[str, SensorReading] = {}
+        for unit in self.config.sensing:
+            payload = self._running.unit_sensors(unit)
+            said = None if payload is None else sensors.decoded(payload)
+            if said is not None:
+                found |= {self._config.units[unit][place]: reading for place, reading in said[1].items()}
+        return tuple(found.get(robot) for robot in self.robots)
+
     # What the robots do
 
-    def ticks(self, seconds: float | None = None) -> Iterator[float]:
+    def ticks(self, seconds: float | None = None, *, resume: bool = False) -> Iterator[float]:
         """Yield the time since the loop's first tick [s], once a tick; without ``seconds`` for ever.
 
         The newest ``drive`` or ``move`` lasts until the next one. When the loop ends the robots stand. While the run
-        is held in real time the loop waits; ticks that the script is too slow for are left out.
+        is held in real time the loop waits; ticks that the script is too slow for are left out. ``resume``: a run that
+        is held because the script was late, or because simulated robots block each other, goes on by itself.
 
         Raises:
             FleetError: if the run ends, or in lockstep is held.
@@ -229,7 +286,7 @@ class Fleet:
         first: int | None = None
         try:
             while True:
-                self._next()
+                self._next(resume=resume)
                 first = self._run_tick if first is None else first
                 t = (self._run_tick - first) * self._tick_s
                 if seconds is not None and t >= seconds - _ROUNDING:
@@ -350,10 +407,12 @@ class Fleet:
         self._tick: int = TICK_RECORD.head_of(record, "tick")
         self._run_tick: int = TICK_RECORD.head_of(record, "run_tick")
 
-    def _next(self) -> None:
+    def _next(self, *, resume: bool = False) -> None:
         """Wait for a tick of a run that is not held."""
         link = self._running
         while True:
+            if resume and link.status.phase is Phase.HOLD:
+                self._go_on()
             self._read(link.next_tick())
             if self._run_tick >= 0:
                 break
@@ -363,11 +422,27 @@ class Fleet:
         if self._strange * self._tick_s > _OTHERS_S:
             raise FleetError("another script drives these robots: end that one first")
 
+    @property
+    def _wanted(self) -> str:
+        return f"must be ({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
+
+    def _go_on(self) -> None:
+        """Resume a run that nobody else has to look at."""
+        cause = self._running.status.cause
+        if cause is Event.SCRIPT_SILENT or (cause is Event.DEADLOCKED and self._config.simulated):
+            self._read(self._running.tick)
+            self._running.wish(self._encoded(WishKind.STAND))
+            with suppress(FleetError):  # they do not rest yet
+                self.resume()
+            self.held += 1
+
     def _checked(self, values: ArrayLike, what: str) -> Array:
-        found = np.asarray(values, dtype=np.float64)
+        try:
+            found = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{what}: this {type(values).__name__} is no array of numbers, {self._wanted}") from error
         if found.shape != (len(self.robots), 2):
-            wanted = f"({len(self.robots)}, 2): a row for each of {', '.join(self.robots)}"
-            raise ValueError(f"{what}: the shape is {found.shape}, must be {wanted}")
+            raise ValueError(f"{what}: the shape is {found.shape}, {self._wanted}")
         if not np.abs(found).max() < _BEYOND:  # not so of NaN
             row = int((~(np.abs(found) < _BEYOND)).any(axis=1).argmax())
             said = f"{found[row].tolist()} of {self.robots[row]}"

@@ -9,6 +9,14 @@ NETWORK_PATTERN = rf"^({TLS}|{QUIC})[^\s/?#;]+:\d{{1,5}}$"
 LONGEST_SOCKET_PATH = 107  # [bytes] that the system takes
 
 
+_DRIVER = "driver-"
+
+
 def driver_role(unit: str) -> str:
     """Return what the process of a unit is called: among the living, in its log, in faults that strike it."""
-    return f"driver-{unit}"
+    return f"{_DRIVER}{unit}"
+
+
+def unit_of_role(role: str) -> str | None:
+    """Return the unit whose process is called so; None where it is no driver."""
+    return role.removeprefix(_DRIVER) if role.startswith(_DRIVER) else None

@@ -138,6 +138,8 @@ def test_a_plain_configuration_is_driven_as_one_group_of_all_its_robots() -> Non
         (lambda f: f.drive(np.full((4, 2), np.nan)), "r1 is not finite"),
         (lambda f: f.drive([[0, 0], [0, np.inf], [0, 0], [0, 0]]), "r2 is not finite"),
         (lambda f: f.drive(np.zeros((3, 2))), r"the shape is \(3, 2\), must be \(4, 2\)"),
+        (lambda f: f.drive({"r1": (0.1, 0.0)}), r"dict is no array of numbers, must be \(4, 2\)"),
+        (lambda f: f.drive([[0.1], [0.1, 0.0]]), "list is no array"),
         (lambda f: f.move(np.zeros((2, 4))), r"the shape is \(2, 4\)"),
         (lambda f: f.go_to({"r9": (0, 0, 0)}), "no robot 'r9' in the group: it has r1, r2, r3, r4"),
         (lambda f: f.go_to({"r1": (0, 0)}), "is no pose"),

@@ -15,6 +15,7 @@ import robofleet
 from robofleet import cli
 from robofleet.config import starting
 from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
 
 ROOT = Path(__file__).parents[1]
 
@@ -74,6 +75,9 @@ def test_the_starting_files_can_be_read(tmp_path: Path) -> None:
     for file in files:
         assert f"{file}: " in done.output
         load_config(file)  # nothing in it is wrong
+    assert f"python {tmp_path}/lab/examples/hello.py" in done.output
+    theirs, ours = ({file.name for file in (place / "examples").glob("*.py")} for place in (tmp_path / "lab", SHIPPED))
+    assert theirs == ours > {"hello.py"}
 
 
 def test_init_leaves_what_is_there(tmp_path: Path) -> None:

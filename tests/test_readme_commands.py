@@ -22,7 +22,7 @@ import yaml
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from robofleet import cli
+from robofleet import Fleet, cli
 from robofleet.config.load import load_config
 from robofleet.experiments.paper import EXPERIMENTS
 from robofleet.processes.check import load_checked
@@ -35,7 +35,7 @@ FOLDERS = ("configs", "drivers", "robofleet", "tests", "tools")
 GUIDES = [*ROOT.glob("*.md"), *(guide for folder in FOLDERS for guide in (ROOT / folder).rglob("*.md"))]
 PLACEHOLDERS = {
     "CONFIG": "configs/platoon.yaml", "RUN": "tests/recordings/platoon.mcap", "FILE": "configs/faults/lossy.yaml",
-    "SWEEP": "configs/sweeps/gains.yaml",
+    "SWEEP": "configs/sweeps/gains.yaml", "SCRIPT": "tests/gateways/seeded.py", "CHECKOUT": "tests",
     "ARENA": "platoon", "DIR": "new", "NAME": "all", "N": "3", "S": "5", "SEED": "7", "KEY=VALUE": "run.seed=3",
     "CAMERA": "configs/cameras/overhead.yaml", "SURVEY": "survey.yaml", "IMAGES": "photos",
     "/etc/robofleet/lab.yaml": "configs/lab.yaml",  # where tools/deploy installs it
@@ -51,7 +51,7 @@ PROGRAMS = {*SHELL, "robofleet", "python", "python3", "pip", "pytest", "ruff", "
 LABORATORY = {"calibrate": "measure", "sheet": "sheet"}  # commands with commands of their own: their module
 SCRIPTS = {"calibrate.py": "calibrate", "tag_sheet.py": "sheet"}  # of tools/: the same
 SHOWN = (  # blocks that show what something looks like, by their beginning
-    "running ", "robot ", "kernels <", "camera ->", "# yaml-language-server",
+    "running ", "robot ", "kernels <", "camera ->", "script ->", "# yaml-language-server",
 )  # fmt: skip
 
 
@@ -243,6 +243,9 @@ def laboratory(name: str, arguments: list[str]) -> None:
 def argparse_only(file: Path, name: str | None, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a program up to where its parser has taken its arguments."""
     text = file.read_text()
+    if "Fleet.from_arguments(" in text:
+        Fleet.from_arguments("configs/script.yaml", arguments)
+        return
     if "argparse" not in text:
         known = set(arguments) <= set(re.findall(r'"(--\w+)"', text))
         assert known, f"{file.name} takes no {arguments}"

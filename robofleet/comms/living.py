@@ -45,6 +45,12 @@ def others(session: zenoh.Session, arena: str, role: str) -> list[Token]:
     return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST]
 
 
+def roles(session: zenoh.Session, arena: str) -> set[str]:
+    """Return the roles that somebody has."""
+    replies = session.liveliness().get(key(arena, ALIVE, "*/*/*"))
+    return {str(reply.ok.key_expr).split("/")[-3] for reply in replies if reply.ok is not None}
+
+
 class Living:
     """The sessions that have a role, kept up to date by Zenoh's own thread."""
 

@@ -15,7 +15,7 @@ from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.credentials import Credentials
 from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, REQUEST, SAFE_REQUEST, TOPICS, Topic, key, largest, served_by
-from robofleet.comms.living import Living, RoleTakenError, alive_key, others
+from robofleet.comms.living import Living, RoleTakenError, alive_key, others, roles
 from robofleet.patterns import QUIC
 
 _ANSWER_WITHIN_NS = S
@@ -255,6 +255,10 @@ class ZenohBus:
             living = Living(self._session, self._arena, server)
             self._living[server] = living, now_ns
         return living
+
+    def roles(self) -> set[str]:
+        """Return the roles that somebody on this bus has."""
+        return roles(self._session, self._arena)
 
     def part(self) -> "ZenohBus":
         """Return this bus once more; when that one is closed, what it declared is gone, and this one goes on."""

@@ -267,16 +267,21 @@ def hosts(
 
     $ robofleet hosts lab.yaml
 
-    The second one needs no run, where the router stays between runs (bus.router: service).
+    The second one needs no run, where the router stays between runs (bus.router: service). A computer that has joined
+    as an operator or a viewer sees the robots that are linked.
     """
     from robofleet.processes import hosts as asking  # noqa: PLC0415
     from robofleet.processes import operator  # noqa: PLC0415
 
     file = None if arena is None else Path(arena)
-    if file is None or not (file.exists() or file.suffix):
-        file = Path(_running(arena).folder) / "config.yaml"
+    named = file is None or not (file.exists() or file.suffix)  # as an arena
+    there = _elsewhere(arena) if named else None
     try:
-        found = asking.hosts(_for_one_process(file))
+        if there is not None:
+            found = asking.hosts_elsewhere(there)
+        else:
+            file = Path(_running(arena).folder) / "config.yaml" if file is None or named else file
+            found = asking.hosts(_for_one_process(file))
     except operator.UnreachableError as error:
         _told(False, str(error))
     if as_json:

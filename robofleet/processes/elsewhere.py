@@ -56,7 +56,7 @@ def ask(there: Elsewhere, what: str) -> tuple[bool, str]:
         name = there.credentials.name
         return False, f"{name} is a viewer of {there.arena}, who may ask for {SAFE_WORDS}: {what} is an operator's"
     try:
-        with _reached(there, clock) as bus:
+        with reached(there, clock) as bus:
             answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
             return answer.startswith("ok"), answer
     except (UnreachableError, TimeoutError) as error:
@@ -67,7 +67,7 @@ def stop(there: Elsewhere) -> tuple[bool, str]:
     """Ask for the emergency stop until every robot has acknowledged it; returns whether all have, and what happened."""
     clock = WallClock()
     try:
-        with urgent(), _reached(there, clock) as bus:
+        with urgent(), reached(there, clock) as bus:
             states, began_ns = bus.newest(STATE), clock.now_ns()
             answer, again_ns = bus.ask(SAFE_REQUEST, "supervisor", b"estop"), began_ns + _AGAIN_NS
             left: list[int] | None = None  # rows that have not acknowledged
@@ -92,7 +92,8 @@ def stop(there: Elsewhere) -> tuple[bool, str]:
 
 
 @contextmanager
-def _reached(there: Elsewhere, clock: WallClock) -> Iterator[ZenohBus]:
+def reached(there: Elsewhere, clock: WallClock) -> Iterator[ZenohBus]:
+    """Join the bus of another computer's arena; UnreachableError where its router does not answer."""
     at = there.arena, there.router, there.role, clock, _CONNECT_WITHIN_S
     silent = f"the router of {there.arena} at {', '.join(there.router)} does not answer, or refuses this certificate"
     with answering(silent, *at, credentials=there.credentials) as bus:

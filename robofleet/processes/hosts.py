@@ -1,12 +1,16 @@
 """The computers of an arena's robots, as they answer within some seconds: during a run, and where the router stays."""
 
 import json
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.keys import HOST, STATUS, key
 from robofleet.comms.messages import UNIT_STATUS, UnitStatus
+from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.tree import Config
+from robofleet.patterns import unit_of_role
+from robofleet.processes.elsewhere import Elsewhere, reached
 from robofleet.processes.operator import answering
 from robofleet.safety.gate import GateStatus
 
@@ -23,27 +27,42 @@ def hosts(config: Config) -> dict[str, Any]:
 
     UnreachableError where no router answers.
     """
-    clock, arena, units = WallClock(), config.arena.name, config.units
-    said: dict[str, list[UnitStatus]] = {unit: [] for unit in units}
-    answers: dict[str, tuple[float, dict[str, Any]]] = {}
+    clock, arena = WallClock(), config.arena.name
     silent = f"no router of {arena} answers at {config.bus.endpoint}: start a run, or one that stays (bus.router)"
     with answering(silent, arena, config.bus.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
-        keys = {key(arena, STATUS, unit): unit for unit in units}
-        statuses = bus.stream(*keys, capacity=1024 * len(keys))
-        clock.sleep_until(clock.now_ns() + S // 5)  # who serves what is heard of first
-        asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in config.daemons}
-        end_ns = clock.now_ns() + _LISTEN_NS
-        while (now_ns := clock.now_ns()) < end_ns:
-            for unit, (asked_ns, answer) in asked.items():
-                if unit not in answers and (reply := answer.take()) is not None:
-                    answers[unit] = (now_ns - asked_ns) / MS, _read(reply)
-            for _, full, payload in statuses.drain():
-                if (status := UNIT_STATUS.decode(payload)) is not None:
-                    said[keys[full]].append(status)
-            clock.sleep_until(now_ns + _POLL_NS)
-    return {
-        "arena": arena, "units": [_unit(config, unit, said[unit], answers.get(unit)) for unit in units]
-    }  # fmt: skip
+        return {"arena": arena, "units": _asked(bus, clock, arena, config.units, config.daemons)}
+
+
+def hosts_elsewhere(there: Elsewhere) -> dict[str, Any]:
+    """Return the units of another computer's arena that are linked now: only its configuration knows the others.
+
+    UnreachableError where no router answers.
+    """
+    clock = WallClock()
+    with reached(there, clock) as bus:
+        linked = sorted(unit for role in bus.roles() if (unit := unit_of_role(role)) is not None)
+        return {"arena": there.arena, "units": _asked(bus, clock, there.arena, dict.fromkeys(linked, ()), linked)}
+
+
+def _asked(
+    bus: ZenohBus, clock: WallClock, arena: str, units: Mapping[str, Sequence[str]], daemons: Sequence[str]
+) -> list[dict[str, Any]]:
+    said: dict[str, list[UnitStatus]] = {unit: [] for unit in units}
+    answers: dict[str, tuple[float, dict[str, Any]]] = {}
+    keys = {key(arena, STATUS, unit): unit for unit in units}
+    statuses = bus.stream(*keys, capacity=1024 * len(keys))
+    clock.sleep_until(clock.now_ns() + S // 5)  # who serves what is heard of first
+    asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in daemons}
+    end_ns = clock.now_ns() + _LISTEN_NS
+    while (now_ns := clock.now_ns()) < end_ns:
+        for unit, (asked_ns, answer) in asked.items():
+            if unit not in answers and (reply := answer.take()) is not None:
+                answers[unit] = (now_ns - asked_ns) / MS, _read(reply)
+        for _, full, payload in statuses.drain():
+            if (status := UNIT_STATUS.decode(payload)) is not None:
+                said[keys[full]].append(status)
+        clock.sleep_until(now_ns + _POLL_NS)
+    return [_unit(unit, units[unit], said[unit], answers.get(unit), daemon=unit in daemons) for unit in units]
 
 
 def _read(reply: bytes) -> dict[str, Any]:
@@ -55,15 +74,16 @@ def _read(reply: bytes) -> dict[str, Any]:
 
 
 def _unit(
-    config: Config, unit: str, said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None
-) -> dict[str, Any]:
+    unit: str, robots: Sequence[str], said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None, *,
+    daemon: bool,
+) -> dict[str, Any]:  # fmt: skip
     trip_ms, told = answer or (None, {})
     seqs = [status.seq for status in said]
     sent = max(seqs) - min(seqs) + 1 if seqs else 0
     charges = [robot.battery for robot in said[-1].robots if robot.battery >= 0.0] if said else []
     return {
-        "unit": unit, "robots": list(config.units[unit]),
-        "state": _state(said, daemon=unit in config.daemons, answers=answer is not None),
+        "unit": unit, "robots": list(robots),
+        "state": _state(said, daemon=daemon, answers=answer is not None),
         **{name: told.get(name) for name in ("host", "version", "certificate_ends", "since")},
         "round_trip_ms": None if trip_ms is None else round(trip_ms, 1),
         "loss": round(1.0 - len(set(seqs)) / sent, 3) if sent > 1 else None,

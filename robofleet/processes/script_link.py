@@ -9,6 +9,7 @@ from robofleet.safety.advice import advised
 from robofleet.safety.supervisor import RunStatus
 
 BEHAVIOUR = "script"
+CONFIGURATIONS = ".yaml", ".yml"  # how their files end; else it is an arena's name
 _LONG_S = 1e6  # the script ends the run
 
 
@@ -36,6 +37,9 @@ class Link(Protocol):
 
     def unit_status(self, unit: str) -> bytes | None:
         """Return the newest status of a unit."""
+
+    def unit_sensors(self, unit: str) -> bytes | None:
+        """Return what the sensors of a unit's robots said last."""
 
     def wish(self, payload: bytes) -> None:
         """Send a wish."""
@@ -66,6 +70,26 @@ def scripted(config: Config) -> Config:
         update["groups"] = (Group(name=BEHAVIOUR, behaviour=BEHAVIOUR, robots=robots, settings=settings),)
         run["bounds"] = Bounds()  # they judge what another behaviour does
     return config.model_copy(update={**update, "run": config.run.model_copy(update=run)})
+
+
+def first(config: Config, count: int | None) -> Config:
+    """Return a configuration of the first so many robots that drive, without all others; None: as it is.
+
+    FleetError where there are not so many.
+    """
+    if count is None:
+        return config
+    there = config.members
+    if not 0 < count <= len(there):
+        raise FleetError(
+            f"robots: {count} are asked for, and {config.arena.name} has {len(there)}: ask for 1 to them all"
+        )
+    kept = {robot.id for robot in there[:count]}
+    every = [
+        group.model_copy(update={"robots": tuple(r for r in group.robots if r in kept)}) for group in config.groups
+    ]
+    robots = tuple(robot for robot in config.robots if robot.id in kept)
+    return config.model_copy(update={"robots": robots, "groups": tuple(group for group in every if group.robots)})
 
 
 def ended(status: RunStatus, config: Config) -> FleetError:

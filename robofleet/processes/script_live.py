@@ -17,7 +17,7 @@ from robofleet.behaviours import described
 from robofleet.clock import S, WallClock
 from robofleet.comms.credentials import Credentials
 from robofleet.comms.joining import joined
-from robofleet.comms.keys import NOTE, STATE, STATUS, TICK, WISH
+from robofleet.comms.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD
 from robofleet.comms.permissions import SCRIPT
 from robofleet.comms.requests import asked
@@ -58,6 +58,7 @@ class LiveLink:
         self._taken = 0
         self._state = b""
         self._statuses: dict[str, bytes] = {}
+        self._sensors: dict[str, bytes] = {}
         try:
             self._bus = joined(config.arena.name, endpoint, SCRIPT, self._clock, within_s, self._check, credentials)
         except TimeoutError as error:
@@ -67,6 +68,8 @@ class LiveLink:
             self._bus.listen(STATE, "", self._heard_state)
             for unit in config.units:
                 self._bus.listen(STATUS, unit, partial(self._heard_status, unit))
+            for unit in config.sensing:
+                self._bus.listen(SENSORS, unit, partial(self._heard_sensors, unit))
             self._publish = self._bus.publisher(WISH, group)
             self.wish = self._publish
             self.note = self._bus.publisher(NOTE, group)
@@ -115,6 +118,10 @@ class LiveLink:
     def unit_status(self, unit: str) -> bytes | None:
         """Return the newest status of a unit."""
         return self._statuses.get(unit)
+
+    def unit_sensors(self, unit: str) -> bytes | None:
+        """Return what the sensors of a unit's robots said last."""
+        return self._sensors.get(unit)
 
     def ask(self, what: bytes) -> None:
         """Ask the supervisor."""
@@ -167,6 +174,9 @@ class LiveLink:
 
     def _heard_status(self, unit: str, _at_ns: int, payload: bytes) -> None:
         self._statuses[unit] = payload
+
+    def _heard_sensors(self, unit: str, _at_ns: int, payload: bytes) -> None:
+        self._sensors[unit] = payload
 
     def _heard_state(self, _at_ns: int, payload: bytes) -> None:
         self._state = payload

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robofleet.clock import S, stopwatch_ns, utc_now
-from robofleet.comms.keys import NOTE, STATUS, TICK, WISH, key
+from robofleet.comms.keys import NOTE, SENSORS, STATUS, TICK, WISH, key
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.files import write_text
@@ -91,6 +91,11 @@ class LockstepLink:
     def unit_status(self, unit: str) -> bytes | None:
         """Return the newest status of a unit."""
         said = self._messages.get(key(self.config.arena.name, STATUS, unit))
+        return said[-1] if said else None
+
+    def unit_sensors(self, unit: str) -> bytes | None:
+        """Return what the sensors of a unit's robots said last."""
+        said = self._messages.get(key(self.config.arena.name, SENSORS, unit))
         return said[-1] if said else None
 
     def ask(self, what: bytes) -> None:

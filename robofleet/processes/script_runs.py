@@ -1,6 +1,7 @@
 """Begins a script's run, or joins one that is on."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,31 +13,34 @@ from robofleet.config.tree import Config
 from robofleet.processes.check import load_checked
 from robofleet.processes.operator import NoArenaError, chosen
 from robofleet.processes.refusal import RefusedError, new_folder
-from robofleet.processes.script_link import FleetError, Link, scripted
+from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link, first, scripted
 from robofleet.vehicles.interface import DriverError
-
-_CONFIGURATIONS = ".yaml", ".yml"
 
 Out = str | Path | Literal[False] | None
 
 
 def opened(
-    where: str | Path, changes: Sequence[str], out: Out, group: str | None, copy: str | Path | None, *, lockstep: bool
-) -> Link:
+    where: str | Path, changes: Sequence[str], out: Out, group: str | None, copy: str | Path | None, *,
+    lockstep: bool, robots: int | None = None,
+) -> Link:  # fmt: skip
     """Return a run that is on; ConfigError or FleetError where there is none."""
     file = Path(where)
     try:
-        if file.suffix not in _CONFIGURATIONS:
-            if lockstep or changes:
+        if file.suffix not in CONFIGURATIONS:
+            if lockstep or changes or robots is not None:
                 raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
             return _joined(str(where), group, copy)
-        config = load_checked(file, changes, lockstep=lockstep, change=scripted)
+        config = load_checked(file, changes, lockstep=lockstep, change=partial(_as_driven, robots=robots))
         mine = group_of(config, group)
         if lockstep:
             return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
         return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
     except (RefusedError, DriverError, NoArenaError) as error:
         raise FleetError(str(error)) from error
+
+
+def _as_driven(config: Config, robots: int | None) -> Config:
+    return scripted(first(config, robots))
 
 
 def group_of(config: Config, wanted: str | None) -> str:

@@ -366,7 +366,8 @@ class Supervisor:
         if status is None or unit not in statuses.by_radio or status.nonce == self._echoed[unit]:
             return False
         self._passed_over[unit] += 1
-        return status.hurry != Hurry.NO or self._passed_over[unit] >= _EVERY_OTHER
+        urgent = status.hurry != Hurry.NO or self._status.phase is Phase.ESTOP
+        return urgent or self._passed_over[unit] >= _EVERY_OTHER
 
     def _enable(self, unit: int, now_ns: int) -> None:
         """Say to a unit which of its robots may move, and which gates must close or may be cleared."""

@@ -33,7 +33,7 @@ from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Event, Phase
-from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, join, said
+from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network
 from tests.hosts.radio import PATTERNS
 from tests.processes.realrun import wait
@@ -256,23 +256,42 @@ def laboratory_dies() -> dict[str, Any]:
         return {"daemons_live": live, "drives_after_start_s": round(drives_s, 1), "zero_after_nonce_ms": stood}
 
 
-def stop(times: int) -> dict[str, Any]:
-    """Emergency stops from the operator's host, while the fleet drives."""
+def stop(times: int, driving: int) -> dict[str, Any]:
+    """Emergency stops from the operator's host: of robots that wait, reset after each, and of some that drive."""
     with laboratory() as (network, stack):
-        file = configuration(network, *ROBOTS, duration_s=300.0)
+        lab, file = network["lab"], configuration(network, *ROBOTS, duration_s=300.0)
         fleet = Fleet(network, ROBOTS, stack)
-        took_ms, failed = [], []
-        for number in range(times):
-            name = f"stop{number}"
-            run = fleet.run(file, name, *_TRUTH, "--reset")
-            begun(fleet, run, name)
+        took: dict[str, list[float]] = {"waiting": [], "driving": []}
+        failed = []
+
+        def stopped(robots: str) -> None:
             answer = network["desk"].robofleet("stop")
-            run.wait(60)
             if answer.returncode == 0:
-                took_ms.append(float(answer.stdout.rsplit("after ", 1)[1].split()[0]))
+                took[robots].append(float(answer.stdout.rsplit("after ", 1)[1].split()[0]))
             else:
                 failed.append(answer.stderr)
-        return {"times": times, "worst_ms": max(took_ms), "median_ms": float(np.median(took_ms)), "failed": failed}
+
+        desk, names = network["desk"], ("router", "twins", "supervisor")  # one by one: no launcher ends at a stop
+        alone = [lab.begin(process, str(file), log=lab.folder / f"{process}.log") for process in names]
+        for process in alone:
+            stack.callback(ended, process)
+        assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 60)
+        for _ in range(times):
+            stopped("waiting")
+            assert wait(lambda: desk.robofleet("reset").stdout.startswith("ok"), 20)
+        for process in reversed(alone):
+            ended(process)
+        for number in range(driving):
+            run = fleet.run(file, f"stop{number}", *_TRUTH, "--reset")
+            begun(fleet, run, f"stop{number}")
+            stopped("driving")
+            run.wait(60)
+        told = {
+            robots: {"times": len(ms), "median_ms": float(np.median(ms)), "worst_ms": max(ms)}
+            for robots, ms in took.items()
+            if ms
+        }
+        return {**told, "failed": failed}
 
 
 def main() -> None:
@@ -286,11 +305,13 @@ def main() -> None:
     air.add_argument("--seed", type=int, default=1)
     what.add_parser("cut").add_argument("seconds", type=float, nargs="+")
     what.add_parser("laboratory")
-    what.add_parser("stop").add_argument("--times", type=int, default=100)
+    stops = what.add_parser("stop")
+    stops.add_argument("--times", type=int, default=100)
+    stops.add_argument("--driving", type=int, default=0)
     asked = told.parse_args()
     found: dict[str, Callable[[], Any]] = {
         "lap": lap, "radio": lambda: radio(asked.pattern, asked.laps, asked.seed), "cut": lambda: cut(asked.seconds),
-        "laboratory": laboratory_dies, "stop": lambda: stop(asked.times),
+        "laboratory": laboratory_dies, "stop": lambda: stop(asked.times, asked.driving),
     }  # fmt: skip
     print(json.dumps(found[asked.what](), indent=1))
 

@@ -46,6 +46,10 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
         assert [one["unit"] for one in hosts] == list(robots)
         assert all(one["certificate_ends"] and one["round_trip_ms"] and one["loss"] < 0.5 for one in hosts)
 
+        seen = yaml.safe_load(said(net["phone"], "hosts", "--json"))["units"]
+        assert [one["unit"] for one in seen] == list(robots)
+        assert all(one["state"] == "drives" and one["round_trip_ms"] for one in seen)
+
         assert net["phone"].robofleet("hold").stdout.startswith("ok")
         assert wait(lambda: fleet.phase() == "hold", 20)
         refused = net["phone"].robofleet("resume")

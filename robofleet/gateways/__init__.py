@@ -1,0 +1,1 @@
+"""Other worlds: programs that were written for something else drive a fleet."""

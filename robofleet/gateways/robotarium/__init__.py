@@ -1,0 +1,1 @@
+"""Scripts that were written for the Robotarium's Python simulator drive a fleet, unmodified."""
