@@ -62,9 +62,11 @@ class Marks:
     def chosen(self, which: NDArray[np.bool_]) -> "Marks":
         """Return some of them."""
         names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
-        arrays = (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
+        points, headings, sides, pixels, ahead, sigma_px = (
+            array[which] for array in (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
+        )
         by_lens = self.by_lens if isinstance(self.by_lens, float) else self.by_lens[which]
-        return Marks(names, *(array[which] for array in arrays), by_lens)
+        return Marks(names, points, headings, sides, pixels, ahead, sigma_px, by_lens)
 
 
 class Look(NamedTuple):
@@ -113,7 +115,11 @@ class TagFinder:
         points = np.array([[[middle, middle], [middle + rim, middle]]])
         centre, ahead = cv2.perspectiveTransform(points, np.asarray(laid, np.float64))[0] + [left, top]
         near = math.dist(centre, corners.mean(0)) < cell  # perspective and lens move the middle by less
-        return Seen(centre, ahead, _sigma_px(template, patch, laid)) if alike > _ALIKE and near else None
+        return (
+            Seen(centre, ahead, _sigma_px(template, patch, np.asarray(laid, np.float32)))
+            if alike > _ALIKE and near
+            else None
+        )
 
     def _template(self, tag: int, cell: float) -> tuple[NDArray[np.float32], float]:
         """Return the print as a camera shows it with ``cell`` pixels a cell, and its middle's coordinate."""
@@ -160,7 +166,7 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     carried = {tag for tag, spread in spreads.items() if spread > 3.0 * usual + _MOVED_PX}
     marks = _marks(survey, {tag: track for tag, track in tracks.items() if tag not in carried})
     surveyed = {tag.tag for tag in survey.floor_tags}
-    if not tracks and any(surveyed & finder.find(cv2.flip(image, 1)).keys() for _, image in images):
+    if not tracks and any(surveyed & finder.find(np.ascontiguousarray(image[:, ::-1])).keys() for _, image in images):
         raise CalibrationError(MIRRORED)
     strangers = {tag for prints in found for tag in prints} - surveyed
     notes = [

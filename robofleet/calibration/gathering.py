@@ -3,7 +3,7 @@
 from collections import Counter
 from pathlib import Path
 
-import cv2
+import numpy as np
 
 from robofleet.calibration.board import Board, BoardCheck, BoardDetector, Image, View
 from robofleet.calibration.frames import MIRRORED, images
@@ -51,7 +51,8 @@ class Gathering:
             )
         sight = self._detector.detect(name, image)
         if sight.view is None and not self.views:
-            self._mirrored = self._mirrored or self._detector.detect(name, cv2.flip(image, 1)).view is not None
+            mirror = np.ascontiguousarray(image[:, ::-1])
+            self._mirrored = self._mirrored or self._detector.detect(name, mirror).view is not None
         self._check.add(sight)
         self.fates[name] = Offer.NO_BOARD if sight.view is None else self._collector.offer(sight.view)
         return self.fates[name]

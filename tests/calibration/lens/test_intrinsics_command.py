@@ -85,7 +85,12 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
     )
     assert "left out, as they do not fit: 08.png" in said.out
     page = (tmp_path / "page.html").read_text()
-    assert page.count("<svg") == 3 and "08.png" in page and "1 too little of the board" in page
+    assert (
+        page.count("<svg") == 4
+        and page.count("<img") == 21
+        and "08.png" in page
+        and "1 too little of the board" in page
+    )
     assert "<script" not in page and 'src="http' not in page
     # A run takes it, but for the camera's place.
     tree = yaml.safe_load((ROOT / "configs" / "platoon.yaml").read_text())
