@@ -109,3 +109,11 @@ def test_every_public_name_is_there() -> None:
     assert {name: getattr(robofleet, name) for name in robofleet.__all__}.keys() == set(robofleet.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         robofleet.nothing  # noqa: B018
+
+
+def test_a_script_beside_a_clone_finds_the_package_and_not_the_clone(tmp_path: Path) -> None:
+    (tmp_path / "robofleet").mkdir()  # as a clone is named
+    (tmp_path / "hello.py").write_text("import robofleet\nprint(robofleet.Fleet)\n")
+    done = subprocess.run([sys.executable, tmp_path / "hello.py"], capture_output=True, text=True, check=False)
+    why = "an environment of before pyproject.toml had a package-dir: install it again, pip install -e '.[dev]'"
+    assert done.stdout == f"{robofleet.Fleet}\n", f"{why}: {done.stderr}"
