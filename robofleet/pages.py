@@ -8,6 +8,7 @@ import html
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import NamedTuple
 
@@ -160,7 +161,7 @@ class Page:
         A ``whole`` one is as wide as the page. On a narrow screen it is not moved to the side: its rows become cards.
         """
         cards = whole and len(head) > _SIDE_BY_SIDE
-        heads = head if cards else [""] * len(head)
+        heads = head if cards else repeat("")
         lines = ["".join(map(_head, head))] + ["".join(map(_cell, row, heads)) for row in rows]
         kind = "wide" + whole * " whole" + cards * " cards"
         self._parts.append(
