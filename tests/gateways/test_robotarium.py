@@ -165,6 +165,13 @@ def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
     assert (place / "run" / "figure1.png").stat().st_size > 1000
 
 
+@pytest.mark.parametrize("steps", [60, 150])
+def test_ideal_robots_are_on_their_way_where_the_original_has_them(steps: int, runs: Runs) -> None:
+    poses = told(runs(SCRIPT_2.replace("range(400)", f"range({steps})"), "--ideal", "--quiet"))
+    apart = np.hypot(*(np.array(poses["last"]) - by_the_original(steps))[:2])
+    assert apart.max() < 0.012  # they begin a tick or two later, with 4 mm a tick
+
+
 def test_two_runs_of_a_script_leave_the_same_trace(runs: Runs, place: Path) -> None:
     short = SCRIPT_2.replace("range(400)", "range(30)")
     traces = set()

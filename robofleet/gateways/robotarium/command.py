@@ -36,6 +36,9 @@ def robotarium(
     real_time: Annotated[
         bool, typer.Option("--real-time", help="In real time; without it in lockstep, as fast as it goes.")
     ] = False,
+    ideal: Annotated[
+        bool, typer.Option("--ideal", help="Simulated robots without lag, dead band and slip, as the original's.")
+    ] = False,
     api: Annotated[int | None, typer.Option(metavar="1|2", help="The script's version; default: as it looks.")] = None,
     overrides: Annotated[
         list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the configuration. Repeatable.")
@@ -57,7 +60,7 @@ def robotarium(
 
         if out is not None:
             new_folder(out)
-        runs = Runs(Wanted(config, script.stem, real_time, tuple(overrides), out, quiet))
+        runs = Runs(Wanted(config, script.stem, real_time, ideal, tuple(overrides), out, quiet))
     code = _run(script, arguments, runs, version)
     if not quiet:
         _tell(runs)

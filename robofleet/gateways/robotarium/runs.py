@@ -27,6 +27,7 @@ class Wanted:
     config: Path
     name: str  # the script's, for folders
     real_time: bool = False
+    ideal: bool = False  # simulated robots have no errors
     changes: tuple[str, ...] = ()  # KEY=VALUE
     out: Path | None = None
     quiet: bool = False
@@ -84,6 +85,8 @@ class Runs:
         rows = {robot.id: row for row, robot in enumerate(self._config.robots)}
         for place, (x, y, psi) in enumerate(starts.T.tolist()):
             key, robot = f"robots.{rows[members[place]]}", self._config.robot(members[place])
+            if self.wanted.ideal and robot.driver == "simulated":
+                yield f"{key}.vehicle=ideal"
             if placed(self._config):
                 degrees = math.degrees(math.remainder(psi, math.tau))
                 yield f"{key}.start={{x_m: {x:.9f}, y_m: {y:.9f}, heading_deg: {degrees:.9f}}}"
