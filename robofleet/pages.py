@@ -3,10 +3,12 @@
 It is read on a screen, on a phone and on paper; nothing is fetched from elsewhere.
 """
 
+import base64
 import html
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +20,7 @@ from robofleet.files import write_text
 
 GOOD, BAD = COLOURS[2], COLOURS[1]
 
+_SIDE_BY_SIDE = 3  # columns that a narrow screen shows
 _PRECISION = re.compile(r"(?<=\.\d\d)\d+")  # a hundredth of a point is finer than any screen
 _TAG = re.compile(r"<[^>]*>")
 _NAMES = re.compile(r' id="(?!C\d)[\w.]+_\d+"')  # nobody refers to them, and every plot has the same
@@ -45,6 +48,11 @@ figure {{ margin: 1.4rem 0 }} figcaption {{ color: var(--quiet); font-size: .9re
 .wide {{ overflow-x: auto }} table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0 }}
 th, td {{ text-align: left; padding: .25rem 1.2rem .25rem 0; border-bottom: 1px solid var(--faint);
   vertical-align: top }}
+.whole table {{ width: 100% }}
+.pictures {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(9rem, 1fr)); gap: .7rem; margin: 1rem 0 }}
+.pictures figure {{ margin: 0 }} .pictures img {{ display: block; width: 100%; border-bottom: 4px solid var(--faint) }}
+.pictures .good img {{ border-color: var(--good-edge) }} .pictures .bad img {{ border-color: var(--bad-edge) }}
+.pictures .bad figcaption {{ color: var(--bad) }}
 th {{ font-weight: 600 }} td {{ white-space: nowrap }} td:last-child {{ white-space: normal; min-width: 7rem }}
 .verdict {{ padding: .8rem 1.1rem; border-left: 6px solid var(--edge); margin: 1.2rem 0; background: var(--wash);
   white-space: pre-line }}
@@ -66,6 +74,12 @@ summary {{ cursor: pointer; color: var(--link) }}
   body {{ margin-top: 1rem }} h1 {{ font-size: 1.5rem }}
   .tiles {{ grid-template-columns: repeat(2, minmax(0, 1fr)) }} .tile b {{ font-size: 1.25rem }}
   th, td {{ padding-right: .8rem }} td {{ white-space: normal; min-width: 4rem }}
+  .cards tr {{ display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); padding: .4rem 0;
+    border-bottom: 1px solid var(--faint) }}
+  .cards tr:first-child {{ display: none }}
+  .cards td {{ border: 0; min-width: 0; padding-bottom: 0; overflow-wrap: anywhere }}
+  .cards td:last-child {{ min-width: 0 }} .cards td:empty {{ display: none }}
+  .cards td::before {{ content: attr(data-head); display: block; color: var(--quiet); font-size: .75rem }}
 }}
 @media (max-width: 40rem), (pointer: coarse) {{ /* fingers */
   nav a, .files a {{ display: inline-flex; align-items: center; min-width: 44px; min-height: 44px }}
@@ -97,6 +111,13 @@ class Tile(NamedTuple):
     label: str
     value: str
     unit: str
+    note: Marked
+
+
+class Picture(NamedTuple):
+    """A small photograph with its line."""
+
+    jpeg: bytes
     note: Marked
 
 
@@ -134,12 +155,30 @@ class Page:
         )
         self._parts.append(f'<div class="tiles">{"".join(shown)}</div>')
 
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Add a table; floats show four digits."""
-        lines = ["".join(map(_head, head))] + ["".join(map(_cell, row)) for row in rows]
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[object]], *, whole: bool = False) -> None:
+        """Add a table; floats show four digits.
+
+        A ``whole`` one is as wide as the page. On a narrow screen it is not moved to the side: its rows become cards.
+        """
+        cards = whole and len(head) > _SIDE_BY_SIDE
+        heads = head if cards else repeat("")
+        lines = ["".join(map(_head, head))] + ["".join(map(_cell, row, heads)) for row in rows]
+        kind = "wide" + whole * " whole" + cards * " cards"
         self._parts.append(
-            '<div class="wide" tabindex="0"><table>' + "".join(f"<tr>{line}</tr>" for line in lines) + "</table></div>"
+            f'<div class="{kind}" tabindex="0"><table>'
+            + "".join(f"<tr>{line}</tr>" for line in lines)
+            + "</table></div>"
         )
+
+    def pictures(self, pictures: Iterable[Picture]) -> None:
+        """Add small photographs side by side."""
+        shown = (
+            f'<figure class="{_class(note.good)}"><img alt="{_text(note.text)}" '
+            f'src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">'
+            f"<figcaption>{_text(note.text)}</figcaption></figure>"
+            for jpeg, note in pictures
+        )
+        self._parts.append(f'<div class="pictures">{"".join(shown)}</div>')
 
     def figure(
         self,
@@ -192,10 +231,11 @@ def _head(cell: str) -> str:
     return f'<th scope="col">{_text(cell)}</th>' if cell else "<td></td>"
 
 
-def _cell(cell: object) -> str:
+def _cell(cell: object, head: str = "") -> str:
+    label = f' data-head="{_text(head)}"' if head else ""
     if isinstance(cell, Marked):
-        return f'<td class="{_class(cell.good)}">{_text(cell.text)}</td>'
-    return f"<td>{_text(f'{cell:.4g}' if isinstance(cell, float) else '-' if cell is None else str(cell))}</td>"
+        return f'<td class="{_class(cell.good)}"{label}>{_text(cell.text)}</td>'
+    return f"<td{label}>{_text(f'{cell:.4g}' if isinstance(cell, float) else '-' if cell is None else str(cell))}</td>"
 
 
 def _class(good: bool | None) -> str:

@@ -16,7 +16,7 @@ from robofleet.calibration.placing import PARAMETERS, Lens, Placement, on_plane,
 from robofleet.calibration.region import predicted, region_of
 from robofleet.calibration.store import CalibrationError, load, provenance, save
 from robofleet.calibration.survey import LEAST, load_survey
-from robofleet.config.calibrated import CameraModel, PoseSettings
+from robofleet.config.calibrated import CameraModel, PoseSettings, SeenMark
 from robofleet.config.faults import lens_fault
 from robofleet.tracking.camera import CameraGeometry
 
@@ -70,7 +70,8 @@ def calibrate_arena(
     if images:
         inputs["images"] = b"".join(image.tobytes() for _, image in images)
     where = provenance("arena", inputs, figures, PARAMETERS, placement.covariance.tolist())
-    model = model.model_copy(update={"T_world_camera": _pose(placement.T_world_camera), "arena": where})
+    pose, marks = _pose(placement.T_world_camera), _seen(seen.marks)
+    model = model.model_copy(update={"T_world_camera": pose, "arena": where, "marks": marks})
     write_page(report, f"Where {camera.stem} hangs", model, agreement, seen.marks, region, sigma, notes)
     return Result(model, figures, notes, save(camera, model))
 
@@ -194,6 +195,15 @@ def _widths(placement: Placement, marks: Marks) -> Array:
     edge, *_ = on_plane(T, placement.lens.slopes(tags.ahead), heights)
     widths: Array = 2.0 * np.hypot(*(edge - centre).T) / tags.sides
     return widths
+
+
+def _seen(marks: Marks) -> dict[str, SeenMark]:
+    """Return what ``verify`` compares with: every mark, also one that was left out."""
+    rows = zip(marks.names, marks.points.tolist(), marks.pixels.tolist(), marks.sigma_px.tolist(), strict=True)
+    return {
+        name: SeenMark(x_m=x, y_m=y, height_m=height, pixel_px=(round(u, 6), round(v, 6)), sigma_px=round(sigma, 6))
+        for name, (x, y, height), (u, v), sigma in rows
+    }
 
 
 def _pose(T_world_camera: Array) -> PoseSettings:

@@ -56,7 +56,7 @@ def write_page(
     report.section("The camera's place")
     _place(report, model)
     report.section("Figures")
-    report.table(("figure", "value"), list(figures.items()))
+    report.figures(figures)
     report.section("Measured in")
     report.table(("input", "hash"), list(model.arena.inputs.items()))
     report.write(file)

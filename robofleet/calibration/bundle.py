@@ -17,17 +17,26 @@ from robofleet.calibration.board import Array, View
 from robofleet.calibration.lens import Lens, cost
 from robofleet.tracking.camera import Lens as Kind
 
-_POWERS = {  # of a ray's slope (or angle), by which a coefficient's share of it grows
-    "pinhole": (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3, 0, 0),
-    "fisheye": (2, 4, 6, 8),
+_EVEN, _DECENTRED = ((2, 0.5), (4, 0.25), (6, 0.125), (8, 0.0625)), ((1, 0.05), (3, 0.05))
+_BELOW = ((2, 0.3), (4, 0.15), (6, 0.075))  # of a denominator, which must keep far from 0 inside the image
+_SHARES = {  # of each coefficient: power of a ray's slope (or angle), and its share's prior at the image's corner
+    "pinhole": (*_EVEN[:2], *_DECENTRED[:1] * 2, _EVEN[2], *_BELOW, *_DECENTRED * 2),
+    "fisheye": _EVEN,
 }
-_PRIOR = 0.5  # standard deviation of a distortion's share at the image's corner, and of the focal length's
+_PRIOR_FOCAL = 0.5  # standard deviation, of the start's
+_PRIOR_TILT = 0.015  # [rad]: a camera for a ceiling has no sensor that is tilted on purpose
 _PRIOR_CENTRE = 0.1  # of the image's size
-_START_NOISE_PX = 0.2
 _HUBER = 3.0  # [standard deviations of a coordinate]
 _FOCAL_STARTS = (0.4, 0.6, 0.9, 1.4, 2.2, 4.0)  # [image widths]
 _START_VIEWS = 8  # that choose among them
 _STEPS = 60
+
+
+class Prior(NamedTuple):
+    """Any lens that could be: what is known before a view is seen."""
+
+    values: Array  # (P,)
+    information: Array  # (P,), the inverse of each value's variance
 
 
 @dataclass(frozen=True)
@@ -38,15 +47,22 @@ class Fit:
     views: tuple[View, ...]
     poses: Array  # (V, 6)
     residuals: tuple[Array, ...]  # V of (M, 2) [px], projected minus found
-    information: Array  # (V, P, P) of the lens, poses eliminated [1 / px^2 of noise]
-    pulls: Array  # (V, P) of each view on the lens, poses eliminated; they add up to none
-    prior: Array  # (P,)
+    roots: Array  # (V, P, P): R of each view's Jacobian by the lens, poses eliminated; R^T R is its information
+    rests: Array  # (V, P) [px]: its weighted residuals along R's rows; R^T of them is its pull on the lens
+    prior: "Prior"
     noise_px: float  # standard deviation of a coordinate, robust
+
+    @property
+    def information(self) -> Array:
+        """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
+        return np.asarray(
+            np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information)
+        )
 
     @property
     def covariance(self) -> Array:
         """Return the lens's covariance (P, P): the Jacobian's, with the robust noise."""
-        return self.noise_px**2 * inverse(self.information.sum(axis=0) + np.diag(self.prior))
+        return self.noise_px**2 * inverse(self.information)
 
     @property
     def typical_px(self) -> Array:
@@ -58,20 +74,19 @@ class Fit:
         """Return how hard each view (V,) pulls on the lens, against what noise would do: 1 on average.
 
         A view whose corners fit, but only because the others gave way or its pose did, shows here: the pull's square
-        in terms of its covariance, a chi-square over P.
+        in terms of its covariance, a chi-square over P. One view alone leaves most of a rich lens open, so that its
+        information has no inverse that a computer could find. Along the rows of R none is needed: there noise has the
+        same variance in all directions, of which the fit has taken the share R S^-1 R^T, with S the information of
+        all views.
         """
-        spread = inverse(self.information.sum(axis=0) + np.diag(self.prior))
-        pulls = [
-            pull @ inverse(own - own @ spread @ own) @ pull
-            for own, pull in zip(self.information, self.pulls, strict=True)
-        ]
-        return np.array(pulls) / (self.noise_px**2 * len(self.prior))
+        told = [rest @ unexplained for rest, unexplained in zip(self.rests, self._unexplained(), strict=True)]
+        return np.array(told) / (self.noise_px**2 * len(self.lens.values))
 
     @property
     def leaving_out(self) -> Array:
         """Return how the lens (V, P) changes when a view is left out, to first order."""
-        whole = self.information.sum(axis=0) + np.diag(self.prior)
-        return np.array([-inverse(whole - own) @ pull for own, pull in zip(self.information, self.pulls, strict=True)])
+        known = inverse(self.information)
+        return np.array([-known @ R.T @ e for R, e in zip(self.roots, self._unexplained(), strict=True)])
 
     @property
     def jackknife(self) -> Array:
@@ -80,6 +95,11 @@ class Fit:
         count = len(changes)
         centred = changes - changes.mean(axis=0)
         return np.asarray(centred.T @ centred * (count - 1) / count)
+
+    def _unexplained(self) -> list[Array]:
+        """Return each view's rests (P,) [px] against the lens of the others: (I - R S^-1 R^T)^-1 of its own."""
+        known, identity = inverse(self.information), np.eye(len(self.lens.values))
+        return [np.linalg.solve(identity - R @ known @ R.T, e) for R, e in zip(self.roots, self.rests, strict=True)]
 
     def without(self, left_out: Sequence[int]) -> "Fit":
         """Return the fit to the other views, from here."""
@@ -97,10 +117,9 @@ def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[Vi
         lens = Lens(kind, size, values)
         starts.append((sum(cost(lens.project(v.points, lens.pose(v))[0] - v.pixels) for v in few), scale, lens))
     lens = min(starts, key=lambda start: start[:2])[2]
-    prior, poses = _prior(lens), np.array([lens.pose(view) for view in views])
-    first = _adjusted(lens, views, poses, prior)
+    first = _adjusted(lens, views, np.array([lens.pose(view) for view in views]), _prior(lens, lens.values[0]))
     again = np.array([first.lens.pose(view) for view in views])  # some may have started on the wrong one of two
-    return _adjusted(first.lens, views, again, prior)
+    return _adjusted(first.lens, views, again, _prior(lens, first.lens.values[0]))
 
 
 def typical(residuals: Array) -> float:
@@ -121,13 +140,21 @@ def view_information(J_lens: Array, J_pose: Array) -> Array:
     return np.asarray(A.T @ A - A.T @ B @ np.linalg.solve(B.T @ B, B.T @ A))
 
 
-def _prior(lens: Lens) -> Array:
-    """Return the information (P,) of what any lens could be, in the units of the start's noise."""
-    width, height = lens.size
-    corner = float(np.hypot(width, height) / 2 / lens.values[0])
-    powers = np.array(_POWERS[lens.kind][: len(lens.values) - 4])
-    sigma = [_PRIOR * lens.values[0], _PRIOR * lens.values[0], _PRIOR_CENTRE * width, _PRIOR_CENTRE * height]
-    return np.asarray((_START_NOISE_PX / np.array([*sigma, *_PRIOR * corner**-powers])) ** 2)
+def _prior(start: Lens, focal: float) -> Prior:
+    """Return what any lens could be, about one without distortion; ``focal``: its length, roughly [px]."""
+    width, height = start.size
+    corner = float(np.hypot(width, height)) / 2 / focal
+    shares = [share * corner**-power for power, share in _SHARES[start.kind]]
+    sigma = [
+        _PRIOR_FOCAL * focal,
+        _PRIOR_FOCAL * focal,
+        _PRIOR_CENTRE * width,
+        _PRIOR_CENTRE * height,
+        *shares,
+        _PRIOR_TILT,
+        _PRIOR_TILT,
+    ]
+    return Prior(start.values, np.array(sigma[: len(start.values)]) ** -2.0)
 
 
 class _Blocks(NamedTuple):
@@ -140,20 +167,21 @@ class _Blocks(NamedTuple):
     pull_pose: Array  # (6,)
 
 
-def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Array) -> Fit:
+def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Prior) -> Fit:
     """Return the fit that Levenberg and Marquardt's steps end at; weights and noise follow the residuals."""
-    centre, damping = lens.values, 1e-3
+    damping = 1e-3
     residuals = _residuals(lens, views, poses)
     for _ in range(_STEPS):
         noise = _noise(residuals)
         weights = [_weights(r, noise) for r in residuals]
         blocks = [_blocks(lens, *parts) for parts in zip(views, poses, residuals, weights, strict=True)]
-        before = _weighted(residuals, weights) + float(prior @ (lens.values - centre) ** 2)
+        known = noise**2 * prior.information
+        before = _weighted(residuals, weights) + float(known @ (lens.values - prior.values) ** 2)
         while damping < 1e12:
-            step, steps = _step(blocks, prior, prior * (centre - lens.values), damping)
+            step, steps = _step(blocks, known, known * (prior.values - lens.values), damping)
             tried = replace(lens, values=lens.values + step)
             moved = _residuals(tried, views, poses + steps)
-            after = _weighted(moved, weights) + float(prior @ (tried.values - centre) ** 2)
+            after = _weighted(moved, weights) + float(known @ (tried.values - prior.values) ** 2)
             if after <= before:
                 break
             damping *= 10.0
@@ -165,21 +193,35 @@ def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Array) -
     return _told(lens, views, poses, residuals, prior)
 
 
-def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Array) -> Fit:
+def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Prior) -> Fit:
     scale = _noise(residuals)
     weights = [_weights(r, scale) for r in residuals]
-    reduced = [_reduced(_blocks(lens, *p), 0.0) for p in zip(views, poses, residuals, weights, strict=True)]
+    roots, rests = zip(*(_root(lens, *p) for p in zip(views, poses, residuals, weights, strict=True)), strict=True)
     free = 2.0 * sum(float(w.sum()) for w in weights) - 6 * len(views) - len(lens.values)
     noise = np.sqrt(_weighted(residuals, weights) / max(free, 1.0))
-    information, pulls = (np.array(parts) for parts in zip(*reduced, strict=True))
-    return Fit(lens, views, poses, tuple(residuals), information, pulls, prior, float(noise))
+    return Fit(lens, views, poses, tuple(residuals), np.array(roots), np.array(rests), prior, float(noise))
 
 
-def _blocks(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> _Blocks:
+def _rows(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return a view's weighted Jacobians (2M, P), (2M, 6), and what is to be explained (2M,)."""
     _, J_lens, J_pose = lens.project(view.points, pose)
     root = np.sqrt(weights)[:, None, None]
     A, B = (root * J_lens).reshape(-1, len(lens.values)), (root * J_pose).reshape(-1, 6)
-    r = -(root[..., 0] * residuals).ravel()
+    return A, B, -(root[..., 0] * residuals).ravel()
+
+
+def _root(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
+    """Return R (P, P) of a view's Jacobian by the lens, its pose eliminated, and the residuals along its rows (P,)."""
+    A, B, r = _rows(lens, view, pose, residuals, weights)
+    count = A.shape[1]
+    triangle = np.zeros((6 + count, 7 + count))
+    found = np.linalg.qr(np.column_stack([B, A, r]), mode="r")[: 6 + count]
+    triangle[: len(found)] = found
+    return triangle[6:, 6:-1], triangle[6:, -1]
+
+
+def _blocks(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> _Blocks:
+    A, B, r = _rows(lens, view, pose, residuals, weights)
     return _Blocks(A.T @ A, A.T @ B, B.T @ B, A.T @ r, B.T @ r)
 
 

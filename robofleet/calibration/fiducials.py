@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.frames import Named
+from robofleet.calibration.frames import MIRRORED, Named
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import Survey
 from robofleet.settings import FAMILIES, FamilyName
@@ -29,7 +29,8 @@ _BLUR_PX = 0.6  # standard deviation expected of lens and pixel; a wrong one doe
 _ALIKE = 0.93  # least correlation with the print: a tag has 0.99, one with 3 cells wrong 0.91
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-7)
 _LEAST_PX = 0.01  # standard deviation of a tag's pixel that no averaging betters: interpolation, uneven light
-_ONE_IMAGE_PX = 0.03  # the same of a single image
+_FEW = 3  # frames, of which the scatter does not tell
+_SMOOTHED = 2 / 3  # of the noise's standard deviation that linear interpolation leaves, between pixels anywhere
 _BY_EYE_PX = 0.5  # of a point that was read off an image
 _MOVED_PX = 0.3  # spread over the images, beyond that of most tags, of a tag that was carried meanwhile
 
@@ -39,6 +40,7 @@ class Seen(NamedTuple):
 
     centre: Array  # (2,)
     ahead: Array  # (2,) of the black square's right edge, in the middle
+    sigma: float  # standard deviation of a coordinate, by what of the greys the print does not explain
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class Marks:
     pixels: Array  # (N, 2)
     ahead: Array  # (N, 2) of a tag's right edge, in the middle; NaN: a point
     sigma_px: Array  # (N,) of a pixel's coordinate
+    by_lens: Array | float = 0.0  # (N, 2, K) how x, y follow the lens's values [m], if they were seen; 0: by hand
 
     def __len__(self) -> int:
         """Return N."""
@@ -60,8 +63,11 @@ class Marks:
     def chosen(self, which: NDArray[np.bool_]) -> "Marks":
         """Return some of them."""
         names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
-        arrays = (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
-        return Marks(names, *(array[which] for array in arrays))
+        points, headings, sides, pixels, ahead, sigma_px = (
+            array[which] for array in (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
+        )
+        by_lens = self.by_lens if isinstance(self.by_lens, float) else self.by_lens[which]
+        return Marks(names, points, headings, sides, pixels, ahead, sigma_px, by_lens)
 
 
 class Look(NamedTuple):
@@ -111,7 +117,11 @@ class TagFinder:
         points = np.array([[[middle, middle], [middle + rim, middle]]])
         centre, ahead = cv2.perspectiveTransform(points, np.asarray(laid, np.float64))[0] + [left, top]
         near = math.dist(centre, corners.mean(0)) < cell  # perspective and lens move the middle by less
-        return Seen(centre, ahead) if alike > _ALIKE and near else None
+        return (
+            Seen(centre, ahead, _sigma_px(template, patch, np.asarray(laid, np.float32)))
+            if alike > _ALIKE and near
+            else None
+        )
 
     def _template(self, tag: int, cell: float) -> tuple[NDArray[np.float32], float]:
         """Return the print as a camera shows it with ``cell`` pixels a cell, and its middle's coordinate."""
@@ -131,7 +141,8 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     """Return where the survey's tags are, averaged over images of one still scene, and its points.
 
     The spread over the images tells how exact a tag's pixel is, and whether somebody carried it meanwhile.
-    CalibrationError if there is nothing to look at, or a point lies outside of ``size``: width, height [px].
+    CalibrationError if there is nothing to look at, if the images are mirrored, or if a point lies outside of ``size``:
+    width, height [px].
     """
     if survey.floor_tags and not images:
         raise CalibrationError("tags were surveyed, and there is no image to find them in: name images, or --live")
@@ -146,15 +157,19 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     found = [finder.find(image) for _, image in images]
     twice = {tag for prints in found for tag, seen in prints.items() if len(seen) > 1}
     tracks = {
-        tag.tag: np.array([prints[tag.tag][0] for prints in found if tag.tag in prints])
+        tag.tag: [prints[tag.tag][0] for prints in found if tag.tag in prints]
         for tag in survey.floor_tags
         if tag.tag not in twice and any(tag.tag in prints for prints in found)
     }
-    spreads = {tag: float(np.sqrt(track[:, 0].var(axis=0).max())) for tag, track in tracks.items()}
+    spreads = {
+        tag: float(np.sqrt(np.var([seen.centre for seen in track], axis=0).max())) for tag, track in tracks.items()
+    }
     usual = float(np.median(list(spreads.values()))) if spreads else 0.0
     carried = {tag for tag, spread in spreads.items() if spread > 3.0 * usual + _MOVED_PX}
     marks = _marks(survey, {tag: track for tag, track in tracks.items() if tag not in carried})
     surveyed = {tag.tag for tag in survey.floor_tags}
+    if not tracks and any(surveyed & finder.find(np.ascontiguousarray(image[:, ::-1])).keys() for _, image in images):
+        raise CalibrationError(MIRRORED)
     strangers = {tag for prints in found for tag in prints} - surveyed
     notes = [
         *(f"tag {tag}: is surveyed, but is in no image" for tag in sorted(surveyed - twice - set(tracks)) if images),
@@ -165,8 +180,8 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
     return Look(marks, tuple(notes))
 
 
-def _marks(survey: Survey, tracks: dict[int, Array]) -> Marks:
-    """Return the tags that have tracks (frames, 2, 2) of centre and edge [px], and all points."""
+def _marks(survey: Survey, tracks: dict[int, list[Seen]]) -> Marks:
+    """Return the tags that have tracks, over the frames, and all points."""
     tags = [tag for tag in survey.floor_tags if tag.tag in tracks]
     nan = math.nan
     rows = [
@@ -174,8 +189,9 @@ def _marks(survey: Survey, tracks: dict[int, Array]) -> Marks:
             (tag.x_m, tag.y_m, tag.height_m),
             math.radians(tag.heading_deg) if "heading_deg" in tag.model_fields_set else nan,
             tag.side_m,
-            *tracks[tag.tag].mean(axis=0),
-            _sigma_px(tracks[tag.tag][:, 0]),
+            np.mean([seen.centre for seen in tracks[tag.tag]], axis=0),
+            np.mean([seen.ahead for seen in tracks[tag.tag]], axis=0),
+            _sigma_of_mean_px(tracks[tag.tag]),
         )
         for tag in tags
     ]
@@ -190,8 +206,22 @@ def _marks(survey: Survey, tracks: dict[int, Array]) -> Marks:
     return Marks(names, *arrays)
 
 
-def _sigma_px(track: Array) -> float:
-    """Return the standard deviation of the mean of pixels (frames, 2), one coordinate."""
-    if len(track) < 3:
-        return _ONE_IMAGE_PX
-    return max(_LEAST_PX, math.sqrt(float(track.var(axis=0, ddof=1).mean()) / len(track)))
+def _sigma_of_mean_px(track: list[Seen]) -> float:
+    """Return the standard deviation of the mean over frames, one coordinate: by its scatter, of a few by the greys."""
+    if len(track) < _FEW:
+        variance = float(np.mean([seen.sigma**2 for seen in track]))
+    else:
+        variance = float(np.var([seen.centre for seen in track], axis=0, ddof=1).mean())
+    return max(_LEAST_PX, math.sqrt(variance / len(track)))
+
+
+def _sigma_px(template: NDArray[np.float32], patch: NDArray[np.float32], laid: NDArray[np.float32]) -> float:
+    """Return how well a print's place is known: the greys that it leaves over, against its edges."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    seen = cv2.warpPerspective(patch, laid, template.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    print_ = template - template.mean()
+    gain = float((print_ * seen).sum() / (print_ * print_).sum())
+    rest = seen - seen.mean() - gain * print_
+    down, across = np.gradient(print_)
+    edges = gain * math.sqrt(float((down * down + across * across).sum()) / 2.0)
+    return float(rest.std()) / _SMOOTHED / edges

@@ -20,6 +20,10 @@ from robofleet.tracking.sources import Camera, CameraContext, CameraError
 
 Image = NDArray[np.uint8]
 Named = tuple[str, Image]  # what to call an image, and its greys (H, W)
+MIRRORED = (
+    "the images are mirrored: their markers are read only when left and right are exchanged; "
+    "switch mirroring (a horizontal flip) off at the camera, or print the sheet again if it is the print"
+)
 
 
 def images(path: Path) -> Iterator[Named]:

@@ -3,8 +3,10 @@
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
+
 from robofleet.calibration.board import Board, BoardCheck, BoardDetector, Image, View
-from robofleet.calibration.frames import images
+from robofleet.calibration.frames import MIRRORED, images
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.views import Collector, Offer
 
@@ -18,6 +20,7 @@ class Gathering:
         self._board, self._film = board, film
         self._detector, self._check = BoardDetector(board), BoardCheck(board)
         self._collector: Collector | None = None
+        self._mirrored = False
         self.size = (0, 0)  # of the images, width and height [px]
         self.fates: dict[str, Offer] = {}
 
@@ -25,6 +28,11 @@ class Gathering:
     def views(self) -> list[View]:
         """The views worth having."""
         return [] if self._collector is None else self._collector.views
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the board was seen in a mirror only."""
+        return self._mirrored and not self.views
 
     @property
     def counts(self) -> Counter[Offer]:
@@ -42,6 +50,9 @@ class Gathering:
                 "take the images of one camera at one resolution"
             )
         sight = self._detector.detect(name, image)
+        if sight.view is None and not self.views:
+            mirror = np.ascontiguousarray(image[:, ::-1])
+            self._mirrored = self._mirrored or self._detector.detect(name, mirror).view is not None
         self._check.add(sight)
         self.fates[name] = Offer.NO_BOARD if sight.view is None else self._collector.offer(sight.view)
         return self.fates[name]
@@ -50,7 +61,7 @@ class Gathering:
         """Raise a CalibrationError if there is nothing to fit a lens to, or if the board is another one."""
         if not self.fates:
             raise CalibrationError("there is no image: name a folder or a video that has some")
-        faults = self._check.faults()
+        faults = [MIRRORED] if self.mirrored else self._check.faults()
         if not faults and len(self.views) < FIRST:
             told = ", ".join(f"{count} {offer.value}" for offer, count in self.counts.items())
             hold = "; hold the board still for a moment at each place" if self.counts[Offer.MOVING] else ""

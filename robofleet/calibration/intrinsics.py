@@ -16,6 +16,7 @@ from robofleet.calibration.views import Coverage, Wanted, next_view
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import Lens as Kind
 
+COEFFICIENTS: dict[Kind, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,)}  # OpenCV's models
 VIEWS = 12  # at least: fewer leave too little to compare
 ARENA_MM = 0.5  # uncertainty of a place, rms over the arena, after the pose is fitted to floor tags
 FOCAL = 0.005  # standard deviation of a focal length, relative
@@ -26,6 +27,7 @@ _PULL_RATIO = 6.0  # over the median view's: a lens that the model does not quit
 _HOPELESS = "no lens explains the views: is the board another one?"
 _HOPELESS_PX = 20.0
 _FOLDS = 5
+_NAMED = 3  # views that contradict the others most
 _SHARED = 2.0  # what leaving out views tells over what noise tells: beyond it the views share errors
 
 
@@ -131,11 +133,18 @@ class Measured:
         names = [f"{view.name} ({miss:.2f} px)" for view, miss in self.outliers]
         warnings = [f"left out, as they do not fit: {', '.join(names)}"] if names else []
         if self.shared_errors > _SHARED:
+            most = sorted(zip(self.fit.surprise, self.fit.views, strict=True), key=lambda one: -one[0])[:_NAMED]
             warnings.append(
-                f"views contradict one another {self.shared_errors:.1f} times more than their corners' noise explains: "
-                "a board that is not flat, a shutter that rolls, or a lens that needs more --coefficients"
+                f"views contradict one another {self.shared_errors:.1f} times more than their corners' noise explains, "
+                f"{', '.join(view.name for _, view in most)} most: "
+                f"a board that is not flat, a shutter that rolls{self._richer()}"
             )
         return warnings
+
+    def _richer(self) -> str:
+        """Return in words which model of the lens is the next to try."""
+        more = [count for count in COEFFICIENTS[self.asked.kind] if count > self.asked.coefficients]
+        return f", or a lens that needs more: try --coefficients {more[0]}" if more else ", or another kind of lens"
 
     def held_out(self) -> HeldOut:
         """Return how the lens of four fifths of the views does on the rest, in turn."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,33 +10,69 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from robofleet.calibration import floor
+from robofleet.calibration.board import View
 from robofleet.calibration.gathering import Gathering
 from robofleet.calibration.intrinsics import Measured
-from robofleet.calibration.report import Report
+from robofleet.calibration.report import Report, in_words
 from robofleet.calibration.views import Lean, cell_counts, tilt
 from robofleet.figures import COLOURS, QUIET, STYLE
+from robofleet.pages import Marked, Picture
 
 _HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", COLOURS[0], "#0b2f4a"])
 _LEANS = dict(zip(Lean, (QUIET, *COLOURS[:4]), strict=True))
 _ARROWS = (16, 9)  # cells of the residuals' mean
+_RADII = 60  # points of the distortion's curve
+_THUMBNAIL_PX = 240  # width
+_CORNER_BGR = (90, 60, 230)
 
 
 def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Report:
     """Return the report of a lens, refused for ``faults`` or good."""
     report = Report("Camera lens")
     warnings = measured.warnings()
-    report.verdict("\n".join((*faults, *warnings) or ("The views determine the lens.",)), good=not faults)
+    if not faults:
+        report.verdict(
+            f"The views determine the lens: places are known to {measured.arena_mm:.2f} mm rms over the arena.",
+            good=True,
+        )
+    if faults or warnings:
+        report.verdict("\n".join((*faults, *warnings)), good=False)
     report.section("Figures")
-    report.table(("figure", "value"), list(measured.figures(measured.held_out()).items()))
+    report.figures(measured.figures(measured.held_out()))
     _lens(report, measured)
     report.section("Where the board was")
     report.figure(coverage_figure(measured), "Corners of the views that were used, by the edge that was away.")
     report.section("On the floor")
-    report.figure(floor_figure(measured), _floor_caption(measured))
+    report.figure(floor_figure(measured), _floor_caption(measured), long=True)
     report.section("Residuals")
     report.figure(residual_figure(measured), "Left: each corner's residual. Right: their mean over cells, magnified.")
     _views(report, measured, gathering)
     return report
+
+
+def distortion_figure(measured: Measured) -> Figure:
+    """Draw the distortion along the image's longest radius, and how certain it is."""
+    lens, (width, height) = measured.fit.lens, measured.asked.size
+    focal, centre = lens.values[:2], lens.values[2:4]
+    corners = np.array([(x, y) for x in (0.0, width - 1.0) for y in (0.0, height - 1.0)])
+    way = max((corners - centre).tolist(), key=lambda corner: float(np.hypot(*corner)))
+    pixels = centre + np.linspace(0.0, 1.0, _RADII)[1:, None] * way
+    slopes = lens.slopes(pixels)
+    known = np.isfinite(slopes).all(axis=1)  # a lens that folds has no rays there
+    pixels, slopes = pixels[known], slopes[known]
+    steep = np.linalg.norm(slopes, axis=1, keepdims=True)
+    straight = focal * (slopes / steep * np.arctan(steep) if lens.kind == "fisheye" else slopes)
+    radius = np.linalg.norm(pixels - centre, axis=1)
+    _, by_lens, _ = lens.project(np.column_stack([slopes, np.ones(len(slopes))]), np.zeros(6))
+    variance = np.einsum("gip,pq,giq->g", by_lens, measured.fit.covariance, by_lens) if len(slopes) else np.zeros(0)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.6, 2.9), layout="constrained")
+        curve, certain = figure.subplots(1, 2)
+        curve.plot(radius, radius - np.linalg.norm(straight, axis=1), color=COLOURS[0])
+        curve.set(xlabel="radius, px", ylabel="farther out, px")
+        certain.plot(radius, np.sqrt(np.maximum(variance, 0.0)), color=COLOURS[1])
+        certain.set(xlabel="radius, px", ylabel="standard deviation, px", ylim=(0.0, None))
+    return figure
 
 
 def coverage_figure(measured: Measured) -> Figure:
@@ -51,7 +88,7 @@ def coverage_figure(measured: Measured) -> Figure:
                 points = np.concatenate(seen)
                 axes.plot(*points.T, ".", color=_LEANS[lean], ms=3, label=f"{name}: {len(seen)}")
         _image_frame(axes, measured)
-        figure.legend(loc="outside right upper", markerscale=3)
+        figure.legend(loc="outside lower center", markerscale=3, ncols=3)
     return figure
 
 
@@ -122,15 +159,32 @@ def _lens(report: Report, measured: Measured) -> None:
     lens, fit = measured.fit.lens, measured.fit
     report.section(
         "Lens",
-        f"{lens.kind}; sigma from the Jacobian and the corners' robust noise ({fit.noise_px:.3f} px), and from leaving "
-        "out each view in turn (jackknife).",
+        f"{lens.kind}; standard deviations from the Jacobian and the corners' robust noise ({fit.noise_px:.3f} px), "
+        "and from leaving out each view in turn (jackknife).",
     )
     sigmas = (np.sqrt(np.diag(covariance)) for covariance in (fit.covariance, fit.jackknife))
     rows = [
-        (name, f"{value:.6g}", float(noise), float(left_out))
+        (in_words(name), f"{value:.6g}", float(noise), float(left_out))
         for name, value, noise, left_out in zip(lens.names, lens.values, *sigmas, strict=True)
     ]
-    report.table(("parameter", "value", "sigma", "sigma, views left out"), rows)
+    report.table(("parameter", "value", "standard deviation", "the same, by leaving out views"), rows)
+    straight = "a ray's angle times the focal length" if lens.kind == "fisheye" else "a lens without distortion"
+    report.figure(
+        distortion_figure(measured),
+        f"From the principal point to the image's farthest corner. Left: how much farther out a ray is seen than by "
+        f"{straight}. Right: one standard deviation of where it is seen.",
+    )
+
+
+def _thumbnail(view: View, text: str, *, good: bool | None) -> Picture:
+    """Return a view's image, small, with the corners that were found."""
+    scale = _THUMBNAIL_PX / view.image.shape[1]
+    small = cv2.resize(view.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    drawn = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
+    for u, v in (scale * (view.pixels + 0.5)).astype(int).tolist():
+        cv2.circle(drawn, (u, v), 1, _CORNER_BGR, -1)
+    _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 75])
+    return Picture(jpeg.tobytes(), Marked(text, good))
 
 
 def _views(report: Report, measured: Measured, gathering: Gathering) -> None:
@@ -145,6 +199,18 @@ def _views(report: Report, measured: Measured, gathering: Gathering) -> None:
             (view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), measured.floor.shift_mm(change))
         )
     report.table(("image", "corners", "cells", "distance, m", "tilt", "typical miss, px", "influence, mm"), rows)
+    report.pictures(
+        [
+            *(
+                _thumbnail(view, f"{view.name}: {miss:.2f} px", good=None)
+                for view, miss in zip(fit.views, fit.typical_px, strict=True)
+            ),
+            *(
+                _thumbnail(view, f"{view.name}: left out, {miss:.2f} px", good=False)
+                for view, miss in measured.outliers
+            ),
+        ]
+    )
     if measured.outliers:
         report.section("Left out", "These views do not fit the others: blurred, moved, bent, or another board.")
         report.table(

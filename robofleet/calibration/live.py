@@ -8,6 +8,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from robofleet.calibration.frames import MIRRORED
 from robofleet.calibration.gathering import FIRST, Gathering
 from robofleet.calibration.intrinsics import ARENA_MM, FOCAL, Asked, Measured, measure
 from robofleet.calibration.store import CalibrationError
@@ -40,7 +41,7 @@ class Screen:
     """What the operator sees while capturing; lines, one a view, where it is no terminal."""
 
     def __init__(self, console: Console) -> None:
-        self._console = console
+        self._console, self._warned = console, False
         self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
 
     def __enter__(self) -> "Screen":
@@ -58,7 +59,8 @@ class Screen:
         """Show what there is, and what is wanted."""
         if self._live is not None:
             self._live.update(picture(gathering, measured, offer), refresh=True)
-        elif offer is Offer.NEW:
+        elif offer is Offer.NEW or (gathering.mirrored and not self._warned):
+            self._warned = gathering.mirrored
             self._console.print(Group(*_lines(gathering, measured)))
 
 
@@ -89,6 +91,8 @@ def _grid(coverage: Coverage) -> Table:
 
 def _lines(gathering: Gathering, measured: Measured | None) -> list[Text]:
     count = f"{len(gathering.views)} views of {len(gathering.fates)} images"
+    if gathering.mirrored:
+        return [Text(f"{count}; {MIRRORED}", "bold red")]
     if measured is None:
         return [Text(f"{count}; next: show the board anywhere, and hold it still")]
     figures = f"places +-{measured.arena_mm:.2f} mm (wanted {ARENA_MM:g}), focal length +-{measured.focal_sigma:.2%}"

@@ -2,10 +2,11 @@
 
 A mark's pixel is a ray; where it meets the plane of the mark's height is where the mark is *seen*. Its error there is
 the survey's (one standard deviation for both coordinates), the pixel's, and, if the lens comes with a covariance, the
-lens's, which the errors of all marks have in common. The pose that explains the differences best, weighted by the
-inverse of all that, is six small numbers away from the one before: the camera turns about the world's x, y, z through
-its optical centre [rad], and shifts along them [m]. To first order a ray's meeting point then moves by the turned ray,
-slid along the ray back onto the plane.
+lens's, which the errors of all marks have in common. Marks whose places were themselves seen through the lens follow
+its errors too (``Marks.by_lens``); only the difference counts then. The pose that explains the differences best,
+weighted by the inverse of all that, is six small numbers away from the one before: the camera turns about the world's
+x, y, z through its optical centre [rad], and shifts along them [m]. To first order a ray's meeting point then moves by
+the turned ray, slid along the ray back onto the plane.
 
 What the fit would say of a mark without that mark follows in closed form from the same matrices: with
 P = V^-1 - V^-1 J C J^T V^-1, its error is P_ii^-1 (P r)_i, with covariance P_ii^-1.
@@ -135,11 +136,11 @@ def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | Non
     slopes, heights = lens.slopes(marks.pixels), marks.points[:, 2]
     by_pixel, by_lens = lens.by_pixel(marks.pixels), lens.by_lens(marks.pixels)
     freedom = 2 * len(marks) - 6
-    T, sigma, r = T_world_camera, survey_m or LEAST_SURVEY_M, np.zeros(0)
+    T, sigma, r = T_world_camera, LEAST_SURVEY_M if survey_m is None else survey_m, np.zeros(0)
     for _ in range(_STEPS):
         seen, J, by_slope = on_plane(T, slopes, heights)
         r, J = (marks.points[:, :2] - seen).ravel(), J.reshape(-1, 6)
-        V = _noise(by_slope, by_pixel, by_lens, marks.sigma_px, sigma, lens.covariance)
+        V = _noise(by_slope @ by_pixel, by_slope @ by_lens - marks.by_lens, marks.sigma_px, sigma, lens.covariance)
         weighted, covariance, P = _normal(J, V)
         T = moved(T, covariance @ (weighted.T @ r))
         if survey_m is None:
@@ -150,7 +151,8 @@ def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | Non
     turned = np.abs(off) > _TURNED * heading_sigma
     used = np.isfinite(off) & ~turned
     seen, J_seen, by_slope = on_plane(T, slopes, heights)
-    V = _noise(by_slope, by_pixel, by_lens, marks.sigma_px, sigma, lens.covariance)
+    follows = by_slope @ by_lens - marks.by_lens
+    V = _noise(by_slope @ by_pixel, follows, marks.sigma_px, sigma, lens.covariance)
     rows = len(V)
     whole = np.diag(np.full(rows + np.count_nonzero(used), heading_sigma**2))
     whole[:rows, :rows] = V
@@ -163,7 +165,7 @@ def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | Non
     return Placement(
         lens, T, covariance, sigma, seen - marks.points[:, :2], -left_out, left_out_covariance,
         off, turned, chi_square, freedom,
-        covariance @ weighted[:rows].T @ (by_slope @ by_lens).reshape(rows, -1),
+        covariance @ weighted[:rows].T @ follows.reshape(rows, -1),
     )  # fmt: skip
 
 
@@ -196,13 +198,13 @@ def errors_at(lens: Lens, marks: Marks, T: Array, covariance: Array, survey_m: f
     return seen - marks.points[:, :2], noise + J @ covariance @ J.transpose(0, 2, 1)
 
 
-def _noise(by_slope: Array, by_pixel: Array, by_lens: Array, sigma_px: Array, survey_m: float, lens: Array) -> Array:
+def _noise(by_pixel: Array, by_lens: Array, sigma_px: Array, survey_m: float, lens: Array) -> Array:
     """Return the covariance (2N, 2N) of what is seen minus what was surveyed."""
-    own = _own_noise(by_slope @ by_pixel, sigma_px, survey_m)
+    own = _own_noise(by_pixel, sigma_px, survey_m)
     n = len(own)
     V = np.zeros((n, 2, n, 2))
     V[np.arange(n), :, np.arange(n), :] = own
-    F = (by_slope @ by_lens).reshape(2 * n, -1)
+    F = by_lens.reshape(2 * n, -1)
     whole: Array = V.reshape(2 * n, 2 * n) + F @ lens @ F.T
     return whole
 

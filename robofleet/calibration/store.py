@@ -36,14 +36,17 @@ def provenance(
     parameters: Sequence[str] = (),
     covariance: Sequence[Sequence[float]] = (),
 ) -> Provenance:
-    """Return where a calibration comes from; ``inputs``: name of what was measured, and its bytes."""
+    """Return where a calibration comes from; ``inputs``: name of what was measured, and its bytes.
+
+    The covariance keeps twelve digits: of parameters that all but replace one another, it has no inverse with six.
+    """
     return Provenance(
         date=utc_now().isoformat(timespec="seconds"),
         tool=f"robofleet {version('robofleet')}, calibrate {command}",
         inputs={name: hashlib.blake2b(data, digest_size=16).hexdigest() for name, data in inputs.items()},
         figures={name: None if value is None else float(f"{value:.6g}") for name, value in figures.items()},
         parameters=tuple(parameters),
-        covariance=tuple(tuple(float(f"{value:.6g}") for value in row) for row in covariance),
+        covariance=tuple(tuple(float(f"{value:.12g}") for value in row) for row in covariance),
     )
 
 

@@ -192,11 +192,10 @@ def next_view(fit: Fit, floor: FloorErrors, coverage: Coverage, board: Board) ->
 
     While parts of the image are empty or a lean is missing, only views that mend that are asked for.
     """
-    known = fit.information.sum(axis=0) + np.diag(fit.prior)
     ranked: list[tuple[bool, bool, float, Wanted]] = []
     for row, column, lean, distance, points, pose in _candidates(fit.lens, board):
         pixels, J_lens, J_pose = fit.lens.project(points, pose)
-        covariance = fit.noise_px**2 * inverse(known + view_information(J_lens, J_pose))
+        covariance = fit.noise_px**2 * inverse(fit.information + view_information(J_lens, J_pose))
         rms_mm = floor.rms_mm(covariance)
         fills = coverage.empty[row, column] and cell_counts(fit.lens.size, pixels)[row, column] >= _ENOUGH
         leans = lean in coverage.missing_leans

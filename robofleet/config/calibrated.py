@@ -102,6 +102,21 @@ class PoseSettings(Model):
     """Rotation vector: axis times angle (Rodrigues)."""
 
 
+class SeenMark(Model):
+    """A surveyed mark as the camera saw it when its pose was measured: what ``verify`` compares with."""
+
+    x_m: Coordinate
+    """Surveyed position along x, in the world frame."""
+    y_m: Coordinate
+    """Surveyed position along y, in the world frame."""
+    height_m: Height
+    """Surveyed height above the floor."""
+    pixel_px: Pixel
+    """Where the camera saw it."""
+    sigma_px: Annotated[float, within(1e-4, 1e3)]
+    """Standard deviation of the pixel, one coordinate."""
+
+
 class CameraModel(Model):
     """A calibrated camera (a file of ``configs/cameras``)."""
 
@@ -128,3 +143,5 @@ class CameraModel(Model):
     """How the lens was measured."""
     arena: Provenance | None = None
     """How the camera's pose was measured."""
+    marks: Annotated[dict[Text, SeenMark], Field(max_length=MANY)] | None = None
+    """Surveyed marks, by name, as the camera saw them then; null: not known."""

@@ -21,12 +21,15 @@ from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.floor import Ceiling
 from robofleet.calibration.frames import open_camera
 from robofleet.calibration.gathering import Gathering, gather
-from robofleet.calibration.intrinsics import Asked, Measured, measure
+from robofleet.calibration.intrinsics import COEFFICIENTS, Asked, Measured, measure
 from robofleet.calibration.intrinsics_page import page
 from robofleet.calibration.live import Screen, capture, lens_config
 from robofleet.calibration.sizes import count, size
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
+from robofleet.tracking.camera import Lens as Kind
+
+_USUAL: dict[Kind, int] = {"pinhole": 5, "fisheye": 4}  # coefficients
 
 
 def intrinsics(
@@ -96,7 +99,7 @@ def intrinsics(
     faults = measured.faults()
     page(measured, gathering, faults).write(shown)
     if faults:
-        raise CalibrationError([*faults, f"nothing was written; report: {shown}"])
+        raise CalibrationError([*faults, *measured.warnings(), f"nothing was written; report: {shown}"])
     _write(file, measured, device or identity)
     print(f"report: {shown}")
 
@@ -137,8 +140,8 @@ def _earlier(file: Path) -> CameraModel | None:
         return None
 
 
-def _coefficients(lens: str, asked: int | None) -> int:
-    allowed = (4,) if lens == "fisheye" else (5, 4, 8, 12, 14)
+def _coefficients(lens: Kind, asked: int | None) -> int:
+    allowed = COEFFICIENTS[lens]
     if asked is not None and asked not in allowed:
-        raise CalibrationError(f"--coefficients: a {lens} lens has {', '.join(map(str, sorted(allowed)))}, not {asked}")
-    return asked or allowed[0]
+        raise CalibrationError(f"--coefficients: a {lens} lens has {', '.join(map(str, allowed))}, not {asked}")
+    return asked or _USUAL[lens]

@@ -20,10 +20,12 @@ MARGIN = 40  # white around the print [texels]
 
 
 def brown(slopes: Array, k: Array) -> Array:
-    """Distort x/z, y/z: k1 k2 p1 p2 k3."""
+    """Distort x/z, y/z: k1 k2 p1 p2 k3, and of a rational lens k4 k5 k6."""
     x, y = slopes[..., 0], slopes[..., 1]
     r2 = x * x + y * y
     radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    if len(k) > 5:
+        radial = radial / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
     return np.stack(
         [
             x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x),

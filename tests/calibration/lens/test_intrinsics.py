@@ -266,6 +266,57 @@ def test_richer_models_fit_no_worse(coefficients: int, true_camera) -> None:  # 
     assert np.isfinite(result.fit.covariance).all()
 
 
+def good(camera, coefficients: int, seed: int) -> Measured:  # type: ignore[no-untyped-def]
+    rng = np.random.default_rng(seed)
+    return measured(camera, seen(camera, camera.good_poses(20, rng), 0.1, rng), coefficients)
+
+
+def chi_square(camera, result: Measured) -> float:  # type: ignore[no-untyped-def]
+    """Return the squared error of the written lens, in terms of the written covariance."""
+    model = result.model("", result.held_out())
+    assert model.intrinsics is not None
+    true = np.zeros(len(model.distortion) + 4)
+    true[: len(camera.values)] = camera.values
+    off = np.array([*model.focal_px, *model.centre_px, *model.distortion]) - true
+    return float(off @ np.linalg.solve(np.array(model.intrinsics.covariance), off))
+
+
+@pytest.mark.parametrize("coefficients", [5, 8, 12, 14])
+def test_a_rich_model_takes_every_good_view(coefficients: int, true_camera) -> None:  # type: ignore[no-untyped-def]
+    for seed in range(3):
+        result = good(true_camera, coefficients, seed)
+        assert result.outliers == () and result.faults() == [] and result.warnings() == []
+        assert chi_square(true_camera, result) < 45.0  # of at most 18
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coefficients", [5, 8, 12, 14])
+def test_predicted_uncertainty_is_true_of_every_model(coefficients: int, true_camera) -> None:  # type: ignore[no-untyped-def]
+    # What the views leave open stays near the prior's middle, which is the truth here: up to five values of a rich
+    # lens are nearer to it than their sigma says.
+    results = [good(true_camera, coefficients, seed) for seed in range(12)]
+    assert all(result.outliers == () and result.faults() == [] for result in results)
+    count = 12 * (4 + coefficients)
+    sigma = math.sqrt(2 * count)
+    open_values = 12 * max(0, min(5, coefficients - 5))
+    assert count - open_values - 3 * sigma < sum(chi_square(true_camera, r) for r in results) < count + 3 * sigma
+    errors = [floor_error_mm(true_camera, result) for result in results]
+    told = [result.floor.rms_mm(result.fit.covariance) for result in results]
+    assert np.mean(np.square(errors)) / np.mean(np.square(told)) == pytest.approx(1.0, abs=0.5)
+
+
+def test_the_warning_leads_to_a_lens_that_fits(true_camera) -> None:  # type: ignore[no-untyped-def]
+    rational = TrueLens(true_camera).with_distortion([0.5, 0.02, 0.0005, -0.0004, 0.0, 0.9, 0.1, 0.0])
+    rng = np.random.default_rng(16)
+    views = seen(rational, rational.good_poses(24, rng), 0.02, rng)
+    (warning,) = measured(rational, views, 4).warnings()
+    assert "views contradict one another" in warning and warning.endswith("try --coefficients 5")
+    assert sum(view.name in warning for view in views) == 3
+    result = measured(rational, views, 8)
+    assert result.warnings() == [] and result.faults() == [] and result.outliers == ()
+    assert floor_error_mm(rational, result) < 2.5 * result.arena_mm
+
+
 def test_a_lens_that_folds_has_no_rays_there() -> None:
     folding = Lens("pinhole", (800, 600), np.array([640.0, 640.0, 400.0, 300.0, -0.9, 0.0, 0.0, 0.0, 0.0]))
     slopes = folding.slopes(np.array([[400.0, 300.0], [5.0, 5.0]]))

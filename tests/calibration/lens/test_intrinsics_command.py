@@ -85,7 +85,12 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
     )
     assert "left out, as they do not fit: 08.png" in said.out
     page = (tmp_path / "page.html").read_text()
-    assert page.count("<svg") == 3 and "08.png" in page and "1 too little of the board" in page
+    assert (
+        page.count("<svg") == 4
+        and page.count("<img") == 21
+        and "08.png" in page
+        and "1 too little of the board" in page
+    )
     assert "<script" not in page and 'src="http' not in page
     # A run takes it, but for the camera's place.
     tree = yaml.safe_load((ROOT / "configs" / "platoon.yaml").read_text())
@@ -107,6 +112,30 @@ def test_centred_views_are_refused_with_a_report(calibrate, tmp_path: Path, true
     assert said.err.splitlines()[-1] == "nothing was written; report: page.html"
     assert not (tmp_path / "configs").exists()
     assert "next view: show the board" in (tmp_path / "page.html").read_text()
+
+
+def test_views_that_contradict_one_another_are_told_with_a_refusal(  # type: ignore[no-untyped-def]
+    calibrate, photos: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "few"
+    folder.mkdir()
+    for file in sorted(photos.glob("*.png"))[:9]:  # too few, and the last is skewed
+        (folder / file.name).write_bytes(file.read_bytes())
+    said = calibrate("ceiling", folder, "--report", "page.html")
+    assert said.code == 2 and "8 views can be used: 12 or more are needed" in said.err
+    assert "left out, as they do not fit: 08.png" in said.err
+    assert said.err.splitlines()[-1] == "nothing was written; report: page.html"
+
+
+def test_mirrored_images_are_named_as_such(calibrate, photos: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    folder = tmp_path / "mirrored"
+    folder.mkdir()
+    for file in sorted(photos.glob("0[0-3].png")):
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(folder / file.name), image[:, ::-1])
+    said = calibrate("ceiling", folder)
+    assert said.code == 2 and said.err.startswith("the images are mirrored")
 
 
 def test_a_video_is_read(photos: Path, tmp_path: Path) -> None:

@@ -225,7 +225,7 @@ def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
     code, said = lab.verify(lab.folder / "pushed.png")
     assert code == 2
     assert "the camera is in its place" in said
-    assert said.count("from its survey (") == 1
+    assert said.count("from where it was at the calibration (") == 1
     assert "tag 103: lies 1" in said
     assert lab.camera.read_bytes() == before
     few = rendered(TRUTH, FLOOR[:3], rng)
@@ -233,6 +233,27 @@ def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
     code, said = lab.verify(lab.folder / "few.png")
     assert (code, "cannot tell: 3 surveyed marks are in sight" in said) == (2, True)
     assert "tag 105: is surveyed, but is in no image" in said
+
+
+def test_a_third_of_a_millimetre_shows_through_an_uncertain_lens(lab: Lab, floor: Image) -> None:
+    cv2.imwrite(str(lab.image), floor)
+    lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(16))})
+    sigma = [0.5, 0.5, 0.6, 0.6, 6e-4, 8e-4, 1e-4, 1e-4, 3e-4]
+    lens = {"date": "", "tool": "", "inputs": {}, "figures": {}, "covariance": np.diag(np.square(sigma)).tolist()}
+    lab.write(lab.camera, yaml.safe_load(lab.camera.read_text()) | {"intrinsics": lens})
+    assert lab.arena()[0] == 0
+    for k, shift in enumerate([(0.0, 0.0, 0.0), (3e-4, 0.0, 0.0), (0.0, 0.0, 3e-4)]):
+        camera = TRUTH.moved(moved(TRUTH.T_world_camera, np.array([0.0, 0.0, 0.0, *shift])))
+        cv2.imwrite(str(lab.folder / "now.png"), rendered(camera, FLOOR, np.random.default_rng(20 + k)))
+        code, said = lab.verify(lab.folder / "now.png")
+        assert (code, "the camera was knocked" in said) == ((2, True) if any(shift) else (0, False)), said
+
+
+def test_mirrored_images_are_named_as_such(lab: Lab, floor: Image) -> None:
+    cv2.imwrite(str(lab.image), floor[:, ::-1])
+    lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(17))})
+    code, said = lab.arena()
+    assert (code, said.startswith("the images are mirrored")) == (2, True), said
 
 
 def test_wrong_survey_is_named_and_left_out(lab: Lab, floor: Image) -> None:
