@@ -137,7 +137,7 @@ def lap() -> dict[str, Any]:
         begun(fleet, run, "lap")
         (address,) = re.findall(r"for a viewer: (\S+)", fleet.log("lap"))
         authority = phone.folder / "config" / "robofleet" / "keys" / "platoon" / "authority.pem"
-        looking = phone.command(sys.executable, "-m", "tests.hosts.visitor", address, str(authority))
+        looking = phone.command(sys.executable, "-m", "tests.hosts.visitor", address, str(authority), "60")
         page = subprocess.Popen(looking, stdout=subprocess.PIPE, text=True)
         stack.callback(page.kill)
         daemons = {robot: psutil.Process(fleet.daemons[robot].pid) for robot in ROBOTS}

@@ -13,9 +13,13 @@ import httpx
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from robofleet.clock import S, WallClock
 
-def visit(address: str, authority: str) -> dict[str, int]:
-    """Open a page by its one-time address, and stay until it ends."""
+
+def visit(address: str, authority: str, seconds: str) -> dict[str, int]:
+    """Open a page by its one-time address, and stay for a while."""
+    clock = WallClock()
+    end_ns = clock.now_ns() + round(float(seconds) * S)
     trusted, parts = ssl.create_default_context(cafile=authority), urlsplit(address)
     with httpx.Client(verify=trusted, base_url=f"https://{parts.netloc}", follow_redirects=True) as client:
         client.get(f"{parts.path}?{parts.query}").raise_for_status()
@@ -26,7 +30,7 @@ def visit(address: str, authority: str) -> dict[str, int]:
         connect(live, ssl=trusted, origin=origin, additional_headers={"Cookie": cookies}) as page,  # type: ignore[arg-type]
         suppress(ConnectionClosed),
     ):
-        while True:
+        while clock.now_ns() < end_ns:
             message = page.recv(timeout=5)
             told["messages"] += 1
             told["bytes"] += len(message)
