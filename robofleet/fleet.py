@@ -31,7 +31,8 @@ from robofleet.comms.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS
 from robofleet.config import groups, slices
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link
+from robofleet.patterns import CONFIGURATIONS
+from robofleet.processes.script_link import FleetError, Link
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.valid_json import dumps
 from robofleet.vehicles.interface import SensorReading

@@ -20,3 +20,6 @@ def driver_role(unit: str) -> str:
 def unit_of_role(role: str) -> str | None:
     """Return the unit whose process is called so; None where it is no driver."""
     return role.removeprefix(_DRIVER) if role.startswith(_DRIVER) else None
+
+
+CONFIGURATIONS = ".yaml", ".yml"  # what a configuration's name ends in

@@ -9,7 +9,7 @@ from robofleet.comms.credentials import Credentials, KeysError, credentials
 from robofleet.comms.credentials import joined as joined_arenas
 from robofleet.comms.keys import SAFE_REQUEST, STATE
 from robofleet.comms.messages import RUN_STATE
-from robofleet.comms.permissions import UNIT, VIEWER
+from robofleet.comms.permissions import OPERATOR, UNIT
 from robofleet.comms.requests import SAFE, SAFE_WORDS, asked
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import found
@@ -52,9 +52,12 @@ def joined_arena(name: str | None) -> Elsewhere | None:
 def ask(there: Elsewhere, what: str) -> tuple[bool, str]:
     """Ask the supervisor of another computer's arena; returns whether it does so, and its answer."""
     clock = WallClock()
-    if there.role == VIEWER and what.encode() not in SAFE:
+    if there.role != OPERATOR and what.encode() not in SAFE:
         name = there.credentials.name
-        return False, f"{name} is a viewer of {there.arena}, who may ask for {SAFE_WORDS}: {what} is an operator's"
+        return (
+            False,
+            f"{name} is a {there.role} of {there.arena}, who may ask for {SAFE_WORDS}: {what} is an operator's",
+        )
     try:
         with reached(there, clock) as bus:
             answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")

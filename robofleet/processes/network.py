@@ -49,7 +49,8 @@ class Keys:
 
     def __init__(self, config: Config) -> None:
         self._config, self._clock = config, WallClock()
-        self._next_ns, self._seen = 0, self._state()
+        self._next_ns, self._seen = 0, 0
+        self._seen = self._state()
 
     def changed(self) -> bool:
         """Return whether there are other keys than before, and nothing that a new router would disturb."""
@@ -64,7 +65,10 @@ class Keys:
         return True
 
     def _state(self) -> int:
-        return (keys_folder(self._config.arena.name) / REGISTER).stat().st_mtime_ns
+        try:
+            return (keys_folder(self._config.arena.name) / REGISTER).stat().st_mtime_ns
+        except OSError:  # a folder that is away says nothing new
+            return self._seen
 
 
 def settings_of(config: Config) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from robofleet.safety.advice import advised
 from robofleet.safety.supervisor import RunStatus
 
 BEHAVIOUR = "script"
-CONFIGURATIONS = ".yaml", ".yml"  # how their files end; else it is an arena's name
 _LONG_S = 1e6  # the script ends the run
 
 

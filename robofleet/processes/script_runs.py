@@ -10,10 +10,11 @@ from robofleet.comms.permissions import SCRIPT
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.patterns import CONFIGURATIONS
 from robofleet.processes.check import load_checked
 from robofleet.processes.operator import NoArenaError, chosen
 from robofleet.processes.refusal import RefusedError, new_folder
-from robofleet.processes.script_link import CONFIGURATIONS, FleetError, Link, first, scripted
+from robofleet.processes.script_link import FleetError, Link, first, scripted
 from robofleet.vehicles.interface import DriverError
 
 Out = str | Path | Literal[False] | None

@@ -13,6 +13,7 @@ import typer
 from robofleet.config.names import SHIPPED
 from robofleet.config.yamlfile import printable
 from robofleet.gateways.robotarium import script as scripts
+from robofleet.patterns import CONFIGURATIONS
 from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, need_extra, new_folder
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 _CONFIG = SHIPPED / "robotarium.yaml"
-_CONFIGURATIONS = ".yaml", ".yml"
 
 
 @app.command()
@@ -70,7 +70,7 @@ def robotarium(
 
 def _split(rest: list[str]) -> tuple[Path, list[str]]:
     """Return the configuration, and the script's own arguments."""
-    if rest and Path(rest[0]).suffix in _CONFIGURATIONS:
+    if rest and Path(rest[0]).suffix in CONFIGURATIONS:
         return Path(rest[0]), rest[1:]
     return _CONFIG, rest
 
