@@ -1,4 +1,4 @@
-"""Drivers, cameras and behaviours are found by name: an entry point of a group, or ``module:Class``.
+"""Drivers, cameras, pose sources and behaviours are found by name: an entry point of a group, or ``module:Class``.
 
 The module of ``module:Class`` is an installed one, or a file beside the configuration: ``reach`` makes that loadable.
 """
@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+_KINDS = {"robofleet.poses": "source of poses"}  # where the group's name is not that of one of it in the plural
 _NONE = "none: install robofleet, or add it as `module:Class`"
 
 
@@ -27,7 +28,9 @@ def load(group: str, name: str) -> Any:
     if ":" not in name and name not in points:
         near = difflib.get_close_matches(name, points, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known(group)) or _NONE}"
-        raise PluginError(f"there is no {group.rpartition('.')[2].removesuffix('s')} {name!r}: {hint}")
+        raise PluginError(
+            f"there is no {_KINDS.get(group) or group.rpartition('.')[2].removesuffix('s')} {name!r}: {hint}"
+        )
     module, _, attribute = name.partition(":")
     try:
         found = getattr(import_module(module), attribute) if ":" in name else points[name].load()

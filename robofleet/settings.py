@@ -35,6 +35,7 @@ def is_family(name: str) -> TypeGuard[FamilyName]:
 
 LAST_TAG = FAMILIES["36h11"].ids - 1  # of the largest family
 TAGS = LAST_TAG + 1  # so many robots can a camera tell apart
+CAMERAS = 16  # of an arena
 ROBOTS = 2048  # of a fleet
 MANY = 10_000  # of anything in a list
 

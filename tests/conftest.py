@@ -1,13 +1,16 @@
 """Which tests go to one worker, and what a file of tests leaves behind there: no module of a user's own.
 
-The tests of a file go to one worker, and so do files that compile the same plant: it is compiled once then.
+The tests of a file go to one worker, and so do files that compile the same plant: it is compiled once then. Files with
+fleets of real processes go first, to one worker after another: no worker waits for the fleet of another one.
 """
 
 import fcntl
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +34,28 @@ _SAME_PLANT = {
 }
 
 
+_FLEET = re.compile(r'\breal_run: |\balone(_for_a_module)?(: None|"\))')  # a fixture that a test takes
+
+
 class _Scheduling(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
         return _SAME_PLANT.get(file, file)
+
+    def _assign_work_unit(self, node: Any) -> None:
+        """Give a worker the next file: one with a fleet, if no other worker has such a file."""
+        others = (work for other, work in self.assigned_work.items() if other is not node)
+        taken = any(_has_fleet(scope) and self._pending_of({scope: work[scope]}) for work in others for scope in work)
+        chosen = next((scope for scope in self.workqueue if _has_fleet(scope) != taken), next(iter(self.workqueue)))
+        self.workqueue.move_to_end(chosen, last=False)
+        super()._assign_work_unit(node)
+
+
+@cache
+def _has_fleet(scope: str) -> bool:
+    """Whether tests of a file take a fixture by which only one worker at a time has a fleet of real processes."""
+    file = Path(__file__).parents[1] / scope
+    return file.is_file() and bool(_FLEET.search(file.read_text()))
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:

@@ -182,7 +182,7 @@ def test_the_controller_takes_no_wish_that_fleet_would_not_have_sent(what: str) 
                 payload = payload[:-24] + np.array([np.nan] * 3).tobytes()
             driven._wished = True  # `ticks` says nothing for it
             link.wish(payload[:-1] if what == "cut" else payload)
-    run = Run(link._run.recording, every_tick=True)
+    run = Run(link.run.recording, every_tick=True)
     wheels = np.stack([run.items["left_rad_s"], run.items["right_rad_s"]])
     assert wheels[:, run.ticks["tick"] == good].all()
     assert not wheels[:, run.ticks["tick"] > good + 3].any()
@@ -199,10 +199,10 @@ def test_a_script_that_says_nothing_stands_within_the_setting_and_one_resume_goe
         driven.drive(np.tile([0.05, 0.0], (4, 1)))
         link: Any = driven._link
         newest = echo(driven)
-        link._run.advance(1.0)
+        link.run.advance(1.0)
         assert driven.phase == "hold"
         assert link.status.cause is Event.SCRIPT_SILENT
-        run = Run(link._run.recording, every_tick=True)
+        run = Run(link.run.recording, every_tick=True)
         late = run.ticks["tick"] > newest
         moving = np.abs(run.items["left_rad_s"][late]).max(axis=1) > 0.0
         assert int(moving.argmin()) == 6  # ticks: 0.2 s, and no longer

@@ -41,6 +41,7 @@ _GUIDE = """# Every key of a configuration
 
 Node = dict[str, Any]
 _FAULTS = "faults[]"
+_TWIN = "cameras[]."  # each part of it is described as a part of `camera`
 _BELOW = "see below"
 
 _UNITS = {
@@ -86,14 +87,16 @@ def reference() -> dict[str, str]:
         if paths == [_FAULTS]:
             continue
         level = "#" if re.fullmatch(r"\w+(\[\])?", paths[0]) else "##"
-        title = ", ".join(f"`{path}`" for path in paths)
+        shown = [path for path in paths if not path.startswith(_TWIN)] or paths
+        title = ", ".join(f"`{path}`" for path in shown)
         sections.setdefault(_part(paths[0]), []).append(
             _section(f"{level} {title}", models[name], models[name]["properties"])
         )
     sections["behaviours"] = [_BEHAVIOURS, *_behaviour_sections()]
     sections["faults"] = [*_fault_sections([models[name] for name, paths in where.items() if paths == [_FAULTS]])]
+    page = {_part(path): _part(paths[0]) for paths in where.values() for path in paths[::-1]}
     parts = "\n".join(
-        line.replace(_BELOW, f"[its page]({line.split('`')[1]}.md)") if _BELOW in line else line
+        line.replace(_BELOW, f"[its page]({page.get(part := line.split('`')[1], part)}.md)") if _BELOW in line else line
         for line in _section("## The parts", tree, tree["properties"]).splitlines()
     )
     return {"README.md": "\n".join([_GUIDE, MARK, parts, ""])} | {

@@ -13,6 +13,8 @@ from robofleet.behaviours.interface import Behaviour, Dots, Figure, Line, Shape
 
 Array = NDArray[np.float64]
 
+NAMING = 2  # numbers that name an image: its tracker's epoch, its number
+
 
 class Group(NamedTuple):
     """A group as others see it."""
@@ -61,9 +63,9 @@ class Told(NamedTuple):
     figures: Mapping[str, Array]  # (K, n) by the figures' names; NaN: not told
 
 
-def size(groups: Sequence[Group]) -> int:
-    """Return how many numbers a tick has of all groups."""
-    return sum(group.width * len(group.robots) for group in groups)
+def size(groups: Sequence[Group], cameras: int = 1) -> int:
+    """Return how many numbers a tick has: of all groups, then the names of the images of each camera but the first."""
+    return sum(group.width * len(group.robots) for group in groups) + NAMING * (cameras - 1)
 
 
 def names(groups: Sequence[Group]) -> list[str]:

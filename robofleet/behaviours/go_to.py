@@ -33,8 +33,9 @@ from robofleet.control.flow import integrator_gain
 from robofleet.control.following import Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
-from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge
+from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge, from_solid
 from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
+from robofleet.vehicles.solids import distances
 
 _PARTS = 5  # of the search in a tick
 _MARGIN = 0.01  # of what robots keep under way beyond what the barrier keeps [m]
@@ -102,8 +103,11 @@ class GoTo(Behaviour):
         radius = max(body.radius for body in team.bodies)
         ahead = 2 * team.keepout.ahead + _MARGIN
         self._distance = max(apart(team.keepout, a, b) for a in team.bodies for b in team.bodies) + ahead
-        self._beside = self._distance - radius  # of a centre from the edge of another body
+        self._beside_bodies = self._distance - radius  # of a centre from the edge of another body
         self._edge = max(from_edge(team.keepout, body) for body in team.bodies) + ahead / 2
+        solids = team.keepout.solids
+        kept = (from_solid(team.keepout, body, solid) for body in team.bodies for solid in solids)
+        self._beside_solids = max(kept, default=0.0) + ahead / 2
         self.rehearsed = False  # in this process
         self._follower = Follower(self._following(settings, team), [body.drive for body in team.bodies])
         self.restart()
@@ -209,13 +213,17 @@ class GoTo(Behaviour):
 
     def _problem(self, now: Situation) -> Problem:
         starts, goals = now.poses[:, :2].copy(), self._target[:, :2].copy()
-        obstacles = np.column_stack([now.others[:, :2], now.others[:, 2] + self._beside])
+        obstacles = np.column_stack([now.others[:, :2], now.others[:, 2] + self._beside_bodies])
         if len(obstacles):  # a start or a goal that is nearer than that can be left, and come to
             ends = np.concatenate([starts, goals])
             nearest = np.linalg.norm(obstacles[:, None, :2] - ends[None], axis=2).min(axis=1)
             obstacles[:, 2] = np.minimum(obstacles[:, 2], nearest - 1e-6)
+        return self._ways(starts, goals, obstacles)
+
+    def _ways(self, starts: Array, goals: Array, obstacles: Array) -> Problem:
         half = (self.team.arena[0] / 2 - self._edge, self.team.arena[1] / 2 - self._edge)
-        return Problem(starts, goals, obstacles, half, self._distance, self._distance / _FINE)
+        keeps = self.team.keepout.solids, self._beside_solids
+        return Problem(starts, goals, obstacles, half, self._distance, self._distance / _FINE, *keeps)
 
     def _wrong(self, now: Situation) -> bool:
         """Whether the plan is to be made anew."""
@@ -239,7 +247,9 @@ class GoTo(Behaviour):
         if self._stood != round(_STANDS_S / self.team.tick) or not len(others):
             return False
         ways = self._follower.rest()
-        near = np.linalg.norm(ways[:, None] - others[None, :, :2], axis=2) < others[:, 2] + self._beside - _MARGIN
+        near = (
+            np.linalg.norm(ways[:, None] - others[None, :, :2], axis=2) < others[:, 2] + self._beside_bodies - _MARGIN
+        )
         return bool(near.any())
 
     # Before a run
@@ -263,6 +273,24 @@ class GoTo(Behaviour):
         for robot in robots:
             if robot not in s.goals:
                 yield Refusal("settings.goals", f"{robot} has no goal: add `{robot}: {{x_m: ..., y_m: ...}}`")
+        if set(s.goals) == set(robots):
+            yield from self._cut_off()
+
+    def _cut_off(self) -> Iterator[Refusal]:
+        """Yield goals to which no way leads from where the robots start."""
+        starts = np.array([pose[:2] for pose in self.team.starts if pose is not None])
+        if not self.team.keepout.solids or len(starts) < len(self.team):
+            return
+        for row in planning.unreachable(self._ways(starts, self._goals[:, :2].copy(), np.zeros((0, 3)))):
+            robot, wide = self.team.robots[row], 2 * self._beside_solids
+            yield Refusal(
+                f"settings.goals.{robot}",
+                f"no way leads from {robot}'s start to its goal past {self._named_solids()}: "
+                f"a way must be {wide:.2g} m wide: move the goal or an obstacle",
+            )
+
+    def _named_solids(self) -> str:
+        return ", ".join("the floor's edge" if solid.floor else solid.name for solid in self.team.keepout.solids[:5])
 
     def bounds(self) -> Iterator[Bound]:
         """Yield what goals must keep, and the speed."""
@@ -271,6 +299,7 @@ class GoTo(Behaviour):
             names = [name for name in names if name in self.team.robots]
         goals = [(name, np.array(self.settings.goals[name].pose)) for name in names]
         yield from _tightest(self._edge_of(name, goal) for name, goal in goals)
+        yield from _tightest(bound for name, goal in goals for bound in self._beside(name, goal))
         yield from _tightest(bound for name, goal in goals for bound in self._beside_bystanders(name, goal))
         yield from _tightest(self._apart(*one, *other) for one, other in itertools.combinations(goals, 2))
         speed = self.settings.speed_m_s
@@ -287,6 +316,16 @@ class GoTo(Behaviour):
         mend = "the barrier keeps the robot from the arena's edge, so move the goal inwards"
         what = f"the distance of {name}'s goal from the edge"
         return Bound(f"settings.goals.{name}", what, float(left), edge, "m", mend, at_least=True)
+
+    def _beside(self, name: str, goal: Array) -> Iterator[Bound]:
+        keepout = self.team.keepout
+        for solid, away in zip(keepout.solids, distances(keepout.solids, self._kept(goal)[None])[:, 0], strict=True):
+            near = max(from_solid(keepout, body, solid) for body in self._bodies(name))
+            of = "the floor's edge (floor_m)" if solid.floor else solid.name
+            mend = f"the barrier keeps robots from {of}, so move the goal" + ("" if solid.floor else f" or {of}")
+            what = f"the distance of {name}'s goal from {of}"
+            least = near + self.settings.position_accuracy_m
+            yield Bound(f"settings.goals.{name}", what, float(away), least, "m", mend, at_least=True)
 
     def _beside_bystanders(self, name: str, goal: Array) -> Iterator[Bound]:
         keepout = self.team.keepout

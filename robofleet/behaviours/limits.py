@@ -8,8 +8,9 @@ import numpy as np
 
 from robofleet.behaviours.interface import Array, Bound, Team
 from robofleet.behaviours.laps import rounded_down
-from robofleet.safety.barrier import apart, from_edge
+from robofleet.safety.barrier import apart, from_edge, from_solid
 from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.solids import distances
 
 
 def slowed(velocities: Array, speed: float) -> Array:
@@ -54,6 +55,21 @@ def inside(
         blame = f"{who or team.robots[robot]} leaves the arena {where(k)}, so {mend}"
         what = f"the path's reach in {name} with a body's radius"
         yield Bound(key, what, float(reach[k]) + body.radius, team.arena[axis] / 2 - margin, "m", blame)
+    yield from clear_of_solids(team, robot, key, points, where, who or f"{team.robots[robot]}'s way")
+
+
+def clear_of_solids(
+    team: Team, robot: int, key: str, points: Array, where: Callable[[int], str], who: str
+) -> Iterator[Bound]:
+    """Yield whether the barrier lets a robot be at points (M, 2) [m] beside obstacles, and on its floor."""
+    solids, body = team.keepout.solids, team.bodies[robot]
+    for solid, away in zip(solids, distances(solids, points), strict=True):
+        k, kept = int(away.argmin()), from_solid(team.keepout, body, solid)
+        if solid.floor:
+            what, mend = "the path's distance from the floor's edge (floor_m)", "move it inwards"
+        else:
+            what, mend = f"the path's distance from {solid.name}", f"move {solid.name} or the path"
+        yield Bound(key, what, float(away[k]), kept, "m", f"{who} is nearest {where(k)}, so {mend}", at_least=True)
 
 
 def wheels(

@@ -1,7 +1,9 @@
 """Where the camera hangs: its pose in the world from surveyed tags and points, how sure that is, and which to doubt."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,14 +12,15 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.arena_page import write_page
 from robofleet.calibration.consensus import Agreement, agree, chance
-from robofleet.calibration.fiducials import Look, Marks, look
+from robofleet.calibration.fiducials import Look, Marks, TagFinder, look
 from robofleet.calibration.frames import Named, refuse_other_sizes
 from robofleet.calibration.placing import PARAMETERS, Lens, Placement, on_plane, rotation_vector
-from robofleet.calibration.region import predicted, region_of
+from robofleet.calibration.region import Region, predicted, region_of
 from robofleet.calibration.store import CalibrationError, load, provenance, save
-from robofleet.calibration.survey import LEAST, load_survey
-from robofleet.config.calibrated import CameraModel, PoseSettings, SeenMark
-from robofleet.config.faults import lens_fault
+from robofleet.calibration.survey import LEAST, Survey, load_survey
+from robofleet.calibration.together import View, agree_together, with_places
+from robofleet.config.calibrated import CameraModel, FloorTag, PoseSettings, SeenMark
+from robofleet.config.cameras import lens_fault
 from robofleet.tracking.camera import CameraGeometry
 
 Array = NDArray[np.float64]
@@ -34,6 +37,27 @@ class Result(NamedTuple):
     figures: dict[str, float | None]
     notes: tuple[str, ...]  # marks that were left out, and what else to know
     kept: Path | None  # where the calibration before went
+
+
+class Found(NamedTuple):
+    """A camera's place that can be used; nothing is written yet."""
+
+    camera: Path
+    model: CameraModel  # with it
+    agreement: Agreement
+    marks: Marks
+    region: Region
+    sigma_mm: Array
+    notes: tuple[str, ...]
+
+
+class Wanted(NamedTuple):
+    """What is asked of a calibration."""
+
+    survey_file: Path
+    survey_mm: float | None = None  # standard deviation of the survey, one coordinate; None: estimated
+    arena_m: tuple[float, float] | None = None  # sides around the world's origin; None: the rectangle of the marks
+    tag_height_m: float = 0.0
 
 
 def calibrate_arena(
@@ -53,27 +77,86 @@ def calibrate_arena(
     Raises:
         CalibrationError: the inputs do not say it, or not well enough; nothing is written then.
     """
+    wanted = Wanted(survey_file, survey_mm, arena_m, tag_height_m)
     model, survey = load(camera, CameraModel), load_survey(survey_file)
     lens = lens_of(camera, model)
     refuse_other_sizes(images, model)
     seen = look(survey, images, lens.size)
-    agreement = _agreement(lens, seen, survey_mm)
-    placement = agreement.placement
-    region = region_of(survey, arena_m, tag_height_m)
+    return _kept(_judged(camera, model, survey, images, seen, _agreement(lens, seen, survey_mm), wanted), report)
+
+
+def calibrate_together(
+    cameras: Sequence[Path], images: Sequence[Sequence[Named]], report: Path, wanted: Wanted
+) -> list[Result]:
+    """Measure where several cameras hang by one survey, ``images`` of each; writes their files and a page for each.
+
+    Tags that two cameras see tie them together, also those that nobody surveyed: they lie on the floor.
+
+    Raises:
+        CalibrationError: the inputs do not say it, or not well enough; nothing is written then.
+    """
+    survey = load_survey(wanted.survey_file)
+    if survey.points:
+        raise CalibrationError(f"{wanted.survey_file}: points: they are pixels of one camera's image: survey tags")
+    models = [load(camera, CameraModel) for camera in cameras]
+    for model, its in zip(models, images, strict=True):
+        refuse_other_sizes(its, model)
+    strangers = _shared_strangers(survey, images)
+    views, looks = [], []
+    for camera, model, its in zip(cameras, models, images, strict=True):
+        lens = lens_of(camera, model)
+        seen = look(survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)}), its, lens.size)
+        points = seen.marks.points.copy()
+        points[np.isin(seen.marks.names, [f"tag {tag.tag}" for tag in strangers]), :2] = np.nan
+        views.append(View(camera.stem, lens, replace(seen.marks, points=points)))
+        looks.append(seen)
+    agreements = agree_together(views, None if wanted.survey_mm is None else wanted.survey_mm / 1e3)
+    judged = []
+    for k, (camera, model, view, agreement) in enumerate(zip(cameras, models, views, agreements, strict=True)):
+        notes = [note for note in looks[k].notes if "in no image" not in note]  # another camera sees it
+        seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
+        judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
+    return [_kept(its, report.with_name(f"{report.stem}-{its.camera.stem}{report.suffix}")) for its in judged]
+
+
+def _shared_strangers(survey: Survey, images: Sequence[Sequence[Named]]) -> list[FloorTag]:
+    """Return the tags that two cameras or more see and nobody surveyed."""
+    finder, surveyed = TagFinder(survey.family), {tag.tag for tag in survey.floor_tags}
+    seen = Counter(tag for its in images for tag in (finder.find(its[0][1]) if its else ()))
+    side_m = survey.floor_tags[0].side_m
+    return [
+        FloorTag(tag=tag, side_m=side_m, x_m=0.0, y_m=0.0) for tag, n in seen.items() if n > 1 and tag not in surveyed
+    ]
+
+
+def _judged(
+    camera: Path, model: CameraModel, survey: Survey, images: Sequence[Named], seen: Look, agreement: Agreement,
+    wanted: Wanted,
+) -> Found:  # fmt: skip
+    """Return a place that is good enough; CalibrationError if it is not."""
+    placement, survey_mm = agreement.placement, wanted.survey_mm
+    region = region_of(survey, wanted.arena_m, wanted.tag_height_m)
     sigma = predicted(placement, region)
     figures = _figures(agreement, seen.marks, sigma)
     notes = (*seen.notes, *_notes(agreement, seen.marks, survey_mm))
     if 0.0 < (in_sight := float(np.isfinite(sigma).mean())) < 1.0:
         notes += (f"the camera sees {100 * in_sight:.0f} % of the arena: the expected error is for that part",)
     _refuse_poor(agreement, seen.marks, figures, notes, survey_mm)
-    inputs = {camera.name: camera.read_bytes(), survey_file.name: survey_file.read_bytes()}
+    inputs = {camera.name: camera.read_bytes(), wanted.survey_file.name: wanted.survey_file.read_bytes()}
     if images:
         inputs["images"] = b"".join(image.tobytes() for _, image in images)
     where = provenance("arena", inputs, figures, PARAMETERS, placement.covariance.tolist())
     pose, marks = _pose(placement.T_world_camera), _seen(seen.marks)
     model = model.model_copy(update={"T_world_camera": pose, "arena": where, "marks": marks})
-    write_page(report, f"Where {camera.stem} hangs", model, agreement, seen.marks, region, sigma, notes)
-    return Result(model, figures, notes, save(camera, model))
+    return Found(camera, model, agreement, seen.marks, region, sigma, notes)
+
+
+def _kept(found: Found, report: Path) -> Result:
+    """Write the page and the camera's file."""
+    camera, model, agreement, marks, region, sigma_mm, notes = found
+    write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)
+    assert model.arena is not None
+    return Result(model, model.arena.figures, notes, save(camera, model))
 
 
 def lens_of(file: Path, model: CameraModel) -> Lens:

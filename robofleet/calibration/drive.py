@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.clock import S
 from robofleet.comms.endpoint import check_router, settled
-from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, key
+from robofleet.comms.keys import POSES, STATE, STATUS, TICK, key
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.comms.private_folder import PlaceError
 from robofleet.config import groups
@@ -109,7 +110,7 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
     """Return what the first ``count`` robots of the group did and what was seen of them."""
     config = recording.config
     arena, robots = config.arena.name, config.members
-    dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups))
+    dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
     payloads = recording.messages.get(key(arena, TICK), ())
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
     if not len(ticks):
@@ -119,14 +120,15 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
     start_ns, tick_ns = int(ticks["stamp_ns"][0]), round(config.controller.tick_s * S)
     first = int(ticks["tick"][0])
     seen: dict[int, list[Seen]] = {robot.tag: [] for robot in robots}
-    for payload in recording.messages.get(key(arena, POSES, CAMERA), ()):
+    images = (recording.messages.get(key(arena, POSES, camera), ()) for camera in config.camera_names)
+    for payload in chain.from_iterable(images):
         message = FLEET_POSES.decode(payload)
         if message is None or not message.echo_tick:
             continue
         exposure_ns = (message.echo_tick - first) * tick_ns + message.since_tick_ns
-        for tag, after_ns, coasted_ns, x, y, psi in message.poses:
-            if coasted_ns == 0 and tag in seen:
-                seen[tag].append(((exposure_ns + after_ns) / S, x, y, psi))
+        for pose in message.poses:
+            if pose.coasted_ns == 0 and pose.tag in seen:
+                seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, pose.x_m, pose.y_m, pose.psi_rad))
     drives = []
     for row, robot in enumerate(robots[:count]):
         offset = TagOffset() if robot.calibration is None else robot.calibration.tag_offset

@@ -12,6 +12,7 @@ from robofleet.clock import S, WallClock
 from robofleet.comms.bus import MemoryBus
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.calibrated import CameraModel
+from robofleet.config.faults import did_you_mean
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
@@ -53,7 +54,19 @@ def live_config(file: Path, overrides: Sequence[str] = ()) -> Config:
 
     Its place need not be known yet, and no controller is there to trigger it.
     """
-    return load_config(file, [*overrides, "tracker.source=truth", "camera.trigger=free"])
+    config = load_config(file, [*overrides, "tracker.source=truth"])
+    free = [camera.model_copy(update={"trigger": "free"}) for _, camera in config.camera_keys]
+    return config.model_copy(update={"camera": free[0], "cameras": tuple(free) if config.cameras else ()})
+
+
+def camera_of(config: Config, name: str) -> Config:
+    """Return a live configuration as one of its cameras has it; a single one may have any name."""
+    named = {camera.name: camera for _, camera in config.camera_keys}
+    if not config.cameras:
+        return config
+    if name not in named:
+        raise CalibrationError(f"--live: there is no camera '{name}' in its `cameras`: {did_you_mean(name, named)}")
+    return config.model_copy(update={"camera": named[name]})
 
 
 def from_camera(config: Config, count: int) -> list[Named]:

@@ -140,8 +140,8 @@ def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | Non
     for _ in range(_STEPS):
         seen, J, by_slope = on_plane(T, slopes, heights)
         r, J = (marks.points[:, :2] - seen).ravel(), J.reshape(-1, 6)
-        V = _noise(by_slope @ by_pixel, by_slope @ by_lens - marks.by_lens, marks.sigma_px, sigma, lens.covariance)
-        weighted, covariance, P = _normal(J, V)
+        V = noise(by_slope @ by_pixel, by_slope @ by_lens - marks.by_lens, marks.sigma_px, sigma, lens.covariance)
+        weighted, covariance, P = normal(J, V)
         T = moved(T, covariance @ (weighted.T @ r))
         if survey_m is None:
             sigma = max(LEAST_SURVEY_M, sigma * math.sqrt(float(r @ P @ r) / freedom))
@@ -152,18 +152,18 @@ def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | Non
     used = np.isfinite(off) & ~turned
     seen, J_seen, by_slope = on_plane(T, slopes, heights)
     follows = by_slope @ by_lens - marks.by_lens
-    V = _noise(by_slope @ by_pixel, follows, marks.sigma_px, sigma, lens.covariance)
+    V = noise(by_slope @ by_pixel, follows, marks.sigma_px, sigma, lens.covariance)
     rows = len(V)
     whole = np.diag(np.full(rows + np.count_nonzero(used), heading_sigma**2))
     whole[:rows, :rows] = V
     J = np.vstack([J_seen.reshape(-1, 6), J_heading[used]])
     r = np.concatenate([(marks.points[:, :2] - seen).ravel(), -off[used]])
-    weighted, covariance, P = _normal(J, whole)
+    weighted, covariance, P = normal(J, whole)
     T = moved(T, covariance @ (weighted.T @ r))
     seen, *_ = on_plane(T, slopes, heights)
-    left_out, left_out_covariance = _left_out(P, r, used)
+    without, without_covariance = left_out(P, r, used)
     return Placement(
-        lens, T, covariance, sigma, seen - marks.points[:, :2], -left_out, left_out_covariance,
+        lens, T, covariance, sigma, seen - marks.points[:, :2], -without, without_covariance,
         off, turned, chi_square, freedom,
         covariance @ weighted[:rows].T @ follows.reshape(rows, -1),
     )  # fmt: skip
@@ -194,13 +194,13 @@ def rotation_vector(R: Array) -> Array:
 def errors_at(lens: Lens, marks: Marks, T: Array, covariance: Array, survey_m: float) -> tuple[Array, Array]:
     """Return the errors (N, 2) [m] of marks that a pose with a covariance was not fitted to, and theirs (N, 2, 2)."""
     seen, J, by_slope = on_plane(T, lens.slopes(marks.pixels), marks.points[:, 2])
-    noise = _own_noise(by_slope @ lens.by_pixel(marks.pixels), marks.sigma_px, survey_m)
+    noise = _ownnoise(by_slope @ lens.by_pixel(marks.pixels), marks.sigma_px, survey_m)
     return seen - marks.points[:, :2], noise + J @ covariance @ J.transpose(0, 2, 1)
 
 
-def _noise(by_pixel: Array, by_lens: Array, sigma_px: Array, survey_m: float, lens: Array) -> Array:
+def noise(by_pixel: Array, by_lens: Array, sigma_px: Array, survey_m: float, lens: Array) -> Array:
     """Return the covariance (2N, 2N) of what is seen minus what was surveyed."""
-    own = _own_noise(by_pixel, sigma_px, survey_m)
+    own = _ownnoise(by_pixel, sigma_px, survey_m)
     n = len(own)
     V = np.zeros((n, 2, n, 2))
     V[np.arange(n), :, np.arange(n), :] = own
@@ -209,13 +209,13 @@ def _noise(by_pixel: Array, by_lens: Array, sigma_px: Array, survey_m: float, le
     return whole
 
 
-def _own_noise(by_pixel: Array, sigma_px: Array, survey_m: float) -> Array:
+def _ownnoise(by_pixel: Array, sigma_px: Array, survey_m: float) -> Array:
     """Return each mark's covariance (N, 2, 2) by its survey and its pixel."""
     own: Array = sigma_px[:, None, None] ** 2 * (by_pixel @ by_pixel.transpose(0, 2, 1)) + survey_m**2 * np.eye(2)
     return own
 
 
-def _normal(J: Array, V: Array) -> tuple[Array, Array, Array]:
+def normal(J: Array, V: Array) -> tuple[Array, Array, Array]:
     """Return V^-1 J, the pose's covariance and P; LinAlgError if J's columns depend on each other."""
     inverse = np.linalg.inv(V)
     weighted = inverse @ J
@@ -247,7 +247,7 @@ def _heading_sigma(off: Array) -> float:
     return _HEADING_RAD if len(known) < 4 else max(_LEAST_HEADING_RAD, 1.4826 * float(np.median(known)))
 
 
-def _left_out(P: Array, r: Array, with_heading: NDArray[np.bool_]) -> tuple[Array, Array]:
+def left_out(P: Array, r: Array, with_heading: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return what each mark is off by (N, 2) for a fit without it, and the covariances (N, 2, 2)."""
     n = len(with_heading)
     heading_rows = 2 * n + np.cumsum(with_heading) - 1

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from robofleet.comms import messages
 from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
-from robofleet.patterns import driver_role
+from robofleet.patterns import OVERHEAD, driver_role
 
 AnyLayout = Layout[Any] | ListLayout[Any] | BlobLayout[Any]
 
@@ -30,14 +30,14 @@ COMMAND = Topic("unit/{}/cmd", "controller", "unit", 0.033, "REAL_TIME", _FLEET,
 STATUS = Topic("unit/{}/status", "unit", "all", 0.020, "DATA_HIGH", _LONG, messages.UNIT_STATUS)
 ENABLE = Topic("unit/{}/enable", "supervisor", "unit", 0.040, "REAL_TIME", _FLEET, messages.UNIT_ENABLE)
 LEASE = Topic("unit/{}/lease", "controller", "unit", 0.0, "REAL_TIME", _FLEET, messages.LEASE_REQUEST, reliable=True)
-POSES = Topic("poses/{}", "tracker", "controller", 0.033, "REAL_TIME", _FLEET, messages.FLEET_POSES)
+POSES = Topic("poses/{}", "tracker", "controller viewers script", 0.033, "REAL_TIME", _LONG, messages.FLEET_POSES)
 NEWS = Topic("poses/{}/news", "tracker", "all", 0.0, "DATA_HIGH", _FIXED, messages.TRACKER_NEWS, reliable=True)
-PICTURE = Topic("poses/{}/picture", "tracker", "viewers", 1.0, "DATA_LOW", 1_000_000, messages.PICTURE)
+PICTURE = Topic("poses/{}/picture", "tracker", "viewers script", 1.0, "DATA_LOW", 1_000_000, messages.PICTURE)
 TICK = Topic("tick", "controller", "all", 0.033, "DATA", _LONG, messages.TICK_RECORD)
 RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
 STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
 BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)
-WISH = Topic("group/{}/wish", "script", "controller", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH)
+WISH = Topic("group/{}/wish", "script operator", "controller", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH)
 NOTE = Topic("group/{}/note", "script", "viewers", 0.0, "DATA_LOW", _FLEET, messages.NOTE, reliable=True)
 TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
 SENSORS = Topic("unit/{}/sensors", "unit", "all", 0.033, "DATA", _LONG, messages.UNIT_SENSORS)
@@ -50,7 +50,7 @@ SAFE_REQUEST = Topic(
 )
 ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 
-CAMERA = "overhead"  # the one camera's name, in the key of its poses
+CAMERA = OVERHEAD  # in the key of the poses of a camera that has no other name
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
 TOPICS = (

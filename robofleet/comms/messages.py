@@ -183,6 +183,12 @@ class TagPose(NamedTuple):
     x_m: float
     y_m: float
     psi_rad: float
+    xx_m2: float = 0.0  # covariance of x, y and psi; all 0: nobody knows it
+    xy_m2: float = 0.0
+    yy_m2: float = 0.0
+    xpsi_m_rad: float = 0.0
+    ypsi_m_rad: float = 0.0
+    psipsi_rad2: float = 0.0
 
 
 class FleetPoses(NamedTuple):
@@ -233,7 +239,8 @@ class TickRecord(NamedTuple):
     lateness_ns: int  # of this tick
     compute_ns: int  # of the tick before
     robots: tuple["RobotTick", ...]
-    figures: tuple[float, ...]  # of the groups, as behaviours.described reads them; NaN: not told
+    figures: tuple[float, ...]  # of the groups, as behaviours.described reads them; NaN: not told. Then, of each camera
+    # but the first, epoch and number of the newest FleetPoses taken; 0: none yet
 
 
 class RobotTick(NamedTuple):
@@ -356,7 +363,7 @@ NOTE = BlobLayout(Note, "IQQB")
 RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
 HANDED = BlobLayout(Handed, "I")
 LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
-FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hiiddd")
+FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hii" + "d" * 9)
 TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBBQqq", RobotTick, "d" * 15, numbers=True)
 PICTURE = BlobLayout(Picture, "IQqHH")
 BUSY_MACHINE = ListLayout(BusyMachine, "IQHBIIHd", Late, "Hqq")

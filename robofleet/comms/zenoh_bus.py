@@ -29,6 +29,7 @@ _FILES = 16384  # that the router may have open, where the system allows it
 _TRANSPORT = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
+    "scouting/delay": 0,  # [ms]; a router waits half a second for peers, which nobody here looks for
     "transport/link/tx/lease": 500,  # [ms]; the default of 10 s would hide a stopped process for as long
     "transport/link/tx/keep_alive": 4,
     "transport/link/rx/max_message_size": LARGEST_MESSAGE,

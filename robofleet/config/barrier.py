@@ -4,7 +4,7 @@ The controller keeps it; checks and pictures show it.
 """
 
 from robofleet.clock import S
-from robofleet.config import slices
+from robofleet.config import obstacles, slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.safety.barrier import Body, Keepout
@@ -16,7 +16,7 @@ def keepout(config: Config) -> Keepout:
     b, pose_error_m = c.barrier, c.filter.gate_sigma * c.filter.position_noise_m  # an image further off is not used
     return Keepout(
         b.gap_m, b.ahead_m, b.rate_per_s, pose_error_m, b.age_s, c.filter.lost_after_s, c.point_ahead_m, c.tick_s,
-        config.arena.size_m,
+        config.arena.size_m, obstacles.every(config.arena),
     )  # fmt: skip
 
 

@@ -10,9 +10,11 @@ from robofleet.config.calibrated import (
     Pixel,
     TagOffset,
 )
+from robofleet.patterns import OVERHEAD
 from robofleet.settings import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
 
 Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
+Gain = Annotated[float, within(-(2**31), 2**31 - 1)]
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
@@ -97,11 +99,22 @@ class TrueTagOffset(TagOffset):
     """Id of the robot."""
 
 
+class Daylight(Model):
+    """How light it is at a time."""
+
+    at_s: Instant
+    """Time from the start of the run."""
+    light: Annotated[float, within(1e-3, 100)]
+    """Share of full light."""
+
+
 class SimulatedCameraSettings(Model):
     """Troubles of the simulated camera. There are none by default."""
 
     light: Annotated[float, within(1e-3, 1)] = 1.0
     """Share of full light."""
+    daylight: Annotated[tuple[Daylight, ...], Field(max_length=MANY, strict=False)] = ()
+    """Instead of ``light``: times between which the light changes evenly."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     """Quality of the images' JPEG compression; null: no compression."""
     projector_gray: Gray = 0
@@ -159,9 +172,23 @@ class BaslerSettings(Model):
     """Source of the trigger with ``camera.trigger: tick``."""
 
 
-class CameraSettings(Model):
-    """The overhead camera."""
+class ExposureSettings(Model):
+    """Aim and limits of ``camera.exposure_control: auto``."""
 
+    white_gray: Annotated[int, within(100, 225)] = 200
+    """Grey level of the white paper of the brightest tag."""
+    blur_px: Annotated[float, within(0.05, 10)] = 1.0
+    """Largest motion of the fastest robot's image during one exposure. It limits the exposure time; gain gives the
+    rest."""
+    gain: Annotated[tuple[Gain, Gain], Field(strict=False)] | None = None
+    """Least and greatest gain in the camera's own units (simulated: dB); null: the camera's limits."""
+
+
+class CameraSettings(Model):
+    """A camera above the floor."""
+
+    name: Name = OVERHEAD
+    """Name of the camera: of its poses, pictures and process. Each of several cameras has its own."""
     source: Named = "simulated"
     """Source of the images: ``simulated``, ``v4l2``, ``files``, ``basler``, or a class as ``module:Class``."""
     model: CameraModel
@@ -178,7 +205,13 @@ class CameraSettings(Model):
     trigger_lead_s: Annotated[float, within(1e-6, 1)] = 0.018
     """Time from mid-exposure to the tick."""
     exposure_s: Annotated[float, within(1e-7, 1)] = 0.004
-    """Exposure time of each row."""
+    """Exposure time of each row; with ``exposure_control: auto`` the first one."""
+    exposure_control: Literal["fixed", "auto"] | None = None
+    """``auto``: exposure time and gain follow the light slowly, and white paper stays below saturation. null: ``auto``
+    with ``v4l2`` and ``basler``, since daylight changes more in an hour than a print bears; ``fixed`` with others, and
+    with a Basler that a line triggers, since that trigger cannot move with the exposure."""
+    exposure: ExposureSettings = ExposureSettings()
+    """Aim and limits of ``exposure_control: auto``."""
     picture_rate_hz: Annotated[float, within(0, 1000)] = 1.0
     """Rate of the small pictures that the page shows and the recorder keeps; 0: none."""
     readout_s: Delay = 0.004
@@ -194,3 +227,15 @@ class CameraSettings(Model):
     """Settings for recorded images."""
     basler: BaslerSettings = BaslerSettings()
     """Settings of a Basler camera."""
+
+    @property
+    def adjusts_exposure(self) -> bool:
+        """Whether exposure time and gain follow the light."""
+        if self.exposure_control is None:
+            return self.source == "v4l2" or (self.source == "basler" and not self.triggered_by_line)
+        return self.exposure_control == "auto"
+
+    @property
+    def triggered_by_line(self) -> bool:
+        """Whether something outside of this computer triggers a Basler camera."""
+        return self.source == "basler" and self.trigger == "tick" and self.basler.trigger_source != "Software"

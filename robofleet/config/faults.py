@@ -2,15 +2,16 @@
 
 import difflib
 import ipaddress
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from robofleet.config import bodies, units
-from robofleet.config.calibrated import CameraModel
+from robofleet.config import bodies, cameras, obstacles, units
+from robofleet.config.camera import SimulatedCameraSettings
+from robofleet.config.numbers import untagged
+from robofleet.config.robots import UNTAGGED
 from robofleet.config.tree import Config
 from robofleet.config.troubles import ClockStep, IdSwap, Late
 from robofleet.patterns import (
@@ -21,7 +22,6 @@ from robofleet.patterns import (
     SOCKET,
     TCP,
 )
-from robofleet.settings import FAMILIES
 
 Complaint = tuple[str, str]  # dotted path, message
 
@@ -44,13 +44,10 @@ _WORDS = {
     "too_long": "may have {max_length} at most, has {actual_length}",
     "literal_error": "must be {expected}",
 }
-_COEFFICIENTS = {"pinhole": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}
 _PATTERNS = {
     NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
     ENDPOINT_PATTERN: "must be private, or look like unixsock-stream//run/lab/bus.sock or tcp/127.0.0.1:7447",
 }
-
-LEAST_CELL_PX = 1.5  # of a tag straight below the camera: fewer do not tell black from white
 
 
 def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
@@ -91,28 +88,22 @@ def place_of(error: ErrorDetails) -> tuple[str | int, ...]:
 
 def cross_checks(config: Config) -> list[Complaint]:
     """Return what is wrong between keys that are right by themselves."""
-    camera, model = config.camera, config.camera.model
     if twice := list(_repeated("id", [robot.id for robot in config.robots])):
         return twice  # whoever names robots may mean either
-    complaints = [
-        *_repeated("tag", [robot.tag for robot in config.robots]),
+    return [
+        *(list(untagged(config)) or _repeated("tag", [robot.tag for robot in config.robots])),
+        *_bodies(config),
         *_members(config),
         *_units(config),
         *_troubles(config),
         *_endpoint(config),
-        *_camera_model(config),
-        *_tag_sizes(config),
+        *cameras.complaints(config),
         *_calibrations(config),
         *_simulated(config),
         *_sensors(config),
         *bodies.complaints(config),
+        *obstacles.complaints(config.arena),
     ]
-    sizes = ("width", camera.width, model.width), ("height", camera.height, model.height)
-    for key, taken, calibrated in sizes:
-        if taken != calibrated:
-            message = f"{taken} px, but its model is calibrated for {calibrated}: mend one, or calibrate again"
-            complaints.append((f"camera.{key}", message))
-    return complaints
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -196,72 +187,15 @@ def _repeated(key: str, values: Sequence[object]) -> Iterator[Complaint]:
             yield f"robots.{i}.{key}", f"{value} is robots.{first}'s already: give each robot its own"
 
 
-def lens_fault(model: CameraModel) -> str | None:
-    """Return what is wrong with a lens's coefficients, if anything."""
-    allowed = _COEFFICIENTS[model.lens]
-    if len(model.distortion) in allowed:
-        return None
-    counts = ", ".join(map(str, allowed[:-1])) + f" or {allowed[-1]}" if len(allowed) > 1 else str(allowed[0])
-    return f"a {model.lens} lens has {counts} coefficients, not {len(model.distortion)}: calibrate again"
-
-
-def _camera_model(config: Config) -> Iterator[Complaint]:
-    model = config.camera.model
-    fault = lens_fault(model)
-    if fault:
-        yield "camera.model.distortion", fault
-    rolling, period = model.line_time_s * (model.height - 1), 1.0 / config.camera.rate_hz
-    if rolling > period:
-        yield (
-            "camera.model.line_time_s",
-            f"all rows take {rolling:.3g} s, more than an image's {period:.3g} s: mend one",
-        )
-    if model.T_world_camera is None:
-        if config.tracker.source == "camera":
-            yield "camera.model", "where the camera hangs is not known: run robofleet calibrate arena"
+def _bodies(config: Config) -> Iterator[Complaint]:
+    """Bodies of the motion capture that are two robots', or a robot's and nobody's."""
+    if config.tracker.source != "mocap":
         return
-    x, y, z = model.T_world_camera.rotation_rad
-    angle = math.hypot(x, y, z)
-    share = (x * x + y * y) / (angle * angle) if angle else 0.0
-    if 1.0 - share * (1.0 - math.cos(angle)) >= 0.0:  # the height of its z axis's tip
-        yield "camera.model", "looks up from the floor: mend T_world_camera.rotation_rad"
-
-
-def _tag_sizes(config: Config) -> Iterator[Complaint]:
-    """Tags that are above the camera, or fill its image: the patterns to compare with would fill the memory."""
-    camera, tracker, model = config.camera, config.tracker, config.camera.model
-    if model.T_world_camera is None:
-        return
-    eye_m, least_px = model.T_world_camera.position_m[2], min(model.width, model.height)
-    tags = [("tracker.tag_height_m", tracker.tag_side_m, tracker.tag_height_m)]
-    largest_m = least_px * (eye_m - tracker.tag_height_m) / max(model.focal_px)
-    if hint := units.meant(tracker.tag_side_m, largest_m, "tag_side_m"):
-        yield "tracker.tag_side_m", f"a tag of {tracker.tag_side_m:g} m fills the image{hint}: mend it"
-        return
-    for i, robot in enumerate(config.robots):
-        if robot.tag_height_m is not None:
-            tags.append((f"robots.{i}.tag_height_m", tracker.tag_side_m, robot.tag_height_m))
-    for kind, prints in (
-        ("tracker.floor_tags", tracker.floor_tags),
-        ("camera.simulated.posters", camera.simulated.posters),
-    ):
-        tags += [(f"{kind}.{i}", tag.side_m, tag.height_m) for i, tag in enumerate(prints)]
-        for i, lying in enumerate(prints):
-            yield from _id(config, f"{kind}.{i}.tag", lying.tag)
-    family = FAMILIES[tracker.family]
-    for path, side_m, height_m in tags if tracker.source == "camera" else ():
-        cell_px = min(model.focal_px) * side_m / family.cells / max(eye_m - height_m, 1e-9)
-        if 0.0 < cell_px < LEAST_CELL_PX:
-            least_m = side_m * LEAST_CELL_PX / cell_px
-            yield (
-                path.replace("tracker.tag_height_m", "tracker.tag_side_m"),
-                f"a cell of a {tracker.family} tag of {side_m:g} m has {cell_px:.2g} px, {LEAST_CELL_PX:g} are needed: "
-                f"print it {least_m:.2g} m large, hang the camera lower, or take a family with fewer cells",
-            )
-    for path, side_m, height_m in tags:
-        if max(model.focal_px) * side_m >= least_px * (eye_m - height_m):
-            tag = f"a tag of {side_m:g} m at {height_m:g} m"
-            yield path, f"{tag} fills the image of a camera that hangs at {eye_m:g} m: mend one"
+    names = [robot.body_name for robot in config.robots]
+    yield from _repeated("body", names)
+    for i, name in enumerate(config.tracker.mocap.others):
+        if name in names:
+            yield f"tracker.mocap.others.{i}", f"{name} is the body of {config.robots[names.index(name)].id}: remove it"
 
 
 def _calibrations(config: Config) -> Iterator[Complaint]:
@@ -310,26 +244,16 @@ def _units(config: Config) -> Iterator[Complaint]:
                 f"robots.{i}.unit",
                 f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name",
             )
-        if config.tracker.source == "camera" and robot.reality == "real":
-            yield from _id(config, f"robots.{i}.tag", robot.tag)
-
-
-def _id(config: Config, path: str, tag: int) -> Iterator[Complaint]:
-    family = config.tracker.family
-    if tag > (last := FAMILIES[family].ids - 1):
-        yield path, f"{tag}: the family {family} has the ids 0 to {last}: give it one of these"
+        if config.tracker.source == "camera" and robot.reality == "real" and robot.tag != UNTAGGED:
+            yield from cameras.unknown_id(config, f"robots.{i}.tag", robot.tag)
 
 
 def _members(config: Config) -> Iterator[Complaint]:
     """What names no robot, and groups that name one twice."""
     known = [robot.id for robot in config.robots]
     named: list[tuple[str, str]] = []
-    simulated, path = config.camera.simulated, "camera.simulated"
-    named += [(f"{path}.covers.{i}.robot", cover.robot) for i, cover in enumerate(simulated.covers)]
-    named += [(f"{path}.tag_offsets.{i}.robot", offset.robot) for i, offset in enumerate(simulated.tag_offsets)]
-    named += [
-        (f"{path}.swaps.{i}.robots.{k}", r) for i, swap in enumerate(simulated.swaps) for k, r in enumerate(swap.robots)
-    ]
+    for path, camera in config.camera_keys:
+        named += _in_scenes(f"{path}.simulated", camera.simulated)
     place: dict[str, int] = {}
     titles: dict[str, int] = {}
     for i, group in enumerate(config.groups):
@@ -343,10 +267,18 @@ def _members(config: Config) -> Iterator[Complaint]:
                 yield f"groups.{i}.robots.{k}", f"{robot} is in groups.{place[robot]} already: a robot has one group"
     unseen = [robot.id for robot in config.virtual]
     for path, robot in named:
-        if robot in unseen and path.startswith("camera."):
+        if robot in unseen and path.startswith("camera"):
             yield path, f"{robot} is in no image, its reality is simulated: name another robot"
         if robot not in known:
             yield path, f"there is no robot '{robot}': {did_you_mean(robot, known)}"
+
+
+def _in_scenes(path: str, simulated: SimulatedCameraSettings) -> list[Complaint]:
+    """Return the robots that a simulated camera names, each with its path."""
+    named = [(f"{path}.covers.{i}.robot", cover.robot) for i, cover in enumerate(simulated.covers)]
+    named += [(f"{path}.tag_offsets.{i}.robot", offset.robot) for i, offset in enumerate(simulated.tag_offsets)]
+    swaps = ((i, k, robot) for i, swap in enumerate(simulated.swaps) for k, robot in enumerate(swap.robots))
+    return [*named, *((f"{path}.swaps.{i}.robots.{k}", robot) for i, k, robot in swaps)]
 
 
 def _troubles(config: Config) -> Iterator[Complaint]:
@@ -359,11 +291,13 @@ def _troubles(config: Config) -> Iterator[Complaint]:
         for key, name in named:
             if name not in known:
                 yield f"faults.{i}.{key}", f"there is no robot '{name}': {did_you_mean(name, known)}"
+        if fault.kind == "camera_frozen" and config.tracker.own_times:
+            yield f"faults.{i}.kind", f"{config.tracker.source} has no image that could freeze: take camera_stalled"
         if isinstance(fault, IdSwap) and fault.robots[0] == fault.robots[1]:
             yield f"faults.{i}.robots.1", f"{fault.robots[1]} has its own tag: name two robots"
         if isinstance(fault, Late) and fault.p99_s <= fault.median_s:
             yield f"faults.{i}.p99_s", f"must be more than the median, {fault.median_s:g} s"
-        if isinstance(fault, ClockStep) and fault.process in ("tracker", "router"):
+        if isinstance(fault, ClockStep) and (fault.process == "router" or fault.process.startswith("tracker")):
             yield (
                 f"faults.{i}.process",
                 f"a simulated camera has no other clock than the {fault.process}'s: name another process",

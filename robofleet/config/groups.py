@@ -98,6 +98,11 @@ def scripted(config: Config) -> tuple[str, ...]:
     return tuple(group.title for group in config.groups if kind(group).takes_wishes)
 
 
+def wishing(config: Config, of: type[Behaviour]) -> tuple[str, ...]:
+    """Return the names of the groups of one kind of behaviour."""
+    return tuple(group.title for group in config.groups if issubclass(kind(group), of))
+
+
 def descriptions(config: Config) -> tuple[described.Group, ...]:
     """Return the groups as others see them."""
     return tuple(

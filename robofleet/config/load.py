@@ -16,7 +16,7 @@ import yaml
 from pydantic import BaseModel, JsonValue, ValidationError
 from pydantic_core import ErrorDetails
 
-from robofleet.config import groups, starts
+from robofleet.config import groups, moving, starts
 from robofleet.config.csvfile import read_table
 from robofleet.config.faults import (
     Complaint,
@@ -30,6 +30,7 @@ from robofleet.config.faults import (
 )
 from robofleet.config.groups import named
 from robofleet.config.names import SHIPPED, missing, nearest
+from robofleet.config.numbers import numbered
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Place, Source, parse_yaml, read_yaml
 from robofleet.plugins import PluginError, reach
@@ -40,6 +41,7 @@ FOLDERS: dict[tuple[str, ...], str] = {
     ("groups", "*", "settings", "path"): "paths",
     ("groups", "*", "settings", "references", "*", "path"): "paths",
     ("camera", "model"): "cameras",
+    ("cameras", "*", "model"): "cameras",
 }
 # CSV files, and their headers
 TABLES: dict[tuple[str, ...], tuple[str, ...]] = {
@@ -132,20 +134,27 @@ class ConfigFile:
     def refuse(self, complaints: Iterable[Complaint]) -> None:
         """Raise a ConfigError that shows the place of every complaint, if there is one."""
         for path, message in complaints:
-            self._complain(tuple(int(p) if p.isdigit() else p for p in path.split(".")), message)
+            parts = moving.place(self.config, path).split(".")
+            self._complain(tuple(int(p) if p.isdigit() else p for p in parts), message)
         if self._faults:
             raise self._error()
 
     def _validate(self) -> None:
         kept = self._judged_settings()
+        several = self._root.child("cameras")
+        if several is not None and self._root.child("camera") is not None:
+            self._complain(("cameras",), "camera is written, too: write one of the two", at_key=True)
         try:
             self.config = Config.model_validate(self._root.plain())
         except ValidationError as invalid:
             for error in _each_once(invalid, Config):
                 loc = place_of(error)
+                if several is not None and loc[:1] == ("camera",):
+                    continue  # it is the first of several, where the same is wrong
                 message = self._moved(loc) if error["type"] == "extra_forbidden" else None
                 self._complain(loc, message or plain_words(error), at_key=error["type"] == "extra_forbidden")
             raise self._error() from None
+        self.config = numbered(moving.added(self.config))
         self.refuse([*cross_checks(self.config), *self._unreachable()])
         pairs = zip(named(self.config).groups, kept, strict=True)
         made = tuple(group.model_copy(update={"settings": settings}) for group, settings in pairs)
@@ -161,7 +170,8 @@ class ConfigFile:
         named = [
             *((f"robots.{i}.driver", robot.driver) for i, robot in robots),
             *((f"robots.{i}.twin", robot.twin) for i, robot in robots if robot.twin is not None),
-            ("camera.source", config.camera.source),
+            *((f"{path}.source", camera.source) for path, camera in config.camera_keys),
+            ("tracker.source", config.tracker.source),
         ]
         for path, name in named:
             try:

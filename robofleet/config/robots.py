@@ -100,13 +100,19 @@ class StartPose(Model):
         return math.remainder(math.radians(self.heading_deg), math.tau)
 
 
+UNTAGGED = 0xFFFF  # as a tag: none
+
+
 class Robot(Model):
     """A robot of the fleet."""
 
     id: Name
     """Name of the robot on the bus, in messages and in the summary."""
-    tag: Annotated[int, Field(ge=0, le=65535)]
-    """Id of its AprilTag, of the family ``tracker.family``, where a camera must see it."""
+    tag: Annotated[int, Field(ge=0, le=UNTAGGED)] = UNTAGGED
+    """Id of its AprilTag, of the family ``tracker.family``, where a camera must see it. 65535: it wears none; messages
+    then name it by the lowest number that is free."""
+    body: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    """Name of its body in the motion capture (``tracker.source: mocap``); null: its id."""
     unit: Name | None = None
     """Name of the driver process that drives it, with all robots of the same unit; null: ``drivers`` says it."""
     tag_height_m: Height | None = None
@@ -135,3 +141,8 @@ class Robot(Model):
     """Where the robot's centre is at first. A simulated robot begins there. Somebody puts a real robot there by hand,
     and arming judges where it really stands. null: on the group's path, the leader at its beginning and each other
     robot ``spacing_m`` behind the one that it follows. A simulated robot in no group needs a start."""
+
+    @property
+    def body_name(self) -> str:
+        """The name of its body in the motion capture."""
+        return self.body or self.id

@@ -3,7 +3,7 @@
 import math
 import secrets
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from robofleet.clock import S
+from robofleet.config import obstacles
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.sensors import Distances
 from robofleet.config.tree import Arena, Config
+from robofleet.patterns import OVERHEAD
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation
 from robofleet.vehicles.sensors import DistanceSensors, Errors, Sensing, SensorKind
@@ -81,9 +83,18 @@ def build(config: Config) -> int:
 
 
 def _unused(config: Config) -> dict[str, Any]:
-    """Return the sensors that nobody reads, and walls that nobody sees: a run without them is the same one."""
+    """Return the sensors that nobody reads, walls that nobody sees, obstacles that are not there, what is said of light
+    and exposure where both stay, and the name that a camera has anyway: a run without them is the same one."""
+    camera: dict[str, Any] = {} if config.camera.adjusts_exposure else {"exposure_control": True, "exposure": True}
+    if config.camera.name == OVERHEAD:
+        camera["name"] = True
+    if not config.camera.simulated.daylight:
+        camera["simulated"] = {"daylight"}
     robots = {i: {"sensors": True, "vehicle": {"sensors"}} for i, r in enumerate(config.robots) if not r.sensors}
-    return {"robots": robots, "arena": {"walls"} if config.arena.walls is None or not config.sensing else set()}
+    arena = {key for key in ("floor_m", "obstacles", "moving") if not getattr(config.arena, key)}
+    if config.arena.walls is None or not config.sensing:
+        arena.add("walls")
+    return {"robots": robots, "arena": arena, "camera": camera}
 
 
 def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] | None) -> Simulation:
@@ -133,10 +144,16 @@ def sensing_period_ns(config: Config, unit: str) -> int | None:
 
 def walls(arena: Arena) -> tuple[tuple[float, float, float, float], ...]:
     """Return what simulated distance sensors see beside robots: x, y of both ends of each wall [m; world]."""
-    if arena.walls is not None:
-        return arena.walls
     x, y = arena.size_m[0] / 2, arena.size_m[1] / 2
-    return (-x, -y, x, -y), (x, -y, x, y), (x, y, -x, y), (-x, y, -x, -y)
+    floor = arena.floor_m or ((-x, -y), (x, -y), (x, y), (-x, y))
+    outlines = [solid.outline.tolist() for solid in obstacles.standing(arena)]
+    outer = _sides(floor) if arena.walls is None else arena.walls
+    return (*outer, *(side for corners in outlines for side in _sides(corners)))
+
+
+def _sides(corners: Sequence[Sequence[float]]) -> tuple[tuple[float, float, float, float], ...]:
+    ends = zip(corners, (*corners[1:], corners[0]), strict=True)
+    return tuple((*one, *other) for (one, other) in ends)  # type: ignore[misc]
 
 
 def _sensing(config: Config, robot: Robot) -> Sensing | None:

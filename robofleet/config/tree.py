@@ -7,16 +7,19 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, JsonValue
+from pydantic import Field, JsonValue, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
+from robofleet.config.mocap import MocapSettings
+from robofleet.config.obstacles import Corners, Moving, Obstacle
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
-from robofleet.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, driver_role
+from robofleet.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, TRACKER, driver_role, tracker_role
 from robofleet.safety.supervisor import Roster
 from robofleet.settings import (
+    CAMERAS,
     MANY,
     ROBOTS,
     TAGS,
@@ -46,9 +49,18 @@ class Arena(Model):
     """Name of the arena on the bus and in commands such as ``robofleet stop NAME``. An arena has one run at a time."""
     size_m: Annotated[tuple[Side, Side], Field(strict=False)]
     """Length of the floor along x and along y."""
+    floor_m: Corners | None = None
+    """The floor's corners in their order, each as [x, y] in metres, where it is no rectangle: the robots stay inside.
+    All lie within ``size_m``. null: the whole rectangle."""
+    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MANY, strict=False)] = ()
+    """What stands on the floor. The barrier keeps every robot clear of it, and ``go_to`` drives round it."""
+    moving: Annotated[tuple[Moving, ...], Field(max_length=ROBOTS, strict=False)] = ()
+    """What carries a tag and is moved by somebody. The tracker finds it, and robots keep clear of it as of a robot in
+    no group."""
     walls: Annotated[tuple[Wall, ...] | None, Field(max_length=MANY, strict=False)] = None
     """What simulated distance sensors see beside robots: straight walls, each from one point to another, as
-    [x1, y1, x2, y2] in metres. null: the edges of the floor. Robots keep clear of the edges, and of no other wall."""
+    [x1, y1, x2, y2] in metres. null: the edges of the floor. They see obstacles, too. Robots keep clear of the edges
+    and of obstacles, and of no other wall."""
 
 
 class BusSettings(Model):
@@ -107,9 +119,10 @@ class TruthSettings(Model):
 class TrackerSettings(Model):
     """How robofleet measures the robots' poses."""
 
-    source: Literal["camera", "truth"]
-    """``camera``: the detector finds the tags in the camera's images. ``truth``: all robots are simulated and publish
-    their true poses."""
+    source: Named
+    """Where poses come from: an entry point of ``robofleet.poses``, or a class as ``module:Class``. ``camera``: the
+    detector finds the tags in the camera's images. ``mocap``: a motion-capture system measures the robots' bodies.
+    ``truth``: all robots are simulated and publish their true poses."""
     family: FamilyName = "36h11"
     """AprilTag family of all tags. 36h11 has 587 ids, 25h9 has 35, 16h5 has 30. Fewer ids have larger cells in a tag of
     the same side."""
@@ -121,6 +134,18 @@ class TrackerSettings(Model):
     """Surveyed tags on the floor. They show whether the camera moves, and by how much the poses must be corrected."""
     truth: TruthSettings = TruthSettings()
     """Noise, delay and losses of the poses that no image is needed for."""
+    mocap: MocapSettings = MocapSettings()
+    """The motion-capture system of ``tracker.source: mocap``."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the poses are those of simulated robots, and no camera's images are needed for them."""
+        return self.source == "truth" or (self.source == "mocap" and self.mocap.system == "simulated")
+
+    @property
+    def own_times(self) -> bool:
+        """Whether poses come at times of their own: their source follows no camera's trigger."""
+        return self.source not in ("camera", "truth")
 
 
 class DriverSettings(Model):
@@ -158,6 +183,8 @@ class Bounds(Model):
     """Upper limit of the largest deviation from ``spacing_m``, after ``run.spacing_settle_s``."""
     min_gap_mm: Annotated[float, within(-1e6, 1e6)] | None = None
     """Lower limit of the smallest gap between the bodies of two robots."""
+    min_obstacle_gap_mm: Annotated[float, within(-1e6, 1e6)] | None = None
+    """Lower limit of the smallest gap between a robot's body and an obstacle, or the edge of ``arena.floor_m``."""
     pose_error_rms_mm: Most | None = None
     """Upper limit of the root mean square of the filter's position error at the ticks."""
     overruns: Count | None = None
@@ -198,7 +225,7 @@ class Config(Model):
     """The parts of a configuration."""
 
     arena: Arena
-    """The floor: name and size."""
+    """The floor: name, size and what stands on it."""
     bus: BusSettings = BusSettings()
     """The address at which the processes meet."""
     robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=ROBOTS, strict=False)]
@@ -211,7 +238,9 @@ class Config(Model):
     tracker: TrackerSettings
     """How the robots' poses are measured."""
     camera: CameraSettings
-    """The overhead camera."""
+    """The overhead camera, if there is one: either this key or ``cameras``."""
+    cameras: Annotated[tuple[CameraSettings, ...], Field(max_length=CAMERAS, strict=False)] = ()
+    """Several overhead cameras, each with a name of its own. Their views may overlap."""
     run: RunSettings
     """Length, seed, start and judgement of a run."""
     drivers: DriverSettings = DriverSettings()
@@ -221,12 +250,54 @@ class Config(Model):
     faults: Annotated[tuple[InjectedFault, ...], Field(max_length=MANY, strict=False)] = ()
     """Faults on purpose, and their times. ``--faults FILE`` replaces them."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _first_camera(cls, given: object) -> object:
+        """Let ``camera`` be the first of several, where these are written."""
+        if not isinstance(given, dict) or given.get("camera") is not None:
+            return given
+        several = given.get("cameras")
+        return {**given, "camera": several[0]} if isinstance(several, list | tuple) and several else given
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave ``camera`` out where there are several, and ``cameras`` where there is one."""
+        tree: dict[str, Any] = dump(self)
+        tree.pop("camera" if self.cameras else "cameras", None)
+        return tree
+
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with other values; what was found in the robots is found anew."""
         copy = super().model_copy(update=update, deep=deep)
         for found in ("units", "unit_of", "_by_id"):
             copy.__dict__.pop(found, None)
         return copy
+
+    @property
+    def trackers(self) -> dict[str, Self]:
+        """The tracker processes by name, each with the configuration as it has it: ``camera`` is its own."""
+        if len(self.views) == 1:
+            return {TRACKER: self}
+        return {tracker_role(view.camera.name): view for view in self.views}
+
+    @property
+    def views(self) -> tuple[Self, ...]:
+        """The configuration as each camera's process has it: ``camera`` is its own. Without cameras there is one."""
+        if not self.cameras or self.tracker.source != "camera":
+            return (self,)
+        return tuple(self.model_copy(update={"camera": camera}) for camera in self.cameras)
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """The names by which poses come: of every camera, in the order of ``views``."""
+        return tuple(view.camera.name for view in self.views)
+
+    @property
+    def camera_keys(self) -> tuple[tuple[str, CameraSettings], ...]:
+        """Every camera, with the dotted path at which it is written."""
+        if not self.cameras:
+            return (("camera", self.camera),)
+        return tuple((f"cameras.{i}", camera) for i, camera in enumerate(self.cameras))
 
     @property
     def twins(self) -> tuple[Robot, ...]:
@@ -237,7 +308,13 @@ class Config(Model):
     def simulated(self) -> bool:
         """Whether nothing of a run exists outside this computer: every robot, or its twin, and the camera."""
         robots = all(robot.driver == "simulated" or robot.twin is not None for robot in self.robots)
-        return robots and (self.tracker.source == "truth" or self.camera.source == "simulated")
+        return robots and self.poses_simulated
+
+    @property
+    def poses_simulated(self) -> bool:
+        """Whether poses come from a simulation: its truth, its motion capture or its camera."""
+        rendered = all(camera.source == "simulated" for _, camera in self.camera_keys)
+        return self.tracker.simulated or (self.tracker.source == "camera" and rendered)
 
     @property
     def seen(self) -> tuple[Robot, ...]:
@@ -325,4 +402,6 @@ class Config(Model):
     def ids(self) -> Roster:
         """The names of the bodies, in their order, and of their groups."""
         groups = {robot_id: group.title for group in self.groups for robot_id in group.robots}
-        return Roster((robot.id for robot in self.bodies), (groups.get(robot.id, "") for robot in self.bodies))
+        return Roster(
+            (robot.id for robot in self.bodies), (groups.get(robot.id, "") for robot in self.bodies), self.camera_names
+        )

@@ -135,7 +135,8 @@ class CameraFault(Timed):
     """The camera repeats one image, or sends none."""
 
     kind: Literal["camera_frozen", "camera_stalled"]
-    """``camera_frozen``: the same image again and again. ``camera_stalled``: no image."""
+    """``camera_frozen``: the same image again and again. ``camera_stalled``: no image, or no poses
+    of ``tracker.source: mocap``."""
 
 
 class PoseDelay(Timed):

@@ -15,14 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.control import planning
+from robofleet.control import planning, solid_ways
 from robofleet.control.planning import Problem
+from robofleet.control.solid_ways import Kept
 from robofleet.kernels import kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_rho = planning.rho
+_rho, _clear_way = planning.rho, solid_ways.clear_way
 _EPSILON = 1e-9
 _SHORTER = 1e-3  # [m]; what saves less is not taken
 _ROUNDS = 3
@@ -43,7 +44,7 @@ def plan(problem: Problem, rng: np.random.Generator) -> Generator[None, None, Pl
     if steps is None:
         return None
     places = np.ascontiguousarray(steps.transpose(1, 0, 2))
-    rho = planning.clearance(problem)
+    rho, standing = planning.clearance(problem), planning.kept(problem)
     radii = np.empty(places.shape[:2])
     for i in range(len(places)):
         _radii(places[i], rho.places[i], rho.radii[i], rho.most, radii[i])
@@ -51,8 +52,9 @@ def plan(problem: Problem, rng: np.random.Generator) -> Generator[None, None, Pl
         shorter = False
         for i in range(len(places)):
             shorter |= _shorten(
-                places, radii, i, rho.places[i], rho.radii[i], rho.most, problem.obstacles, _DIAGONAL * problem.cell
-            )
+                places, radii, i, rho.places[i], rho.radii[i], rho.most, problem.obstacles, standing,
+                _DIAGONAL * problem.cell,
+            )  # fmt: skip
             yield
         if not shorter:
             break
@@ -72,7 +74,8 @@ def _radii(places: Array, ends: Array, end_radii: Array, most: float, out: Array
 
 @kernel
 def _shorten(
-    places: Array, radii: Array, i: int, ends: Array, end_radii: Array, most: float, obstacles: Array, step: float
+    places: Array, radii: Array, i: int, ends: Array, end_radii: Array, most: float, obstacles: Array,
+    standing: Kept, step: float,
 ) -> bool:  # fmt: skip
     """Replace pieces of robot i's way by straight ones, long pieces first; returns whether any was.
 
@@ -90,6 +93,8 @@ def _shorten(
             straight_x, straight_y = places[i, end, 0] - places[i, begin, 0], places[i, end, 1] - places[i, begin, 1]
             straight = np.hypot(straight_x, straight_y)
             if way < straight + _SHORTER:
+                continue
+            if not _clear_way(places[i, begin, 0], places[i, begin, 1], places[i, end, 0], places[i, end, 1], standing):
                 continue
             for slow in range(2):
                 share = 1.0 / (end - begin)

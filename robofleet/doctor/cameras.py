@@ -38,19 +38,21 @@ class Usb(NamedTuple):
 
 def kernel_cameras(needs: Needs) -> Iterator[Finding]:
     """Every camera that the kernel has, and whether the configuration's is there and can do what it asks for."""
-    wanted = needs.camera if needs.camera is not None and needs.camera.source == "v4l2" else None
-    named = None if wanted is None else os.path.realpath(wanted.v4l2.device)
-    found, others = False, []
+    wanted = {os.path.realpath(one.v4l2.device): one for one in needs.cameras if one.source == "v4l2"}
+    found, others = set(), []
     for path in sorted(_DEVICES.glob("video*"), key=lambda path: (len(path.name), path.name)):
-        its = wanted if str(path.resolve()) == named else None
+        its = wanted.get(str(path.resolve()))
         finding = _looked_at(path, its)
         if finding is not None:
             yield finding
-            found = found or its is not None
             others.append(str(path))
-    if wanted is not None and not found:
-        says = f"{wanted.v4l2.device} is not there, or is not a camera (there are: {', '.join(others) or 'none'})"
-        yield Finding("camera", Mark.MISSING, says, "plug it in, or name another one in camera.v4l2.device")
+            if its is not None:
+                found.add(its.name)
+    for camera in wanted.values():
+        if camera.name not in found:
+            there = ", ".join(others) or "none"
+            says = f"{camera.v4l2.device} is not there, or is not a camera (there are: {there})"
+            yield Finding("camera", Mark.MISSING, says, "plug it in, or name another one in camera.v4l2.device")
 
 
 def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
@@ -132,6 +134,6 @@ def basler_cameras(needs: Needs) -> Iterator[Finding]:
         return
     for model, number in found:
         yield ok("Basler camera", f"{model}, serial number {number}")
-    if not found and needs.camera is not None and needs.camera.source == "basler":
+    if not found and any(camera.source == "basler" for camera in needs.cameras):
         cure = "plug it in; one on Ethernet must be in this machine's network"
         yield Finding("Basler camera", Mark.MISSING, "none is found", cure)

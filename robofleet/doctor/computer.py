@@ -15,15 +15,16 @@ _LIMITS = "/etc/security/limits.d/robofleet.conf"
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 
-def cores(_needs: Needs) -> Iterator[Finding]:
+def cores(needs: Needs) -> Iterator[Finding]:
     """How many cores this process may use, and what the machine does already."""
-    count = usable_cores()
+    count, wanted = usable_cores(), max(2, len(needs.cameras))
     one_minute, five_minutes, _ = os.getloadavg()
     says = f"{count:g} cores, load {one_minute:.1f} (over five minutes {five_minutes:.1f})"
     if one_minute >= count:
         yield Finding("cores", Mark.WARN, f"{says}: this machine is busy", "end other programs, else ticks come late")
-    elif count < 2:
-        yield Finding("cores", Mark.WARN, says, "take two cores or more: the tracker and the controller work at once")
+    elif count < wanted:
+        why = "the tracker and the controller work" if wanted == 2 else "the trackers of all cameras work"
+        yield Finding("cores", Mark.WARN, says, f"take {wanted} cores or more: {why} at once")
     else:
         yield ok("cores", says)
 

@@ -40,11 +40,11 @@ class Needs:
         return tuple(one for one in self.config.robots if self.drivers_of is None or one.id in self.drivers_of)
 
     @property
-    def camera(self) -> CameraSettings | None:
-        """Return the camera whose images are tracked here; None: none is."""
+    def cameras(self) -> tuple[CameraSettings, ...]:
+        """Return the cameras whose images are tracked here."""
         if self.config is None or not self.whole_run or self.config.tracker.source != "camera":
-            return None
-        return self.config.camera
+            return ()
+        return tuple(view.camera for view in self.config.views)
 
     @property
     def duration_s(self) -> float:

@@ -41,7 +41,7 @@ def packages(needs: Needs) -> Iterator[Finding]:
         yield Finding("packages", Mark.MISSING, "robofleet is not installed in this Python", how_to_install("lab"))
         return
     needed = {""} | ({"lab"} if needs.whole_run else set())
-    if needs.camera is not None and needs.camera.source == "basler":
+    if any(camera.source == "basler" for camera in needs.cameras):
         needed.add("basler")
     for extra in ["", *(name for name in extras if name not in _FOR_DEVELOPERS)]:
         names = [(name, bounds) for name, bounds, of in map(_parts, asked) if of == extra and name != "robofleet"]

@@ -6,18 +6,22 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
 
+import numpy as np
+
 from robofleet.behaviours.interface import Behaviour, Bound, Refusal
 from robofleet.clock import S
-from robofleet.config import groups, slices, units
+from robofleet.config import groups, obstacles, slices, units
 from robofleet.config.faults import Complaint
 from robofleet.config.load import Change, ConfigFile, Files
+from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
-from robofleet.processes import check_drivers, check_faults, check_starts, reality
+from robofleet.processes import check_drivers, check_faults, check_poses, check_starts, reality, views
 from robofleet.safety.arming import free_m
 from robofleet.safety.gate import VALID_NS
 from robofleet.safety.supervisor import Phase
-from robofleet.tracking.sources import ScheduledCamera
+from robofleet.tracking.sources import AdjustableCamera, ScheduledCamera
+from robofleet.vehicles.solids import distances
 
 _LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
 
@@ -41,6 +45,8 @@ def load_checked(
     complaints = refusals(config, lockstep=lockstep)
     if not any(path.startswith("robots.") for path, _ in complaints):
         complaints += check_drivers.unreachable(config)
+    if not any(path.startswith(("robots.", "tracker.")) for path, _ in complaints):
+        complaints += check_poses.unreachable(config)
     source.refuse(complaints)
     return config
 
@@ -52,8 +58,11 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     """
     faults = check_faults.complaints(config, lockstep=lockstep)
     complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality.complaints(config), *faults]
+    complaints += check_poses.complaints(config, lockstep=lockstep)
     if config.tracker.source == "camera":
-        complaints += _camera_source(config, lockstep)
+        for (path, _), view in zip(config.camera_keys, config.views, strict=True):
+            complaints += _camera_source(view, path, lockstep)
+        complaints += views.complaints(config)
     if impossible := list(_impossible(config)):
         return complaints + impossible
     for bound in _worst(bound for bound in _bounds(config) if not bound.holds):
@@ -109,7 +118,8 @@ def _bounds(config: Config) -> Iterator[Bound]:
             yield replace(bound, path=_absolute(config, where, bound.path), what=what)
     yield from _start(config)
     if config.tracker.source == "camera":
-        yield from _camera(config)
+        for (path, _), view in zip(config.camera_keys, config.views, strict=True):
+            yield from _camera(view, path)
 
 
 def _impossible(config: Config) -> Iterator[Complaint]:
@@ -191,6 +201,7 @@ def _start(config: Config) -> Iterator[Bound]:
             room = free_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
             reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2 - room
             yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
+    yield from _beside_solids(config, placed)
     for (i, one, here), (j, other, there) in itertools.combinations(placed, 2):
         apart = math.hypot(here.x_m - there.x_m, here.y_m - there.y_m)
         bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
@@ -206,29 +217,52 @@ def _start(config: Config) -> Iterator[Bound]:
             yield Bound(f"robots.{j}.start", what, apart, room, "m", mend, at_least=True)
 
 
-def _camera(config: Config) -> Iterator[Bound]:
-    camera = config.camera
-    period = config.controller.tick_s if camera.trigger == "tick" else 1 / camera.rate_hz
+def _beside_solids(config: Config, placed: Sequence[tuple[int, Robot, StartPose]]) -> Iterator[Bound]:
+    """Every robot starts on the floor and beside the obstacles, with room for its wheels to be tried."""
+    solids, driven = obstacles.every(config.arena), {robot.id for robot in config.members}
+    away = distances(solids, np.array([(start.x_m, start.y_m) for _, _, start in placed]).reshape(-1, 2))
+    for solid, row in zip(solids, away.tolist(), strict=True):
+        for (i, robot, _), left in zip(placed, row, strict=True):
+            room = free_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
+            what = f"a start's distance from {'the edge of floor_m' if solid.floor else 'an obstacle'}"
+            near = "its wheels are tried there" if robot.id in driven else "its body stands there"
+            mend = f"{near}, so move {robot.id}" + ("" if solid.floor else f" or {solid.name}")
+            least = robot.vehicle.body_radius_m + room
+            yield Bound(f"robots.{i}.start", what, left, least, "m", mend, at_least=True)
+
+
+def _camera(view: Config, path: str) -> Iterator[Bound]:
+    camera = view.camera
+    period = view.controller.tick_s if camera.trigger == "tick" else 1 / camera.rate_hz
     taken = camera.exposure_s + camera.readout_s
     mend = "the next frame begins before, so shorten the exposure"
-    yield Bound("camera.exposure_s", "exposure and readout of a frame", taken, period, "s", mend)
+    yield Bound(f"{path}.exposure_s", "exposure and readout of a frame", taken, period, "s", mend)
+    if camera.adjusts_exposure:
+        from robofleet.tracking.exposure import longest_exposure  # noqa: PLC0415 - loads OpenCV
+
+        longest = longest_exposure(view)
+        what, mend = f"the first exposure, with {longest.why}", "shorten it, or set camera.exposure_control to fixed"
+        yield Bound(f"{path}.exposure_s", what, camera.exposure_s, longest.time_s, "s", mend)
     if camera.trigger == "tick":
         needed = camera.exposure_s / 2 + camera.readout_s
         what, mend = "the time from mid-exposure to the tick", "half the exposure and the readout go first"
         lead = camera.trigger_lead_s
-        yield Bound("camera.trigger_lead_s", what, lead, needed, "s", mend, at_least=True)
+        yield Bound(f"{path}.trigger_lead_s", what, lead, needed, "s", mend, at_least=True)
 
 
-def _camera_source(config: Config, lockstep: bool) -> Iterator[Complaint]:
-    source = config.camera.source
+def _camera_source(view: Config, path: str, lockstep: bool) -> Iterator[Complaint]:
+    source = view.camera.source
     try:
         found = load("robofleet.cameras", source)
     except PluginError as error:
-        yield "camera.source", str(error)
+        yield f"{path}.source", str(error)
     else:
         if lockstep and not issubclass(found, ScheduledCamera):
-            yield "camera.source", f"{source!r} keeps real time, and lockstep does not: run without --lockstep"
-        yield from getattr(found, "refusals", _none)(config)
+            yield f"{path}.source", f"{source!r} keeps real time, and lockstep does not: run without --lockstep"
+        if view.camera.adjusts_exposure and not issubclass(found, AdjustableCamera):
+            yield f"{path}.exposure_control", f"the exposure of {source!r} cannot be adjusted: set it to fixed"
+        for where, message in getattr(found, "refusals", _none)(view):
+            yield where.replace("camera", path, 1) if where.startswith("camera.") else where, message
 
 
 def _none(_config: Config) -> tuple[Complaint, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from robofleet.clock import Clock, WallClock
 from robofleet.comms.living import RoleTakenError
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.config.faults import did_you_mean
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
 from robofleet.patterns import driver_role
@@ -19,7 +20,7 @@ from robofleet.processes.log_lines import never_raise
 from robofleet.processes.network import Keys, network
 from robofleet.processes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
 from robofleet.processes.refusal import RefusedError, unkept
-from robofleet.processes.table import RECORDER, ROUTER, Edges, Row
+from robofleet.processes.table import RECORDER, ROUTER, TRACKER, Edges, Row
 from robofleet.tracking.sources import CameraError
 from robofleet.vehicles.interface import DriverError
 
@@ -30,18 +31,22 @@ def main(
     folder: Path,
     lifeline: int | None,
     robots: tuple[str, ...] = (),
+    camera: str = "",
     *,
     take_over: bool = False,
 ) -> None:
     """Be one process of a run until its lifeline is cut. ``folder``: where the run is recorded.
 
+    ``camera``: whose tracker this is, where there are several.
+
     RefusedError where the process's place is taken, or where what it needs is not there.
     """
     if not row.instances(config):
         raise RefusedError(row.missing)
+    name = _tracker_of(config, camera) if row is TRACKER else row.name
     never_raise(stdout=True)
     held = Lifeline(lifeline, exit_within_s=row.ends_within_s)
-    roles = tuple(driver_role(robot) for robot in robots) or (row.name,)
+    roles = tuple(driver_role(robot) for robot in robots) or (name,)
     with held.logged(", ".join(roles), config.arena.name):
         if row.priority is not None:
             ahead_of_others()
@@ -54,14 +59,24 @@ def main(
         # Take the process's place on the bus, then put it together: who is refused has cost the others nothing.
         with closing(_joined(config, roles, clock)) as bus:
             edges = Edges(
-                config, bus, clock, waker, entropy(config.run.seed, roles[0]), FileKeeping(config.arena.name),
-                lambda progress: held.say(progress.encode()), robots, real_time=True, folder=folder,
-                last_word=lambda: held.last_word, take_over=take_over,
+                config.trackers.get(name, config), bus, clock, waker, entropy(config.run.seed, roles[0]),
+                FileKeeping(config.arena.name), lambda progress: held.say(progress.encode()), robots, real_time=True,
+                folder=folder, last_word=lambda: held.last_word, take_over=take_over,
             )  # fmt: skip
             node = _put_together(row, _injected(edges, roles[0]) if config.faults and row.injectable else edges)
             if row.priority:
                 realtime_priority(row.priority)
             run(node, clock, held, waker, precise=row.precise)
+
+
+def _tracker_of(config: Config, camera: str) -> str:
+    """Return the name of a camera's tracker; RefusedError where there is no such camera."""
+    names = {view.camera.name: name for name, view in config.trackers.items()}
+    if not camera and len(names) == 1:
+        return next(iter(names.values()))
+    if camera not in names:
+        raise RefusedError(f"--camera: there is no camera '{camera}': {did_you_mean(camera, names)}")
+    return names[camera]
 
 
 def _new(folder: Path) -> None:

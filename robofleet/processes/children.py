@@ -6,7 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -141,11 +141,17 @@ class Children:
         """Return how far those are that compile."""
         return tuple(child.progress for child in self.children if child.progress is not None and child.compiles)
 
-    def check(self) -> None:
-        """Raise RunError with its name and last lines if a child has died."""
+    def check(self, spare: Collection[str] = ()) -> None:
+        """Raise RunError with its name and last lines if a child has died.
+
+        ``spare``: children of which some may die, as long as one lives.
+        """
         for child in self.children:
             code = child.process.poll()
             if code is not None and not child.killed:
+                if child.name in spare and any(its.name in spare and not its.died for its in self.children):
+                    child.killed = True
+                    continue
                 if code < 0:
                     raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
                 raise RunError(f"the {child.name} ended with exit code {code}: see {child.log}{child.last_lines()}")
@@ -154,7 +160,7 @@ class Children:
         """End every child but the first ones, each with a last word; kill what does not answer. Idempotent."""
         group = self.children[but:]
         for child in group:
-            if not child.ready and child.name in _EMPTY_HANDED:  # nothing to end well; compilers do not hear
+            if not child.ready and child.name.startswith(_EMPTY_HANDED):  # nothing to end well; compilers do not hear
                 child.process.kill()
             with suppress(OSError):  # it is gone already
                 child.lifeline.sendall(last_word)

@@ -24,7 +24,7 @@ OPERATOR = "A running arena, from any terminal"
 PROCESSES = "One process of a run, by itself"
 
 
-def _running_names() -> list[str]:
+def running_names() -> list[str]:
     """Return what a shell completes for ARENA."""
     from robofleet.processes.arena_file import running  # noqa: PLC0415
 
@@ -37,7 +37,7 @@ ArenaName = Annotated[
     typer.Argument(
         metavar="ARENA",
         help="arena.name of its configuration; leave it out if only one arena has a run.",
-        autocompletion=_running_names,
+        autocompletion=running_names,
         show_default=False,
     ),
 ]
@@ -153,22 +153,36 @@ def _process(row: "Row") -> None:
     _add(row, command)
 
 
+def tracker(
+    config: ConfigPath,
+    camera: Annotated[
+        str, typer.Option(metavar="NAME", help="Whose tracker this is, where CONFIG has several cameras.")
+    ] = "",
+    lifeline: LifelineFd = None,
+) -> None:
+    """Be a camera's tracker."""
+    _be(table.TRACKER, config, lifeline, camera=camera)
+
+
 def _add(row: "Row", command: Callable[..., None]) -> None:
     robots = " --robots r1,r2" if row is table.DRIVER else ""
     described = f"{row.what}\n\n$ robofleet {row.name} lab.yaml{robots}"
     app.command(row.name, help=described, rich_help_panel=PROCESSES)(command)
 
 
-def _be(row: "Row", file: Path, lifeline: int | None, robots: tuple[str, ...] = (), *, take_over: bool = False) -> None:
+def _be(
+    row: "Row", file: Path, lifeline: int | None, robots: tuple[str, ...] = (), camera: str = "", *,
+    take_over: bool = False,
+) -> None:  # fmt: skip
     """Be one process of the run of a configuration, in whose folder it is recorded."""
     from robofleet.processes import child  # noqa: PLC0415
 
     config = _for_one_process(file, robots, listen=row is table.ROUTER)
     with bad_input():
-        child.main(row, config, file.parent, lifeline, robots, take_over=take_over)
+        child.main(row, config, file.parent, lifeline, robots, camera, take_over=take_over)
 
 
-for _row in (table.TRACKER, table.SUPERVISOR, table.RECORDER, table.TWINS):
+for _row in (table.SUPERVISOR, table.RECORDER, table.TWINS):
     _process(_row)
 
 
@@ -244,6 +258,7 @@ def router(
 
 
 _add(table.CONTROLLER, controller)
+_add(table.TRACKER, tracker)
 _add(table.DRIVER, driver)
 _add(table.ROUTER, router)
 
@@ -255,7 +270,7 @@ def hosts(
         typer.Argument(
             metavar="ARENA|CONFIG",
             help="Whose computers; leave it out if only one arena has a run. CONFIG: between runs, too.",
-            autocompletion=_running_names,
+            autocompletion=running_names,
             show_default=False,
         ),
     ] = None,
@@ -299,7 +314,7 @@ def web(
         typer.Argument(
             metavar="ARENA|CONFIG",
             help="Which run's page; leave it out if only one arena has a run.",
-            autocompletion=_running_names,
+            autocompletion=running_names,
             show_default=False,
         ),
     ] = None,

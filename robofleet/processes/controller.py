@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 
 from robofleet.clock import Clock, S, TickGrid
 from robofleet.comms.bus import Bus
-from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK
+from robofleet.comms.keys import COMMAND, STATE, TICK
 from robofleet.comms.messages import (
     FLEET_POSES,
     RUN_STATE,
     TICK_RECORD,
     UNIT_COMMAND,
     UNIT_STATUS,
-    FleetPoses,
     Hurry,
     RobotTick,
     UnitCommand,
@@ -29,6 +28,7 @@ from robofleet.processes import fleet
 from robofleet.processes.compiling import Say, on_stderr, told
 from robofleet.processes.deciding import Deciding, Judge, untimed
 from robofleet.processes.leases import Leases
+from robofleet.processes.sighting import Sighting
 from robofleet.processes.wishes import Wishes
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.supervisor import MOVING, Phase
@@ -42,7 +42,6 @@ Flags = NDArray[np.bool_]
 
 _PHASES = tuple(Phase)
 _NOTHING = np.uint64(0)  # as an epoch: nothing is said to this robot
-_STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
 @dataclass
@@ -100,12 +99,11 @@ class Controller:
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._lost_after_s = c.filter.lost_after_s
-        self._rows = measured.rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
-        self._image = np.empty((len(config.bodies), 3)), np.empty(len(config.bodies), dtype=np.int64)
+        self._sighting = Sighting(config, bus, clock, self._epoch)
         self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, config.units, [robot.id for robot in robots], by_radio=config.daemons)
         self._leases = Leases(bus, self._statuses, session, take_over=take_over)
-        self._poses, self._state = bus.newest(POSES, CAMERA), bus.newest(STATE)
+        self._state = bus.newest(STATE)
         units = self._statuses.units
         self._commands = [bus.publisher(COMMAND, unit.name) for unit in units]
         self._items = [np.zeros(unit.size, UNIT_COMMAND.item_dtype) for unit in units]
@@ -131,13 +129,12 @@ class Controller:
         self._deciding.begin()
         self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
         self._bystanders = fleet.bystanders(self._config)
+        self._sighting.begin(self._filter, self._bystanders)
         self._wheels = np.zeros((n, 2))  # as commanded at the newest tick
         self._phase = Phase.IDLE
         self._run_tick = -1
         self._permitted = np.zeros(n, dtype=np.bool_)
         self._tried: list[tuple[int, int]] = []  # robots whose wheels are tried, and their strokes
-        self._taken = (0, 0)  # epoch and seq of the newest poses
-        self._exposure_ns = 0  # of the newest ones used
         self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
 
     def step(self, now_ns: int) -> int:
@@ -231,31 +228,14 @@ class Controller:
             commanded[row] = ratio * left, ratio * right
 
     def _read_poses(self) -> Flags:
-        """Correct the filter by the newest image; returns which robots it measured."""
-        payload = self._poses.take()
-        if payload is None or (message := FLEET_POSES.view(payload)) is None:
+        """Correct the filter by the cameras' newest images; returns which robots they measured."""
+        used = self._sighting.read(self._index, self._grid)
+        if used is None:
             return self._nobody
-        image, said = message
-        self._taken = image.epoch, image.seq
-        if not 0 <= self._index - image.echo_tick <= _STALE_TICKS or not image.echo_tick:
-            return self._nobody
-        exposure_ns, latest_ns = self._exposure(image), self._grid.instant(self._index + 1)
-        if exposure_ns > latest_ns:  # impossible, and the filter would be blind until then
-            return self._nobody
-        (poses, instants_ns), n = self._image, len(self._drives)
-        measured.placed(said, self._rows, exposure_ns, latest_ns, poses, instants_ns)
-        used = self._filter.observe(instants_ns[:n], poses[:n])
-        if n < len(poses):
-            self._bystanders.observe(instants_ns[n:], poses[n:])
         if used.max() == CARRIED:
             for row in np.flatnonzero(used == CARRIED).tolist():
                 self._deciding.carried(row)
-        self._exposure_ns = image.exposure_ns
         return np.not_equal(used, UNUSED)
-
-    def _exposure(self, message: FleetPoses) -> int:
-        """Mid-exposure on the controller's clock: the tracker says how long after which tick it was."""
-        return self._grid.instant(message.echo_tick) + message.since_tick_ns
 
     def _repeat(self) -> None:
         newer, statuses = self._statuses.take(), self._statuses
@@ -277,7 +257,9 @@ class Controller:
             return
         self._seq += 1
         self._stale[unit], self._echoed[unit] = status.nonce == self._echoed[unit], status.nonce
-        head = UnitCommand(self._seq, self._leases.session, status.boot_id, status.nonce, self._exposure_ns, ())
+        head = UnitCommand(
+            self._seq, self._leases.session, status.boot_id, status.nonce, self._sighting.exposure_ns, ()
+        )
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
     def _publish_record(self, tick_ns: int, here: Array, used: Flags, lost: Flags, seq: int) -> None:
@@ -292,10 +274,12 @@ class Controller:
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
-            *self._taken, self._exposure_ns, *self._heard, seq,
+            *self._sighting.taken[0], self._sighting.exposure_ns, *self._heard, seq,
             self._phase, decided.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
-        self._publish_tick(TICK_RECORD.encode_array(head, self._record, decided.numbers.tobytes()))
+        self._publish_tick(
+            TICK_RECORD.encode_array(head, self._record, decided.numbers.tobytes() + self._sighting.named)
+        )
 
 
 @kernel
@@ -335,11 +319,11 @@ def _call_kernels(config: Config) -> None:
     driving = np.ones(n, dtype=np.bool_)
     none, robots = np.zeros(0, np.intp), np.zeros(n, UNIT_STATUS.item_dtype)
     _fill_commands(np.zeros(0, UNIT_COMMAND.item_dtype), robots, driving, none, none, np.zeros((n, 2)))
-    poses, instants_ns = np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    poses, instants_ns = np.empty((n, measured.COLUMNS)), np.empty(n, dtype=np.int64)
     nobody = np.frombuffer(b"", FLEET_POSES.item_dtype)  # read only, as what comes from the bus
     for instant_ns in (S, 2 * S):
         measured.placed(nobody, measured.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
-        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, 3)))
+        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, measured.COLUMNS)))
         estimator.ages(fleet_filter.measured_ns, instant_ns)
         _, there, _ = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(there, config.controller.point_ahead_m)

@@ -6,13 +6,14 @@ from typing import Any
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Answer
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, REQUEST, STATE, STATUS, TICK, key
+from robofleet.comms.keys import BUSY, NEWS, POSES, REQUEST, STATE, STATUS, TICK, key
 from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, TICK_RECORD, BusyMachine, RunState
 from robofleet.comms.requests import asked, on
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config import slices
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.files import write_text
 from robofleet.processes import table
 from robofleet.processes.arena_file import twin_port
 from robofleet.processes.child_faults import ChildFaults
@@ -23,6 +24,8 @@ from robofleet.processes.machine import Silence
 from robofleet.processes.page_process import PageProcess, PageWanted
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
+from robofleet.processes.viewers_process import COMMAND as VIEWERS
+from robofleet.processes.viewers_process import ViewersProcess
 from robofleet.recording import busy_machine
 from robofleet.recording.run import Recording, Watch
 from robofleet.safety.arming import Stage
@@ -66,7 +69,8 @@ class Launcher:
     """One run in real time. ``run`` returns (outcome, cause); ``recording`` has the newest messages, a file all.
 
     ``reset`` clears the latches that an earlier run left; ``take_over`` takes the robots from a controller that still
-    has them, if they stand; ``web`` opens the operator's page, which the run does not need.
+    has them, if they stand; ``web`` opens the operator's page, and ``foxglove`` (HOST:PORT) serves viewers: the run
+    needs neither.
     """
 
     def __init__(
@@ -79,9 +83,10 @@ class Launcher:
         reset: bool = False,
         take_over: bool = False,
         web: PageWanted | None = None,
+        foxglove: str | None = None,
     ) -> None:
         self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
-        self._reset, self._take_over, self._web = reset, take_over, web
+        self._reset, self._take_over, self._web, self._foxglove = reset, take_over, web, foxglove
         self._clock = WallClock()
         self.recording = Recording(config)
         self.began = False  # every process was ready: there is something to read and to judge
@@ -89,6 +94,7 @@ class Launcher:
         self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
         self._busy_key = key(self._arena, BUSY)
         started = table.started_by("run", config)
+        self._trackers = tuple(config.trackers) if len(config.trackers) > 1 else ()  # one of them may die
         # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
         self._first = [one for one in started if one.row.first]
         self._others = [one for one in started if not one.row.first]
@@ -99,11 +105,12 @@ class Launcher:
         self._answer: Answer | None = None  # to what a key asked
         self._counted = Interrupts()
         self._page: PageProcess | None = None
+        self._viewers: ViewersProcess | None = None
 
     def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
         config_file = self._folder / "config.yaml"
-        config_file.write_text(resolved_yaml(self._config))
+        write_text(config_file, resolved_yaml(self._config))  # a script that waits for it never reads half of it
         logs = self._folder / "log"
         logs.mkdir()
         fleet = Children(logs, config_file)
@@ -115,10 +122,14 @@ class Launcher:
             finally:
                 if self._page is not None:
                     self._page.end()
+                if self._viewers is not None:
+                    self._viewers.end()
                 fleet.reap(self._clock, but=len(self._first))
                 fleet.reap(self._clock, last_word=self.recording.ending())
                 if self._page is not None:
                     self._page.leave(self._clock)
+                if self._viewers is not None:
+                    self._viewers.leave()
                 for robot in self._config.twins:  # one that was killed has left its port
                     twin_port(self._arena, robot.id).unlink(missing_ok=True)
 
@@ -137,6 +148,9 @@ class Launcher:
         if self._web is not None:
             page = fleet.started(table.PAGE.name, (table.PAGE.name, "--host", self._web.host))
             self._page = PageProcess(page, self._web, self._terminal)
+        if self._foxglove is not None:
+            viewers = fleet.started(VIEWERS, (VIEWERS, "--at", self._foxglove))
+            self._viewers = ViewersProcess(viewers, self._terminal)
 
         def wait() -> None:
             self._listen()
@@ -180,7 +194,7 @@ class Launcher:
     def _heard(self) -> list[str]:
         """Return the keys of what is shown and judged during a run: the recorder hears the rest."""
         common = [key(self._arena, topic) for topic in (TICK, STATE, BUSY)]
-        seen = [key(self._arena, topic, CAMERA) for topic in (POSES, NEWS)]
+        seen = [key(self._arena, topic, camera) for camera in self._config.camera_names for topic in (POSES, NEWS)]
         return [*common, *seen, *(key(self._arena, STATUS, unit) for unit in self._config.units)]
 
     def _follow(self) -> Outcome:
@@ -324,9 +338,11 @@ class Launcher:
             self._silence.heard(heard_ns)
         self.recording.keep_newest(_SHOWN)
         self._faults.step()
-        self._fleet.check()
+        self._fleet.check(spare=self._trackers)
         if self._page is not None:
             self._page.look()
+        if self._viewers is not None:
+            self._viewers.look()
         self._hear_of_silence()
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)

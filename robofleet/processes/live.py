@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.clock import Clock, S
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, POSES, STATE, TICK, key
+from robofleet.comms.keys import BUSY, NEWS, POSES, STATE, TICK, key
 from robofleet.comms.messages import (
     BUSY_MACHINE,
     FLEET_POSES,
@@ -55,7 +55,7 @@ class LiveView:
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._next_ns = 0
-        self._phase = self._page = self._code = ""
+        self._phase = self._page = self._viewers = self._code = ""
         self._reached_s = 0.0
         self._overruns_before: int | None = None
         self._shown: tuple[str, bool] = ("", False)  # the phase, and whether it goes on by itself
@@ -81,7 +81,9 @@ class LiveView:
         now_ns = self._clock.now_ns()
         if self._terminal.page != self._page and (self._quiet or self._live is None):
             print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
-        self._page = self._terminal.page
+        if self._terminal.viewers != self._viewers and (self._quiet or self._live is None):
+            print(self._terminal.viewers, file=sys.stderr)
+        self._page, self._viewers = self._terminal.page, self._terminal.viewers
         self._show_code()
         if phase == "compiling" != self._phase and (self._quiet or self._live is None):
             print(self._terminal.compiling[0].words(), file=sys.stderr)  # also for who wants no live view: it lasts
@@ -186,19 +188,25 @@ class LiveView:
         ticks = Text(f"p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
         overruns = self._overruns(tick)
         ticks.append(f"{overruns} overruns", "red" if overruns else "")
+        table = Table.grid(padding=(0, 3, 0, 0))
+        table.add_row("tick", ticks)
+        cameras = self._config.camera_names
+        for camera in cameras:
+            table.add_row("tracker" if len(cameras) == 1 else camera, self._tracker(recording, camera))
+        return table
+
+    def _tracker(self, recording: Recording, camera: str) -> Text:
+        """Return how a camera's tracker does, and its news."""
         frames = [
             frame
-            for payload in recording.messages.get(key(arena, POSES, CAMERA), [])[-_WINDOW:]
+            for payload in recording.messages.get(key(self._config.arena.name, POSES, camera), [])[-_WINDOW:]
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
         tracker = Text(_tracker_line(frames, len(self._config.robots)))
-        news = self._newest(recording, NEWS, TRACKER_NEWS, CAMERA)
+        news = self._newest(recording, NEWS, TRACKER_NEWS, camera)
         if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
             tracker.append(f"\n{describe(news.event, news.tag, news.value)}", "yellow")
-        table = Table.grid(padding=(0, 3, 0, 0))
-        table.add_row("tick", ticks)
-        table.add_row("tracker", tracker)
-        return table
+        return tracker
 
     def _overruns(self, tick: TickRecord) -> int:
         """Return the ticks missed since the run started: what the start of all processes cost does not count."""

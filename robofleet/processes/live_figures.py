@@ -42,7 +42,7 @@ def told(groups: Sequence[Group], record: TickRecord | None) -> Told:
     keys = [figure.shown_key for figure in columns(groups)]
     n = sum(len(group.robots) for group in groups)
     made = Told(np.full((n, 2), np.nan), np.full((n, len(keys)), np.nan))
-    if record is None or len(record.figures) != described.size(groups):
+    if record is None or len(record.figures) < described.size(groups):
         return made
     running, first = record.run_tick >= 0, 0
     for group, part in zip(groups, described.told(groups, np.array([record.figures])), strict=True):

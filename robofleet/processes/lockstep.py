@@ -84,7 +84,7 @@ class Lockstep:
         bus, clock = self._edges(slot)
         return make(
             table.Edges(
-                self._config, bus, clock, slot, self._rng(slot, process), self.keeping, self._progress,
+                process.config(self._config), bus, clock, slot, self._rng(slot, process), self.keeping, self._progress,
                 process.robots, self.faults, witness=self._witness,
             )
         )  # fmt: skip
@@ -150,7 +150,8 @@ class Lockstep:
         self.recording.outcome, self.recording.cause = outcome
         self.recording.elapsed_s = (stopwatch_ns() - started_ns) / S
         self.recording.tick_durations_ns = self._queue.slots["controller"].durations_ns
-        self.recording.tracker_durations_ns = self._queue.slots["tracker"].durations_ns
+        trackers = [self._queue.slots[name].durations_ns for name in self._config.trackers]
+        self.recording.tracker_durations_ns = [duration_ns for each in trackers for duration_ns in each]
         return outcome
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:

@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from robofleet.clock import Clock, S
 from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.keys import CAMERA, PICTURE, SAFE_REQUEST
+from robofleet.comms.keys import PICTURE, SAFE_REQUEST
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.comms.messages import Picture
 from robofleet.config.tree import Config
+from robofleet.patterns import TRACKER, tracker_role
 from robofleet.tracking.pictures import jpeg
 
 REQUESTED = b"pictures"
@@ -28,6 +29,7 @@ class Pictures:
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, wake: Wake, epoch: int) -> None:
         camera = config.camera
+        tracker = TRACKER if len(config.views) == 1 else tracker_role(camera.name)
         self._size = camera.width, camera.height
         self._period_ns = round(S / camera.picture_rate_hz) if camera.picture_rate_hz else None
         self._refusal = ""
@@ -35,8 +37,8 @@ class Pictures:
             self._refusal = "refused: there is no camera, the tracker takes the truth"
         elif self._period_ns is None:
             self._refusal = "refused: camera.picture_rate_hz is 0, so there are no pictures"
-        self._publish = bus.publisher(PICTURE, CAMERA)
-        self._request = bus.serve(SAFE_REQUEST, "tracker", wake)
+        self._publish = bus.publisher(PICTURE, camera.name)
+        self._request = bus.serve(SAFE_REQUEST, tracker, wake)
         self._clock, self._epoch = clock, epoch
         self._seq = 0
         self._newest_ns: int | None = None  # exposure of the picture chosen last

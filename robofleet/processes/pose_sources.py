@@ -1,4 +1,4 @@
-"""Where the tracker's poses come from: the images of a camera, or the truth of a simulation."""
+"""Where the tracker's poses come from: the images of a camera, the truth of a simulation, or another source."""
 
 import sys
 from contextlib import AbstractContextManager
@@ -13,6 +13,7 @@ from robofleet.processes.compiling import Say, told
 from robofleet.simulation import arena
 from robofleet.simulation.sources import TruthSource, VirtualPoses
 from robofleet.tracking.events import Notice
+from robofleet.tracking.exposure import exposure_controller
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.sources import (
     CameraContext,
@@ -21,10 +22,14 @@ from robofleet.tracking.sources import (
     Feed,
     Lost,
     Observation,
+    PoseContext,
+    PoseSource,
     ReopenedCamera,
     ScheduledCamera,
 )
 from robofleet.tracking.watch import CameraWatch
+
+POSES = "robofleet.poses"
 
 
 def camera_feed(context: CameraContext, wake: Wake) -> Feed:
@@ -36,24 +41,31 @@ def camera_feed(context: CameraContext, wake: Wake) -> Feed:
     return CameraPoller(device) if isinstance(first, ScheduledCamera) else CameraReader(device, wake)
 
 
+def pose_source(context: PoseContext) -> PoseSource:
+    """Open the configured source; CameraError, or what else it raises, where it cannot be opened."""
+    source: PoseSource = load(POSES, context.config.tracker.source)(context)
+    return source
+
+
 def compiling(config: Config, say: Say) -> AbstractContextManager[None]:
     """Tell ``say`` of the kernels that are compiled while the source of a tracker's poses is made here."""
     if config.tracker.source != "camera":
         return told("truth", arena.KERNELS, say)
     from robofleet.simulation import draw  # noqa: PLC0415 - these load OpenCV
-    from robofleet.tracking import motion, photometric  # noqa: PLC0415
+    from robofleet.tracking import motion, pixels  # noqa: PLC0415
 
     simulated = draw.KERNELS if config.camera.source == "simulated" else ()
-    return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *photometric.KERNELS), say)
+    return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *pixels.KERNELS), say)
 
 
 class CameraPoses:
     """A camera's images through the detector, those that can be believed, and beside each the robots that stand in no
     arena: without an image they are gone too."""
 
-    def __init__(self, context: CameraContext, feed: Feed) -> None:
+    def __init__(self, context: PoseContext) -> None:
         config, camera = context.config, context.config.camera
-        self._feed, self._ticks = feed, context.ticks
+        self._feed = feed = context.around(camera_feed(context, context.wake))
+        self._ticks = context.ticks
         self._free = camera.trigger == "free"
         period_s = 1 / camera.rate_hz if self._free else config.controller.tick_s
         self._watch = CameraWatch(
@@ -64,6 +76,7 @@ class CameraPoses:
         self._seen: list[Notice] = []
         self._sight = FleetSight(config)
         self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
+        self._exposure = exposure_controller(config, feed.exposure_limits()) if camera.adjusts_exposure else None
 
     def next_ns(self) -> int | None:
         """Return when the next observation will be ready; None: a message or an image will wake the process."""
@@ -85,11 +98,18 @@ class CameraPoses:
             return None
         if not self._watch.look(taken.image, taken.exposure_ns, now_ns):
             return None
-        sight = self._sight.see(taken.image, taken.exposure_ns)
+        exposed_ns = self._watch.exposed_ns
+        assert exposed_ns is not None
+        sight = self._sight.see(taken.image, exposed_ns)
         self._seen += sight.happenings
-        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi) for r in sight.robots)
-        poses += self._virtual.at(taken.exposure_ns)
-        return Observation(taken.exposure_ns, poses, sight.refused, taken.image)
+        if self._exposure is not None and taken.exposure is not None:
+            exposure = self._exposure.look(self._sight.light(taken.image), taken.exposure)
+            if exposure is not None:
+                self._feed.adjust(exposure)
+            self._seen += self._exposure.news()
+        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.robots)
+        poses += self._virtual.at(exposed_ns)
+        return Observation(exposed_ns, poses, sight.refused, taken.image)
 
     def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
@@ -111,8 +131,13 @@ class CameraPoses:
 class TruthPoses:
     """The truth in an image's place."""
 
-    def __init__(self, source: TruthSource) -> None:
-        self._source = source
+    def __init__(self, context: PoseContext) -> None:
+        self._source = TruthSource(context.config, context.bus, context.ticks, context.clock, context.rng)
+
+    @staticmethod
+    def works_in_lockstep(_config: Config) -> bool:
+        """Return that it needs no other time than the clock's."""
+        return True
 
     def next_ns(self) -> int | None:
         """Return when the next observation will be ready; None: a message or an image will wake the process."""

@@ -12,21 +12,30 @@ from robofleet.vehicles.interface import SimulatedDriver
 
 def complaints(config: Config) -> Iterator[Complaint]:
     """Yield the robots whose poses could never come."""
-    source, camera = config.tracker.source, config.camera.source
+    source, cameras = config.tracker.source, [camera.source for _, camera in config.camera_keys]
+    real = [camera for camera in cameras if camera != "simulated"]
+    capture = config.tracker.mocap.system if source == "mocap" else ""
     if source == "camera" and not config.seen:
         yield "tracker.source", "there is no robot that the camera could see, all are simulated: take truth"
     for i, robot in enumerate(config.robots):
         try:
-            tells, looks = _tells(robot), source == "camera" and _looks(camera)
+            tells, looks = _tells(robot), source == "camera" and any(map(_looks, cameras))
         except PluginError:
             continue  # said already
         if tells and looks and robot.reality == "real":
-            yield f"robots.{i}.reality", f"{camera!r} cannot see {robot.id}, which is simulated: write simulated"
+            yield f"robots.{i}.reality", f"{cameras[0]!r} cannot see {robot.id}, which is simulated: write simulated"
         elif not tells and robot.reality == "simulated":
             yield f"robots.{i}.reality", f"nobody knows where {robot.id} is, {robot.driver!r} cannot tell: write real"
         elif not tells and source == "truth":
             yield f"robots.{i}.driver", f"{robot.driver!r} cannot tell where {robot.id} is: take tracker.source camera"
-        elif not tells and camera == "simulated":
+        elif not tells and capture == "simulated":
+            yield (
+                f"robots.{i}.driver",
+                f"a simulated motion capture cannot measure {robot.id}: name tracker.mocap.system",
+            )
+        elif tells and capture not in ("", "mock", "simulated") and robot.reality == "real":
+            yield f"robots.{i}.reality", f"{capture!r} cannot measure {robot.id}, which is simulated: write simulated"
+        elif not tells and source == "camera" and not real:
             yield f"robots.{i}.driver", f"a simulated camera cannot see {robot.id}: take a real one, or give it a twin"
 
 

@@ -18,7 +18,7 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Decision
 from robofleet.clock import S, SimulatedClock, TickGrid
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, WISH, Topic, key
+from robofleet.comms.keys import COMMAND, POSES, STATE, TICK, WISH, Topic, key
 from robofleet.comms.layouts import ListLayout
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, SCRIPT_WISH, TICK_RECORD, RobotTick
 from robofleet.config import groups, slices
@@ -36,7 +36,7 @@ NO_NAME = (0, 0)
 
 _ELSEWHERE = 1e-9  # other versions, or another processor: sums may be in another order
 _SHOWN = 5  # differences
-_ALWAYS = 2  # of what a tick takes: its head names the state and the poses; a wish is named by its group's figures
+_ALWAYS = 2  # of what a tick takes: its head names the state and the first camera's image; its numbers name the rest
 _HEAD = ("run_tick", "phase", "exposure_ns")  # the rest of a record's head is whose it is, and what the time was
 _WHEELS = [RobotTick._fields.index(name) for name in ("left_rad_s", "right_rad_s")]
 
@@ -105,7 +105,8 @@ def replay(recording: Recording, within: float) -> Verdict:
         RecordingError: if no controller said anything.
     """
     arena, verdict = recording.config.arena.name, Verdict(len(recording.config.members), within)
-    dtype = TICK_RECORD.dtype(len(recording.config.members), described.size(recording.groups))
+    cameras = recording.config.camera_names
+    dtype = TICK_RECORD.dtype(len(recording.config.members), described.size(recording.groups, len(cameras)))
     payloads = recording.messages.get(key(arena, TICK), ())
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
     if not len(ticks):
@@ -113,14 +114,16 @@ def replay(recording: Recording, within: float) -> Verdict:
     names = described.names(recording.groups)
     scripted = _scripted(recording)
     takings = (
-        _Takings(recording, STATE, "", RUN_STATE), _Takings(recording, POSES, CAMERA, FLEET_POSES),
+        _Takings(recording, STATE, "", RUN_STATE),
+        *(_Takings(recording, POSES, name, FLEET_POSES) for name in cameras),
         *(_Takings(recording, WISH, name, SCRIPT_WISH) for name in scripted),
     )  # fmt: skip
     for epoch in dict.fromkeys(ticks["epoch"].tolist()):
         _, once = np.unique(ticks["tick"][(of_it := np.flatnonzero(ticks["epoch"] == epoch))], return_index=True)
         recorded = ticks[of_it[once]]
-        wished = [_wished(recorded["figures"], at) for at in scripted.values()]
-        known, now = _driven(recording.config, recorded, takings, wished, verdict.holes)
+        named = (*_further(recording, len(cameras)), *scripted.values())
+        others = [_named(recorded["figures"], at) for at in named]
+        known, now = _driven(recording.config, recorded, takings, others, verdict.holes)
         _compare_ticks(recording.config, names, recorded[known], now, verdict)
         _compare_commands(recording, recorded, known, now, verdict)
     verdict.differences.sort(key=lambda difference: difference.tick)
@@ -152,8 +155,14 @@ def _scripted(recording: Recording) -> dict[str, tuple[int, int]]:
     return found
 
 
-def _wished(numbers: Array, at: tuple[int, int]) -> list[Name]:
-    """Return the wish that each tick did, by its name."""
+def _further(recording: Recording, cameras: int) -> list[tuple[int, int]]:
+    """Return where in a tick's numbers the images of each camera but the first are named."""
+    first, last = (described.size(recording.groups, count) for count in (1, cameras))
+    return [(at, at + 1) for at in range(first, last, described.NAMING)]
+
+
+def _named(numbers: Array, at: tuple[int, int]) -> list[Name]:
+    """Return the wish that each tick did, or the image that it took, by its name."""
     told = np.nan_to_num(np.clip(numbers[:, at], 0, 2**53), nan=0.0).astype(np.int64)
     return [(int(epoch), int(seq)) for epoch, seq in told]
 
@@ -197,7 +206,7 @@ class _Player:
 
 
 def _driven(
-    config: Config, recorded: Rows, takings: tuple[_Takings, ...], wished: list[list[Name]], holes: list[Hole]
+    config: Config, recorded: Rows, takings: tuple[_Takings, ...], others: list[list[Name]], holes: list[Hole]
 ) -> tuple[NDArray[np.bool_], Rows]:
     """Replay the records of one controller, in order; returns which of them could be, and what it says of those."""
     period_ns = round(config.controller.tick_s * S)
@@ -208,7 +217,7 @@ def _driven(
     failed = recorded["items"]["failed"][:, firsts] == Event.BEHAVIOUR_LATE
     for k, (row, late) in enumerate(zip(recorded[head], failed, strict=True)):
         tick, overruns, stamp_ns, *names = row.item()
-        taken = (names[0], names[1]), (names[2], names[3]), *(of_group[k] for of_group in wished)
+        taken = (names[0], names[1]), (names[2], names[3]), *(its[k] for its in others)
         done = tick - overruns
         if done != before + 1 or player is None:
             if done == 1 or taken[:_ALWAYS] == (NO_NAME, NO_NAME):

@@ -64,12 +64,15 @@ def _first(raised: BaseException) -> str:
 
 
 def in_real_time(
-    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None
-) -> dict[str, Any]:
+    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None,
+    foxglove: str | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Run with real processes and return the summary."""
     began = _now()
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
-        run = Launcher(config, folder, view, terminal, reset=reset, take_over=take_over, web=web)
+        run = Launcher(
+            config, folder, view, terminal, reset=reset, take_over=take_over, web=web, foxglove=foxglove
+        )  # fmt: skip
         outcome, cause = run.run()
     recording = _recorded(config, folder) if run.began or outcome != "stopped" else Recording(config)
     recording.elapsed_s = run.recording.elapsed_s

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
+from robofleet.behaviours.script import Script
 from robofleet.config import groups
 from robofleet.config.tree import Bounds, Config, Group
 from robofleet.safety.advice import advised
@@ -63,7 +64,7 @@ def scripted(config: Config) -> Config:
     """
     run: dict[str, Any] = {"duration_s": _LONG_S, "end": "where_they_stand"}
     update: dict[str, Any] = {}
-    if not groups.scripted(config):
+    if not groups.wishing(config, Script):
         settings = groups.load_kind(BEHAVIOUR).Settings().model_dump(mode="json")
         robots = tuple(robot.id for robot in config.members)
         update["groups"] = (Group(name=BEHAVIOUR, behaviour=BEHAVIOUR, robots=robots, settings=settings),)

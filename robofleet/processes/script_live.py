@@ -75,7 +75,9 @@ class LiveLink:
             self.note = self._bus.publisher(NOTE, group)
             if not self._until(lambda: bool(self._tick and self._state), within_s):
                 raise FleetError(f"the run of {config.arena.name} says nothing: see its logs")
-            wanted = TICK_RECORD.dtype(len(config.members), described.size(groups.descriptions(config)))
+            wanted = TICK_RECORD.dtype(
+                len(config.members), described.size(groups.descriptions(config), len(config.camera_names))
+            )
             if len(self._tick) != wanted.itemsize:
                 raise FleetError(f"the run of {config.arena.name} has other robots than this configuration")
         except BaseException:

@@ -39,20 +39,20 @@ class LockstepLink:
         self._began, self._began_ns = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}", stopwatch_ns()
         self._log = None if folder is None else _log(folder / FILE, config)
         try:
-            self._run = Lockstep(config, log=self._log)
+            self.run = Lockstep(config, log=self._log)
         except BaseException:
             if self._log is not None:
                 self._log.end(b"")
             raise
-        self.wish = self._run.bus.publisher(WISH, group)
-        self.note = self._run.bus.publisher(NOTE, group)
-        self._messages = self._run.recording.messages
+        self.wish = self.run.bus.publisher(WISH, group)
+        self.note = self.run.bus.publisher(NOTE, group)
+        self._messages = self.run.recording.messages
         self._ticks = self._messages[key(config.arena.name, TICK)]
         self._left = False
 
     def begin(self) -> None:
         """Arm and start; FleetError where the checks fail."""
-        run = self._run
+        run = self.run
         gc.freeze()  # what was loaded so far is not looked at again
         try:
             run.request(b"start")
@@ -65,13 +65,13 @@ class LockstepLink:
                 error.args = (f"the run did not begin: {why(run.recording, run.status)}",)
                 raise error
         except BaseException as error:
-            self._end("fault", str(error))
+            self.end("fault", str(error))
             raise
 
     @property
     def status(self) -> RunStatus:
         """Where the run is."""
-        return self._run.status
+        return self.run.status
 
     @property
     def tick(self) -> bytes:
@@ -80,7 +80,7 @@ class LockstepLink:
 
     def next_tick(self) -> bytes:
         """Let simulated time pass until the next tick."""
-        ticks, count, run = self._ticks, len(self._ticks), self._run
+        ticks, count, run = self._ticks, len(self._ticks), self.run
         phase = run.status.phase
         if phase is Phase.HOLD:
             raise held(run.status, self.config)  # nobody else could resume it
@@ -100,37 +100,38 @@ class LockstepLink:
 
     def ask(self, what: bytes) -> None:
         """Ask the supervisor, and let the time pass in which it answers and the controller hears of it."""
-        answer, said = self._run.request(what), b""
+        answer, said = self.run.request(what), b""
 
         def answered() -> bool:
             nonlocal said
             said = answer.take() or said
             return bool(said)
 
-        self._run.advance(_ANSWER_S, answered)
+        self.run.advance(_ANSWER_S, answered)
         if not said.startswith(b"ok"):
             refuse(said.decode() or "the supervisor does not answer", what)
-        self._run.advance(2 * self.config.controller.tick_s)
+        self.run.advance(2 * self.config.controller.tick_s)
 
     def done(self, parting: bytes) -> dict[str, Any]:
         """End the run."""
-        run = self._run
+        run = self.run
         if run.status.phase is Phase.RUNNING:
             self.wish(parting)
             run.advance(_ANSWER_S, lambda: run.status.phase is not Phase.RUNNING)
         phase = run.status.phase
         if phase in (Phase.RUNNING, Phase.IDLE):  # other groups may have more to do
-            return self._end("completed", None)
-        return self._end("stopped" if phase is Phase.HOLD else "fault", run.status.describe(self.config.ids))
+            return self.end("completed", None)
+        return self.end("stopped" if phase is Phase.HOLD else "fault", run.status.describe(self.config.ids))
 
     def failed(self, parting: bytes, why: str) -> dict[str, Any]:
         """End the run."""
-        phase = self._run.status.phase
+        phase = self.run.status.phase
         self.wish(parting)
-        return self._end("fault" if phase in (Phase.FAULT, Phase.ESTOP) else "stopped", why)
+        return self.end("fault" if phase in (Phase.FAULT, Phase.ESTOP) else "stopped", why)
 
-    def _end(self, outcome: str, cause: str | None) -> dict[str, Any]:
-        run, recording = self._run, self._run.recording
+    def end(self, outcome: str, cause: str | None) -> dict[str, Any]:
+        """End the run as it has come out; returns the summary, which is written where the run is kept."""
+        run, recording = self.run, self.run.recording
         try:
             run.request(b"stop")
             run.advance(_REST_S)
@@ -156,7 +157,7 @@ class LockstepLink:
     def _close_log(self, ending: bytes = b"") -> None:
         if self._log is not None:
             self._log.end(ending)
-            self._run.recording.dropped = self._log.dropped
+            self.run.recording.dropped = self._log.dropped
 
 
 def _log(file: Path, config: Config) -> RunLog | LogBeside:

@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from robofleet.behaviours.script import Script
 from robofleet.clock import utc_now
 from robofleet.comms.permissions import SCRIPT
 from robofleet.config import groups
@@ -46,7 +47,7 @@ def _as_driven(config: Config, robots: int | None) -> Config:
 
 def group_of(config: Config, wanted: str | None) -> str:
     """Return which group the script drives; FleetError where that is not clear."""
-    there = groups.scripted(config)
+    there = groups.wishing(config, Script)
     if wanted is None and len(there) == 1:
         return there[0]
     if wanted not in there:

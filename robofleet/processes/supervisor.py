@@ -26,7 +26,7 @@ from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
 from robofleet.safety.scan import Scan
-from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus, describe
+from robofleet.safety.supervisor import CAUSES, MOVING, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
 
@@ -78,7 +78,7 @@ class Supervisor:
         speeds = tuple(drive.max_speed for drive in drives)
         build, arena = slices.build(config), config.arena.size_m
         self._epoch = slices.drawn_id(rng, 32)
-        self._ids = tuple(robot.id for robot in robots)
+        self._ids = config.ids
         # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
         fastest = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
         self._limits = np.array(fastest, dtype=np.float64)
@@ -147,7 +147,8 @@ class Supervisor:
             return self._wakes_ns(now_ns)
         self._lines += [f"{unit}: {why}" for unit, why in self._handing.step(now_ns)]
         before = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
-        self._view = self._listener.look(now_ns, self._operator_ns)
+        self._view, out = self._listener.look(now_ns, self._operator_ns), self._view.cameras_out
+        self._name_cameras(out)
         suspects = self._scan.suspects(self._memory, self._status.phase, self._view)
         self._memory, self._standing = monitor.watch(
             self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved, suspects=suspects
@@ -171,6 +172,19 @@ class Supervisor:
         if not now_ns < self._next_ns <= now_ns + _PERIOD_NS:
             self._next_ns += _PERIOD_NS * (1 + (now_ns - self._next_ns) // _PERIOD_NS)
         return self._wakes_ns(now_ns)
+
+    def _name_cameras(self, before: tuple[Happening, ...]) -> None:
+        """Say which of several cameras gives no poses any more, and which does again."""
+        if self._view.cameras_out == before or self._status.phase not in MOVING:
+            return
+        were, are = (
+            {int(happening.detail): happening.event for happening in out} for out in (before, self._view.cameras_out)
+        )
+        for camera in sorted(were.keys() ^ are.keys()):
+            name = f"camera {self._ids.cameras[camera]}"
+            back = f"{name} gives poses again"
+            why = CAUSES[are[camera]] if camera in are else ""
+            self._lines.append(f"{name}: {why}; robots that only it sees stand, the others drive" if why else back)
 
     def _requests(self) -> list[Request]:
         """Take what was asked since the last step; what makes nothing move comes last, so no order undoes it."""

@@ -10,7 +10,7 @@ commands can list the processes without loading any.
 import os
 import shutil
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -71,12 +71,14 @@ class Row(NamedTuple):
     ends_within_s: float = 0.8  # of its lifeline's end
     missing: str = ""  # what a configuration lacks that has no such process, and how to mend it
 
-    def instances(self, config: "Config") -> Mapping[str, tuple[str, ...]]:
-        """Return the processes of this kind that a run of a configuration has, by name, each with its robots."""
+    def instances(self, config: "Config") -> "Sequence[Process]":
+        """Return the processes of this kind that a run of a configuration has."""
         if self is DRIVER:
-            return config.driven
+            return [Process(name, self, robots) for name, robots in config.driven.items()]
+        if self is TRACKER and len(config.trackers) > 1:
+            return [Process(name, self, camera=view.camera.name) for name, view in config.trackers.items()]
         none = self is PAGE or (self is TWINS and not config.twins)
-        return {} if none else {self.name: ()}
+        return [] if none else [Process(self.name, self)]
 
 
 class Process(NamedTuple):
@@ -84,17 +86,24 @@ class Process(NamedTuple):
 
     name: str
     row: Row
-    robots: tuple[str, ...]
+    robots: tuple[str, ...] = ()  # a driver's
+    camera: str = ""  # a tracker's, where there are several
 
     @property
     def command(self) -> tuple[str, ...]:
         """What ``robofleet`` is called with, beside the configuration: its command first."""
+        if self.camera:
+            return self.row.name, "--camera", self.camera
         return (self.row.name, "--robots", ",".join(self.robots)) if self.robots else (self.row.name,)
+
+    def config(self, config: "Config") -> "Config":
+        """Return the configuration as this process has it: a tracker's camera is its own."""
+        return config.trackers[self.name] if self.row is TRACKER else config
 
 
 def processes(config: "Config") -> list[Process]:
     """Return every process of a configuration's run, in the order of their start."""
-    return [Process(name, row, robots) for row in TABLE for name, robots in row.instances(config).items()]
+    return [one for row in TABLE for one in row.instances(config)]
 
 
 def started_by(starter: Starter, config: "Config") -> list[Process]:
@@ -193,25 +202,26 @@ def _tracker(edges: Edges) -> Node:
     import cv2  # noqa: PLC0415
 
     from robofleet.comms.ticks import TickFollower  # noqa: PLC0415
-    from robofleet.processes.pose_sources import CameraPoses, TruthPoses, camera_feed, compiling  # noqa: PLC0415
+    from robofleet.processes.pose_sources import compiling, pose_source  # noqa: PLC0415
     from robofleet.processes.tracker import Tracker  # noqa: PLC0415
     from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses  # noqa: PLC0415
-    from robofleet.simulation.sources import TruthSource  # noqa: PLC0415
-    from robofleet.tracking.sources import CameraContext, PoseSource  # noqa: PLC0415
+    from robofleet.tracking.silence import WatchedPoses  # noqa: PLC0415
+    from robofleet.tracking.sources import PoseContext  # noqa: PLC0415
 
     cv2.setNumThreads(1)  # parts of an image are too small to share
-    config, bus, clock, wake, rng = edges.config, edges.bus, edges.clock, edges.wake, edges.rng
+    config, bus, clock, wake, rng, faults = edges.config, edges.bus, edges.clock, edges.wake, edges.rng, edges.faults
     ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
+    charge_ns = 0 if edges.real_time else round(config.lockstep.tracker_delay_s * S)
+    context = PoseContext(
+        config, clock, bus, ticks, rng, charge_ns, wake, edges.real_time,
+        (lambda feed: feed) if faults is None else (lambda feed: FaultyFeed(feed, faults)),
+    )  # fmt: skip
     with compiling(config, edges.progress):
-        if config.tracker.source == "truth":
-            source: PoseSource = TruthPoses(TruthSource(config, bus, ticks, clock, rng))
-        else:
-            charge_ns = 0 if edges.real_time else round(config.lockstep.tracker_delay_s * S)
-            context = CameraContext(config, clock, bus, ticks, rng, charge_ns)
-            feed = camera_feed(context, wake)
-            source = CameraPoses(context, feed if edges.faults is None else FaultyFeed(feed, edges.faults))
-        if edges.faults is not None:
-            source = FaultyPoses(source, edges.faults, config)
+        source = pose_source(context)
+        if faults is not None:
+            source = FaultyPoses(source, faults, config)
+        if config.tracker.own_times:
+            source = WatchedPoses(source, clock.now_ns())
         return Tracker(config, bus, clock, wake, rng, ticks, source)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.keys import CAMERA, NEWS, POSES
+from robofleet.comms.keys import NEWS, POSES
 from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TrackerNews
 from robofleet.comms.ticks import TickFollower
 from robofleet.config import slices
@@ -32,10 +32,11 @@ class Tracker:
         """Publish what ``source`` observes; ``ticks`` are those that both follow."""
         self._tick_ns = round(config.controller.tick_s * S)
         self._ticks, self._source = ticks, source
-        self._lead_ns = round(config.camera.trigger_lead_s * S) if config.camera.trigger == "tick" else None
+        triggered = config.camera.trigger == "tick" and not config.tracker.own_times
+        self._lead_ns = round(config.camera.trigger_lead_s * S) if triggered else None
         self._clock = clock
-        self._publish = bus.publisher(POSES, CAMERA)
-        self._publish_news = bus.publisher(NEWS, CAMERA)
+        self._publish = bus.publisher(POSES, config.camera.name)
+        self._publish_news = bus.publisher(NEWS, config.camera.name)
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
         self._pictures = Pictures(config, bus, clock, wake, self._epoch)
         self._seq = 0

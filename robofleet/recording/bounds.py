@@ -71,6 +71,7 @@ JUDGED = {  # by the keys of run.bounds
         "largest spacing error", "mm", of_groups("spacing_m", "max_deviation_mm"), own=True
     ),
     "min_gap_mm": Judged("smallest gap of bodies", "mm", part("min_gap_mm"), at_least=True),
+    "min_obstacle_gap_mm": Judged("smallest gap to an obstacle", "mm", part("min_obstacle_gap_mm"), at_least=True),
     "pose_error_rms_mm": Judged("pose error, rms", "mm", part("pose_error", "rms_mm")),
     "overruns": Judged("ticks overrun", "", part("tick", "overruns")),
     "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", part("latency_ms", "exposure_to_wheel", "p99")),

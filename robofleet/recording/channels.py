@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 from robofleet.comms.keys import (
     BUSY,
-    CAMERA,
     NEWS,
     OF_SCRIPTS,
     OF_UNITS,
@@ -32,7 +31,7 @@ def keys(config: Config) -> Iterator[str]:
     """Yield the full keys that are known from the configuration."""
     arena = config.arena.name
     yield from (key(arena, topic) for topic in _ABOUT_ALL)
-    yield from (key(arena, topic, CAMERA) for topic in _ABOUT_CAMERA)
+    yield from (key(arena, topic, camera) for camera in config.camera_names for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, unit) for unit in config.units for topic in OF_UNITS)
     yield from (key(arena, topic, group) for group in groups.scripted(config) for topic in OF_SCRIPTS)
     yield from (key(arena, SENSORS, unit) for unit in config.sensing)

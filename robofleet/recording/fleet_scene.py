@@ -46,7 +46,7 @@ class FleetScene:
     def __init__(self, config: Config, said: Sequence[described.Group]) -> None:
         self._said = said
         self._config, self._robots, self._driven = config, config.bodies, len(config.members)
-        self._sizes = self._driven, described.size(said)  # of a tick
+        self._sizes = self._driven, described.size(said, len(config.camera_names))  # of a tick
         self._parked = {robot.tag: self._driven + k for k, robot in enumerate(config.bystanders)}
         self._image: tuple[int, bytes] | None = None  # the newest one, where there are bystanders, and its date
         self.state: RunState | None = None  # as the supervisor said it last

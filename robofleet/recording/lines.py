@@ -29,7 +29,14 @@ class Line(NamedTuple):
 
 
 _GRAVE = {Phase.HOLD: Level.WARNING, Phase.FAULT: Level.ERROR, Phase.ESTOP: Level.ERROR}
-_GOOD_NEWS = (TrackerEvent.TAG_FOUND, TrackerEvent.CAMERA_BACK, TrackerEvent.CAMERA_ENDED)
+_GOOD_NEWS = (
+    TrackerEvent.TAG_FOUND,
+    TrackerEvent.CAMERA_BACK,
+    TrackerEvent.CAMERA_ENDED,
+    TrackerEvent.CAMERA_LIGHT_GOOD,
+    TrackerEvent.POSES_BACK,
+    TrackerEvent.BODY_FOUND,
+)
 
 
 def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...]) -> Iterator[Line]:
@@ -53,10 +60,10 @@ def latch_line(robot: str, latch: int) -> Line:
     return Line(Level.INFO if latch == Latch.DRILL else Level.ERROR, robot, f"gate latched: {named(Latch, latch)}")
 
 
-def news_line(news: TrackerNews) -> Line:
-    """Return what happened to the camera or to a tag."""
+def news_line(news: TrackerNews, camera: str = "") -> Line:
+    """Return what happened to the camera or to a tag; ``camera``: its name, where there are several."""
     level = Level.INFO if news.event in _GOOD_NEWS else Level.WARNING
-    return Line(level, "tracker", describe(news.event, news.tag, news.value))
+    return Line(level, "tracker", describe(news.event, news.tag, news.value, camera))
 
 
 def said_line(group: str, words: str) -> Line:

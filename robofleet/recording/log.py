@@ -1,7 +1,7 @@
 """The file of a run: one MCAP with every message as it was said, and what other viewers can draw."""
 
 import fcntl
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -11,17 +11,17 @@ from typing import Self
 from mcap.records import Attachment, Metadata
 
 from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, key
+from robofleet.comms.keys import NEWS, STATE, STATUS, key
 from robofleet.comms.layouts import VERSION
 from robofleet.comms.messages import RUN_STATE, UNIT_STATUS
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, keys, schema
+from robofleet.recording.channels import keys
 from robofleet.recording.container import Container
+from robofleet.recording.drawn import Channel, Drawn, Told, of_key
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.robot_ticks import BATCH, LARGE_BATCH, RobotTicks
-from robofleet.recording.scene import Scene
+from robofleet.recording.robot_ticks import BATCH, LARGE_BATCH
 from robofleet.valid_json import dumps
 
 FILE = "run.mcap"
@@ -60,19 +60,17 @@ class RunLog:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         for full in keys(config):
-            self._register(full)
+            self._register(of_key(full))
         self._news = _news(config)
         self._newest: dict[str, object] = {}  # of what is in self._news
         self._kept: list[Attachment | Metadata] = []  # until they are in the file
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
         said = groups.descriptions(config)
-        self._scene = Scene(config, said, epoch_ns=epoch_ns) if drawn else None
-        for topic, name, descriptor in self._scene.channels if self._scene else ():
-            self._channels[topic] = self._channel(topic, "protobuf", name, "protobuf", descriptor)
-        self._robot_ticks = RobotTicks(config, said, LARGE_BATCH if batched else BATCH) if drawn else None
-        for topic, of in self._robot_ticks.channels if self._robot_ticks else ():
-            self._channels[topic] = self._channel(topic, "protobuf", of.name, "protobuf", of.descriptor)
+        batch = LARGE_BATCH if batched else BATCH
+        self._drawn = Drawn(config, said, epoch_ns=epoch_ns, batch=batch) if drawn else None
+        for channel in self._drawn.channels if self._drawn else ():
+            self._register(channel)
         self._flushed_ns = 0
         self.messages = 0  # that came
         self.dropped = 0  # that are not in the file
@@ -85,16 +83,12 @@ class RunLog:
 
     def add(self, full: str, payload: bytes, at_ns: int) -> None:
         """Keep a message that came at an instant of this process's clock."""
-        channel = self._channels.get(full) or self._register(full)
+        channel = self._channels.get(full) or self._register(of_key(full))
         self.messages += 1
         self._waiting += 1
-        log_ns = at_ns + self._epoch_ns
-        self._container.add_message(channel, self.messages & 0xFFFFFFFF, log_ns, payload)
-        if self._scene and (shown := self._scene.update(full, payload, at_ns)):
-            for topic, drawn in shown:
-                self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, drawn)
-        if self._robot_ticks and (ticks := self._robot_ticks.update(full, payload, log_ns)):
-            self._add_robot_ticks(ticks)
+        self._container.add_message(channel, self.messages & 0xFFFFFFFF, at_ns + self._epoch_ns, payload)
+        if self._drawn and (told := self._drawn.update(full, payload, at_ns)):
+            self._add_drawn(told)
         if self._container.waiting_bytes >= self._chunk or (full in self._news and self._is_news(full, payload)):
             self._write()
 
@@ -130,8 +124,8 @@ class RunLog:
         """End the file with its index. Idempotent."""
         if self._file.closed:
             return
-        if self._robot_ticks:
-            self._add_robot_ticks(self._robot_ticks.rest())
+        if self._drawn:
+            self._add_drawn(self._drawn.rest())
         self._write()
         try:
             if self.failed is None:
@@ -151,20 +145,20 @@ class RunLog:
         """End the file."""
         self.close()
 
-    def _add_robot_ticks(self, told: Sequence[tuple[str, int, bytes]]) -> None:
-        for topic, log_ns, row in told:
-            self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, row)
+    def _add_drawn(self, told: Told) -> None:
+        for topic, log_ns, message in told:
+            self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, message)
 
-    def _register(self, full: str) -> int:
-        name, description = schema(full)
-        channel = self._channels[full] = self._channel(full, ENCODING, name, SCHEMA_ENCODING, description)
+    def _register(self, new: Channel) -> int:
+        """Return the id of a new channel; channels whose messages are of one kind share its schema."""
+        if new.schema not in self._schemas:
+            self._schemas[new.schema] = self._container.register_schema(
+                new.schema, new.schema_encoding, new.description
+            )
+        channel = self._channels[new.topic] = self._container.register_channel(
+            new.topic, new.encoding, self._schemas[new.schema]
+        )
         return channel
-
-    def _channel(self, topic: str, encoding: str, name: str, schema_encoding: str, description: bytes) -> int:
-        """Return the id of a new channel whose messages the schema ``name`` describes."""
-        if name not in self._schemas:
-            self._schemas[name] = self._container.register_schema(name, schema_encoding, description)
-        return self._container.register_channel(topic, encoding, self._schemas[name])
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
         self._kept.append(Attachment(0, 0, name, media_type, data))
@@ -203,6 +197,6 @@ def _news(config: Config) -> dict[str, Callable[[bytes], object]]:
     phase = RUN_STATE.span("phase", "cause")
     return {
         key(arena, STATE): lambda payload: payload[phase],
-        key(arena, NEWS, CAMERA): lambda payload: payload,
+        **{key(arena, NEWS, camera): lambda payload: payload for camera in config.camera_names},
         **{key(arena, STATUS, unit): latches for unit in config.units},
     }

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.comms.keys import BUSY, key
+from robofleet.comms.messages import FleetPoses
+from robofleet.config import obstacles
 from robofleet.recording import busy_machine, notes
 from robofleet.recording.bounds import judged
 from robofleet.recording.causes import named
@@ -17,6 +19,7 @@ from robofleet.recording.measures import compute_us, delays_ms, pose_errors
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.stops import stops
 from robofleet.tracking.events import NO_TAG, TrackerEvent
+from robofleet.vehicles.solids import distances
 
 Figures = dict[str, Any]
 
@@ -65,6 +68,7 @@ def summary(
         **_hoisted(groups),
         "groups": groups,
         **_distances(run),
+        "min_obstacle_gap_mm": _obstacle_gap(run),
         "pose_error": _pose_error(run),
         "tracker": _tracker(run, recording),
         "tick": _tick(run, recording),
@@ -123,6 +127,17 @@ def _distances(run: Run) -> Figures:
     }
 
 
+def _obstacle_gap(run: Run) -> float | None:
+    """Smallest distance between a robot's body and an obstacle, or the edge of ``floor_m``, over the whole run."""
+    solids, config = obstacles.every(run.config.arena), run.config
+    if run.truth is None or not solids or not len(run.t):
+        return None
+    radii = np.array([robot.vehicle.body_radius_m for robot in config.members])[run.known]
+    at = run.truth[:, run.known, :2]
+    gaps = distances(solids, at.reshape(-1, 2)).min(axis=0).reshape(at.shape[:2]) - radii
+    return _rounded(gaps.min() * 1e3) if np.isfinite(gaps).all() else None
+
+
 def _pose_error(run: Run) -> Figures | None:
     """The filter at the tick against the truth at the tick."""
     if run.truth is None:
@@ -139,21 +154,39 @@ def _pose_error(run: Run) -> Figures | None:
 
 
 def _tracker(run: Run, recording: Recording) -> Figures:
-    frames, n = run.frames, len(run.config.members)
-    tags, fleet = ({robot.tag for robot in robots} for robots in (run.config.members, run.config.robots))
-    seen = sum(pose.tag in tags and pose.coasted_ns == 0 for frame in frames for pose in frame.poses)
+    frames, images, fleet = run.frames, run.images, {robot.tag for robot in run.config.robots}
     if recording.tracker_durations_ns is not None:
         durations = sorted(recording.tracker_durations_ns)[-len(frames) :]  # the other steps had no image
     else:
         durations = [frame.work_ns for frame in frames]
     return {
         "frames": len(frames),
-        "measured_fraction": _rounded(seen / (len(frames) * n)) if frames else None,
+        "measured_fraction": _measured_fraction(run) if frames else None,
         "false_ids": sum(pose.tag not in fleet for frame in frames for pose in frame.poses) if frames else None,
-        "refused": frames[-1].refused if frames else None,
+        "refused": sum(of[-1].refused for of in images.values() if of) if frames else None,
         "events": _events(run) if frames else None,
         "frame_ms": _percentiles(np.array(durations) / 1e6, (50, 99)),
+        **({"cameras": {name: _camera(of) for name, of in images.items()}} if len(images) > 1 else {}),
     }
+
+
+def _camera(frames: list[FleetPoses]) -> Figures:
+    """What one of several cameras saw."""
+    took_s = (frames[-1].exposure_ns - frames[0].exposure_ns) / 1e9 if frames else 0.0
+    return {
+        "frames": len(frames),
+        "rate_hz": _rounded((len(frames) - 1) / took_s) if took_s > 0.0 else None,
+        "measured": sum(pose.coasted_ns == 0 for frame in frames for pose in frame.poses),
+    }
+
+
+def _measured_fraction(run: Run) -> float | None:
+    """Of one camera: of each image. Of several no one sees all robots: of each tick."""
+    if len(run.images) > 1:
+        return _mean(run.items["measured"])
+    tags = {robot.tag for robot in run.config.members}
+    seen = sum(pose.tag in tags and pose.coasted_ns == 0 for frame in run.frames for pose in frame.poses)
+    return _rounded(seen / (len(run.frames) * len(tags)))
 
 
 def _events(run: Run) -> list[Figures]:
@@ -165,8 +198,9 @@ def _events(run: Run) -> list[Figures]:
             "event": named(TrackerEvent, row["event"]).replace(" ", "_"),
             "tag": None if row["tag"] == NO_TAG else int(row["tag"]),
             "value": _rounded(row["value"]),
+            **({"camera": str(camera)} if len(run.images) > 1 else {}),
         }
-        for row in run.news
+        for row, camera in zip(run.news, run.news_of, strict=True)
     ]
 
 

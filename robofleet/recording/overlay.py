@@ -14,7 +14,6 @@ from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from robofleet.comms.keys import CAMERA
 from robofleet.comms.messages import TagPose
 from robofleet.config.tree import Config
 from robofleet.recording.shapes import WORLD, colour
@@ -28,11 +27,17 @@ _MEASURED, _PREDICTED, _LABEL = "#1fd655", "#ffb000", "#000000"  # on grey image
 _PINHOLES = (("plumb_bob", 5), ("rational_polynomial", 8))
 
 
+def camera_topic(view: Config) -> str:
+    """Return the topic below which viewers find a camera's pictures."""
+    return "/camera" if len(view.views) == 1 else f"/camera/{view.camera.name}"
+
+
 class Overlay:
     """Where the fleet's tags are in a picture. A drift that the tracker corrects is not followed."""
 
     def __init__(self, config: Config) -> None:
-        model = config.camera.model
+        model, self.camera = config.camera.model, config.camera.name
+        self.topic = camera_topic(config)
         self._model, self._geometry = model, CameraGeometry.from_model(model)
         self._size = picture_size(model.width, model.height)
         self._scale = np.array(self._size) / (model.width, model.height)
@@ -46,7 +51,7 @@ class Overlay:
         angle = float(np.linalg.norm(rotation))
         a, b, c = (math.sin(angle / 2) / (angle or 1.0) * rotation).tolist()
         return FrameTransform(
-            timestamp=at, parent_frame_id=WORLD, child_frame_id=CAMERA, translation=Vector3(x=x, y=y, z=z),
+            timestamp=at, parent_frame_id=WORLD, child_frame_id=self.camera, translation=Vector3(x=x, y=y, z=z),
             rotation=Quaternion(x=a, y=b, z=c, w=math.cos(angle / 2)),
         )  # fmt: skip
 
@@ -61,7 +66,7 @@ class Overlay:
         c_x, c_y = (((np.array(model.centre_px) + 0.5) * self._scale) - 0.5).tolist()
         name, count = kinds[0]
         return CameraCalibration(
-            timestamp=at, frame_id=CAMERA, width=width, height=height, distortion_model=name,
+            timestamp=at, frame_id=self.camera, width=width, height=height, distortion_model=name,
             D=terms + [0.0] * (count - len(terms)),
             K=[f_x * s_x, 0.0, c_x, 0.0, f_y * s_y, c_y, 0.0, 0.0, 1.0],
             R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],

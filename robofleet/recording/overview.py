@@ -3,10 +3,11 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 
 from robofleet.behaviours.interface import Dots, Shape
+from robofleet.config import obstacles
 from robofleet.config.robots import Robot
 from robofleet.figures import INK, QUIET, robot_colours
 from robofleet.recording import notes
@@ -18,6 +19,7 @@ _AROUND_M = 0.1  # the arena
 _TRAIL_M = 0.006  # a trail has no points that are closer
 _NAME = 0.3  # of the axis that a fault's name takes
 _ROW = 0.24  # height of a row [inch]
+_GREY = "#d6d6d6"  # of an obstacle
 _FEW = 12  # faults, and robots that have a row whatever happened to them
 
 
@@ -43,7 +45,7 @@ def paths(view: View) -> Figure:
 
 
 def floor(view: View) -> tuple[Figure, Axes]:
-    """Draw the arena, and what the groups' behaviours have on its floor."""
+    """Draw the arena with its obstacles, and what the groups' behaviours have on its floor."""
     width, height = view.config.arena.size_m
     x, y = width / 2 + _AROUND_M, height / 2 + _AROUND_M
     figure = Figure(figsize=(WIDTH, WIDTH * y / x))
@@ -51,6 +53,7 @@ def floor(view: View) -> tuple[Figure, Axes]:
     axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
     axes.axis("off")
     axes.add_patch(Rectangle((-width / 2, -height / 2), width, height, fc="none", ec=QUIET, lw=1.0))
+    _solids(axes, view)
     for group in view.series.run.groups:
         for shape in (*group.shapes, *notes.marks(view.recording, group.name)):
             _shape(axes, shape, dict(zip(view.series.robots, view.colours, strict=True)))
@@ -58,6 +61,16 @@ def floor(view: View) -> tuple[Figure, Axes]:
     axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
     axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
     return figure, axes
+
+
+def _solids(axes: Axes, view: View) -> None:
+    for solid in obstacles.every(view.config.arena):
+        axes.add_patch(Polygon(solid.outline, fc="none" if solid.floor else _GREY, ec=QUIET, lw=1.0, zorder=1.5))
+        if not solid.floor:
+            name = axes.annotate(
+                solid.name, solid.outline.mean(axis=0), color=INK, ha="center", va="center", fontsize=7
+            )
+            name.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
 
 
 def _shape(axes: Axes, shape: Shape, robots: dict[str, str]) -> None:

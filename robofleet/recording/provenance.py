@@ -106,7 +106,7 @@ def _processor() -> str:
 
 
 def _hashes(config: Config) -> dict[str, str]:
-    measured: dict[str, Model | None] = {"camera.model": config.camera.model}
+    measured: dict[str, Model | None] = {f"{path}.model": camera.model for path, camera in config.camera_keys}
     measured |= {f"robots.{k}.calibration": robot.calibration for k, robot in enumerate(config.robots)}
     texts = {name: model.model_dump_json() for name, model in measured.items() if model is not None}
     texts["config.yaml"] = resolved_yaml(config)

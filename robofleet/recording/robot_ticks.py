@@ -56,7 +56,7 @@ class RobotTicks:
         self._batch = batch
         arena, robots = config.arena.name, config.members
         self._tick_key = key(arena, TICK)
-        self._size = TICK_RECORD.dtype(len(robots), described.size(said)).itemsize
+        self._size = TICK_RECORD.dtype(len(robots), described.size(said, len(config.camera_names))).itemsize
         self._status_keys = {key(arena, STATUS, unit) for unit in config.units}
         self._truth_keys = {key(arena, TRUTH, unit) for unit in config.units}
         self._statuses: dict[str, bytes] = {}  # the newest ones since the tick before

@@ -13,9 +13,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Past
-from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, STATUS, TICK, TRUTH, Topic, key
+from robofleet.comms.keys import NEWS, POSES, STATE, STATUS, TICK, TRUTH, Topic, key
 from robofleet.comms.layouts import VERSION, Layout, ListLayout
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotStatus, RunState
+from robofleet.comms.messages import (
+    FLEET_POSES,
+    RUN_STATE,
+    TICK_RECORD,
+    TRACKER_NEWS,
+    FleetPoses,
+    RobotStatus,
+    RunState,
+)
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError
@@ -98,6 +106,7 @@ class Recording:
     def forget(self, full: str, count: int) -> None:
         """Let go of a key's oldest messages."""
         del self.messages[full][:count], self._places[full][:count]
+        self._arrays.pop(full, None)
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
@@ -221,7 +230,7 @@ class Run:
         self.recording = recording
         config = self.config = recording.config
         arena, robots = config.arena.name, config.members
-        dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups))
+        dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
         payloads = recording.messages.get(key(arena, TICK), ())
         self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
         self._counted = (self.all_ticks["run_tick"] >= 0) | every_tick
@@ -246,12 +255,21 @@ class Run:
         self.bodies = self._at_ticks(truths) if known.any() and len(self.t) else None
         self.known = known[: len(robots)]  # (N,) whose truth was told
         self.truth = None if self.bodies is None or not self.known.any() else self.bodies[:, : len(robots)]
-        poses = recording.messages.get(key(arena, POSES, CAMERA), ())
-        self.news = recording.measured(key(arena, NEWS, CAMERA), TRACKER_NEWS)
+        news = [recording.measured(key(arena, NEWS, camera), TRACKER_NEWS) for camera in config.camera_names]
+        self.news = np.concatenate(news)  # of all cameras
+        self.news_of = np.repeat(config.camera_names, [len(of) for of in news])  # whose each of them is
         self.states = _changes(recording, key(arena, STATE))
-        frames = [frame for payload in poses if (frame := FLEET_POSES.decode(payload)) is not None]
-        began = int(self.ticks["poses_seq"][0]) if len(self.ticks) else 0
-        self.frames = [frame for frame in frames if frame.seq >= began]  # without those of the checks before
+        began = [int(self.ticks["poses_seq"][0]), *self._further_began()] if len(self.ticks) else None
+        self.images = {  # of each camera, without those of the checks before
+            camera: _images(recording, camera, 0 if began is None else began[row])
+            for row, camera in enumerate(config.camera_names)
+        }
+        self.frames = [frame for images in self.images.values() for frame in images]
+
+    def _further_began(self) -> list[int]:
+        """Return the numbers of the images, of each camera but the first, that the first tick knew."""
+        first = described.size(self.groups)
+        return [int(seq) for seq in self.ticks["figures"][0, first + 1 :: described.NAMING]]
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -324,6 +342,13 @@ class Run:
     def after(self, start_s: float) -> NDArray[np.bool_]:
         """Return which ticks count."""
         return np.asarray(self.t >= start_s)
+
+
+def _images(recording: Recording, camera: str, began: int) -> list[FleetPoses]:
+    """Return what a camera saw, from an image's number on."""
+    payloads = recording.messages.get(key(recording.config.arena.name, POSES, camera), ())
+    frames = (FLEET_POSES.decode(payload) for payload in payloads)
+    return [frame for frame in frames if frame is not None and frame.seq >= began]
 
 
 def _columns_of(items: NDArray[Any], place: int, size: int) -> list[int]:

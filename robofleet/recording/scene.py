@@ -21,7 +21,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from robofleet.behaviours import described
 from robofleet.clock import S
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, NOTE, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import BUSY, NEWS, NOTE, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.comms.messages import BUSY_MACHINE, FLEET_POSES, RUN_STATE, TRACKER_NEWS, UNIT_STATUS, FleetPoses
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
@@ -51,12 +51,14 @@ class Scene:
         self._config, self._said, self._epoch_ns = config, said, epoch_ns
         self._ids = config.ids
         self._fleet = FleetScene(config, said)
-        self._overlay = Overlay(config) if config.tracker.source == "camera" else None
+        self._overlays = [Overlay(view) for view in config.views] if config.tracker.source == "camera" else []
         self.channels = tuple(Channel(*channel) for channel in self._described())
         self._takes = self._by_key()
         self._due_ns = 0
         self._busy = False  # the machine, and that was told
-        self._images: deque[tuple[int, bytes]] = deque(maxlen=_IMAGES)
+        self._images: dict[str, deque[tuple[int, bytes]]] = {
+            camera: deque(maxlen=_IMAGES) for camera in config.camera_names
+        }
 
     def update(self, full: str, payload: bytes, at_ns: int) -> list[tuple[str, bytes]]:
         """Return (topic, message) of what a message of the bus changes in the picture.
@@ -79,9 +81,9 @@ class Scene:
             "/tf": FrameTransforms, "/tf_static": FrameTransforms, "/arena": SceneUpdate, "/fleet": SceneUpdate,
             "/references": SceneUpdate, "/log": Log, **{pose_topic(robot): PoseInFrame for robot in self._ids},
         }  # fmt: skip
-        if self._overlay is not None:
-            kinds |= {"/camera/image": CompressedImage, "/camera/annotations": ImageAnnotations}
-            kinds["/camera/calibration"] = CameraCalibration
+        for overlay in self._overlays:
+            kinds |= {f"{overlay.topic}/image": CompressedImage, f"{overlay.topic}/annotations": ImageAnnotations}
+            kinds[f"{overlay.topic}/calibration"] = CameraCalibration
         for topic, kind in kinds.items():
             yield topic, kind.DESCRIPTOR.full_name, build_file_descriptor_set(kind).SerializeToString()
 
@@ -90,13 +92,15 @@ class Scene:
         takes: dict[str, Callable[[bytes, int], Said]] = {
             key(arena, TICK): self._fleet.tick,
             key(arena, STATE): self._state,
-            key(arena, NEWS, CAMERA): self._news,
             key(arena, BUSY): self._is_busy,
         }
-        if self._overlay is not None or self._config.bystanders:
-            takes[key(arena, POSES, CAMERA)] = self._poses
-        if self._overlay is not None:
-            takes[key(arena, PICTURE, CAMERA)] = partial(self._picture, self._overlay)
+        cameras = self._config.camera_names
+        for camera in cameras:
+            takes[key(arena, NEWS, camera)] = partial(self._news, camera if len(cameras) > 1 else "")
+            if self._overlays or self._config.bystanders:
+                takes[key(arena, POSES, camera)] = partial(self._poses, camera)
+        for overlay in self._overlays:
+            takes[key(arena, PICTURE, overlay.camera)] = partial(self._picture, overlay)
         rows = {robot: row for row, robot in enumerate(self._ids)}
         for unit, robots in self._config.units.items():
             takes[key(arena, STATUS, unit)] = partial(self._status, [rows[robot] for robot in robots])
@@ -119,10 +123,12 @@ class Scene:
     def _unchanging(self, date_ns: int) -> Said:
         at = stamp(date_ns)
         said: list[tuple[str, Message]] = [("/arena", SceneUpdate(entities=shapes.arena(self._config, self._said, at)))]
-        if self._overlay is not None:
-            said.append(("/tf_static", FrameTransforms(transforms=[self._overlay.place(at)])))
-            if (lens := self._overlay.calibration(at)) is not None:
-                said.append(("/camera/calibration", lens))
+        if self._overlays:
+            places = [overlay.place(at) for overlay in self._overlays]
+            said.append(("/tf_static", FrameTransforms(transforms=places)))
+        for overlay in self._overlays:
+            if (lens := overlay.calibration(at)) is not None:
+                said.append((f"{overlay.topic}/calibration", lens))
         return said
 
     def _state(self, payload: bytes, date_ns: int) -> Said:
@@ -141,33 +147,34 @@ class Scene:
             before[row] = latch
         return _log([latch_line(self._ids[row], latch) for row, latch in new], date_ns)
 
-    def _news(self, payload: bytes, date_ns: int) -> Said:
+    def _news(self, camera: str, payload: bytes, date_ns: int) -> Said:
         news = TRACKER_NEWS.decode(payload)
-        return () if news is None else _log([news_line(news)], date_ns)
+        return () if news is None else _log([news_line(news, camera)], date_ns)
 
     def _is_busy(self, payload: bytes, date_ns: int) -> Said:
         message = None if self._busy else BUSY_MACHINE.decode(payload)
         self._busy = self._busy or message is not None
         return () if message is None else _log([busy_line(message, self._ids)], date_ns)
 
-    def _poses(self, payload: bytes, date_ns: int) -> Said:
-        self._images.append((date_ns, payload))
+    def _poses(self, camera: str, payload: bytes, date_ns: int) -> Said:
+        self._images[camera].append((date_ns, payload))
         return self._fleet.image(payload, date_ns)
 
     def _picture(self, overlay: Overlay, payload: bytes, date_ns: int) -> Said:
         picture = PICTURE_LAYOUT.decode(payload)
         if picture is None:
             return ()
-        exposed, poses = self._image(picture.exposure_ns) or (date_ns, None)
+        exposed, poses = self._image(overlay.camera, picture.exposure_ns) or (date_ns, None)
         at = stamp(exposed)
-        shown = CompressedImage(timestamp=at, frame_id=CAMERA, data=picture.jpeg, format="jpeg")
+        shown = CompressedImage(timestamp=at, frame_id=overlay.camera, data=picture.jpeg, format="jpeg")
         if poses is None:
-            return (("/camera/image", shown),)
-        return ("/camera/image", shown), ("/camera/annotations", overlay.outlines(poses.poses, at))
+            return ((f"{overlay.topic}/image", shown),)
+        drawn = overlay.outlines(poses.poses, at)
+        return (f"{overlay.topic}/image", shown), (f"{overlay.topic}/annotations", drawn)
 
-    def _image(self, exposure_ns: int) -> tuple[int, FleetPoses] | None:
+    def _image(self, camera: str, exposure_ns: int) -> tuple[int, FleetPoses] | None:
         """Return an image's date and its poses. The tracker's clock is not compared with this one."""
-        for date_ns, payload in self._images:
+        for date_ns, payload in self._images[camera]:
             poses = FLEET_POSES.decode(payload)
             if poses is not None and poses.exposure_ns == exposure_ns:
                 return date_ns - (poses.sent_ns - exposure_ns), poses

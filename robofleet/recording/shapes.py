@@ -4,7 +4,7 @@ World frame in metres, each robot in a frame of its own.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from functools import cache
 
@@ -26,10 +26,11 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Array, Dots, Shape
-from robofleet.config import barrier
+from robofleet.config import barrier, obstacles
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.figures import COLOURS, INK, QUIET
+from robofleet.recording.prisms import prism
 from robofleet.safety.barrier import apart
 
 WORLD = "world"
@@ -56,14 +57,32 @@ def colour(code: str, opacity: float = 1.0) -> Color:
 
 
 def arena(config: Config, said: Sequence[described.Group], at: Timestamp) -> list[SceneEntity]:
-    """Return the arena's edge, and what the groups' behaviours have on the floor."""
+    """Return the arena's edge, obstacles, and what the groups' behaviours have on the floor."""
     (length, width), robots = config.arena.size_m, [robot.id for robot in config.members]
     corners = [(x * length / 2, y * width / 2) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    edge = _line(LinePrimitive.LINE_LOOP, corners, INK)
+    edges = [_line(LinePrimitive.LINE_LOOP, its, INK) for its in (corners, config.arena.floor_m) if its]
     return [
-        SceneEntity(timestamp=at, frame_id=WORLD, id="arena", lines=[edge]),
+        SceneEntity(timestamp=at, frame_id=WORLD, id="arena", lines=edges),
+        *_obstacles(config, at),
         *(_shape(f"{group.name}/{shape.name}", shape, robots, at) for group in said for shape in group.shapes),
     ]
+
+
+def _obstacles(config: Config, at: Timestamp) -> Iterator[SceneEntity]:
+    for solid, obstacle in zip(obstacles.standing(config.arena), config.arena.obstacles, strict=True):
+        outline = solid.outline.tolist()
+        x, y = solid.outline.mean(axis=0).tolist()
+        yield SceneEntity(
+            timestamp=at, frame_id=WORLD, id=f"obstacles/{solid.name}",
+            triangles=[prism(outline, obstacle.height_m, colour(QUIET))],
+            lines=[_line(LinePrimitive.LINE_LOOP, outline, INK)],
+            texts=[
+                TextPrimitive(
+                    pose=_at(x, y, obstacle.height_m + _TEXT_M), billboard=True, font_size=_TEXT_M, color=colour(INK),
+                    text=solid.name,
+                )
+            ],
+        )  # fmt: skip
 
 
 def mark(group: str, shape: Shape, robots: list[str], at: Timestamp) -> SceneUpdate:
@@ -148,6 +167,6 @@ def _disc(forward: float, diameter: float, height: float, color: Color) -> Cylin
     )
 
 
-def _line(kind: LinePrimitive.Type.ValueType, points: list[tuple[float, float]], code: str) -> LinePrimitive:
+def _line(kind: LinePrimitive.Type.ValueType, points: Sequence[tuple[float, float]], code: str) -> LinePrimitive:
     at = [Point3(x=x, y=y) for x, y in points]
     return LinePrimitive(type=kind, pose=_at(0.0, 0.0, _FILM_M), thickness=_LINE_M, points=at, color=colour(code))

@@ -121,6 +121,8 @@ def _in_columns(cells: str | Sequence[str], width: int) -> str:
 def _health(s: Summary) -> Iterator[_Row]:
     if s["min_gap_mm"] is not None:
         yield _Row("smallest body gap, mm", f"{s['min_gap_mm']:.0f}")
+    if s.get("min_obstacle_gap_mm") is not None:
+        yield _Row("smallest gap to an obstacle, mm", f"{s['min_obstacle_gap_mm']:.0f}")
     if s["pose_error"] is not None:
         p = s["pose_error"]
         yield _Row("pose, rms, mm and deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}")

@@ -90,10 +90,11 @@ class Timeline:
 
     def _news(self) -> Iterator[Entry]:
         robots = {robot.tag: robot.id for robot in self._run.config.robots}
-        for row, t in zip(self._run.news, self._seconds(self._run.news["stamp_ns"]), strict=True):
-            tag = int(row["tag"])
+        run, several = self._run, len(self._run.images) > 1
+        for row, t, camera in zip(run.news, self._seconds(run.news["stamp_ns"]), run.news_of, strict=True):
+            tag, named = int(row["tag"]), str(camera) if several else ""
             who = TRACKER if tag == NO_TAG else robots.get(tag, TRACKER)
-            yield Entry(float(t), float(t), who, describe(int(row["event"]), tag, float(row["value"])))
+            yield Entry(float(t), float(t), who, describe(int(row["event"]), tag, float(row["value"]), named))
 
     def _overruns(self) -> Iterator[Entry]:
         ticks = self._run.all_ticks

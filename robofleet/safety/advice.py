@@ -22,6 +22,8 @@ _ADVICE = {
     Event.DISK_FULL: "make room",
     Event.CAMERA_STALLED: "look at its cable; the tracker's log says more",
     Event.CAMERA_FROZEN: "look at its cable; the tracker's log says more",
+    Event.POSES_SILENT: "look at the motion capture's own program and its network; the tracker's log says more",
+    Event.CAMERA_OUT: "look at that camera; its tracker's log says more",
     Event.CAMERA_LOST: "plug it in again, or mend camera.source",
     Event.WIRED_STOP: "release it, then `robofleet run --reset`",
     Event.ROBOT_FAULT: "look at the robot; its driver's log says more",

@@ -154,6 +154,8 @@ def missing(view: FleetView) -> Happening | None:
         return Happening(Event.CONTROLLER_SILENT)
     if _silent(now_ns, view.tracker_ns):
         return Happening(Event.TRACKER_SILENT)
+    if view.cameras_out:
+        return view.cameras_out[0]._replace(event=Event.CAMERA_OUT)
     rows = list(enumerate(view.robots))
     checks = (
         (Event.DRIVER_SILENT, lambda r: r.driven and now_ns - r.heard_ns >= _SILENT_NS),

@@ -1,6 +1,6 @@
 """The barrier, a control barrier function (CBF) for each pair of robots; the right-hand rule resolves their deadlocks.
 
-It changes what every robot was asked for as little as keeps bodies apart and inside the arena.
+It changes what every robot was asked for as little as keeps bodies apart, clear of obstacles and inside the arena.
 
 A robot is held by where it would stand if it were stopped now. Its wheels follow with a first-order lag, so that pose
 is an arc of what the wheels still turn; it does not move while the robot is asked to stop, and its velocity is linear
@@ -10,15 +10,15 @@ all directions. With Delta = q_i - q_j, n its direction, and h = |Delta| - D_ij,
     n . q_i' >= -gamma h / 2.
 
 Half of the approach is each one's own, so a robot that stands still by mistake is as safe as one that obeys, and what
-is left is a problem of two unknowns for each robot. The arena's edges are rows of the same kind, the robot's alone;
-the wheels' limits are rows too. Within D_ij a robot must withdraw; where it cannot from all, it must not come nearer,
-and standing is always an answer.
+is left is a problem of two unknowns for each robot. The arena's edges and obstacles are rows of the same kind, the
+robot's alone, with gamma h instead of its half; the wheels' limits are rows too. Within D_ij a robot must withdraw;
+where it cannot from all, it must not come nearer, and standing is always an answer.
 
 The turn (right-hand rule) changes only what is asked for, and every row is kept. A robot that was held for half a
 second asks for the same speed 80 degrees to the right. All who press each other do so: they form a roundabout. If it
 does not get on for half a second, it asks for the straight way again. But if one of those who hold it stands (it is
 asked for nothing, or it stalls: it moves less than a fifth of what it was commanded), it first turns by 110 and then by
-140 degrees, to go round that one.
+140 degrees, to go round that one. An obstacle stands.
 
 A robot is blocked that stands for three seconds, or turns and goes round for eighteen without getting on, because of
 somebody who does not wait: one that stands, or stalls. Robots that press each other and all wait are blocked, too,
@@ -50,9 +50,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
+from robofleet.safety import solid_rows
 from robofleet.safety.neighbours import around, sorted_into_cells
-from robofleet.vehicles import differential_drive
+from robofleet.vehicles import differential_drive, solids
 from robofleet.vehicles.differential_drive import DifferentialDrive
+from robofleet.vehicles.solids import Solid
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
@@ -82,10 +84,12 @@ _HELD, _TURN, _VAIN, _CLEAR, _BLOCKED, _WAITED, _STALLS, _WATCHED, _PRESSING, _S
 # of a body: its drive, its edge's margin [m], its fastest q [m/s], how long its speed is believed [s], its disc [m]
 _WHEEL, _BASE, _LAG, _WHEEL_SPEED, _TOP, _EDGE, _FASTEST, _BELIEVED, _DISC = range(9)
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
+_OBSTACLE = -1  # in a robot's place: what holds another one
 
 _arc = kernel(differential_drive.arc)
 _body_from_wheels = kernel(differential_drive.body_from_wheels)
 _wheels_from_body = kernel(differential_drive.wheels_from_body)
+_add_row, _solid_rows = solid_rows.add_row, solid_rows.solid_rows
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,7 @@ class Keepout:
     point_ahead: float  # l: of the point whose velocity is changed least [m]
     tick: float  # control step [s]
     arena: tuple[float, float]  # size [m]
+    solids: tuple[Solid, ...] = ()  # obstacles, and what lies outside a floor that is a polygon
 
 
 class Body(NamedTuple):
@@ -132,6 +137,11 @@ def from_edge(keepout: Keepout, body: Body) -> float:
     return body.radius + keepout.ahead + keepout.pose_error
 
 
+def from_solid(keepout: Keepout, body: Body, solid: Solid) -> float:
+    """Return the least distance of a robot's point q from an obstacle, or from the edge of the floor [m]."""
+    return from_edge(keepout, body) + (0.0 if solid.floor else keepout.gap)
+
+
 def _fastest(keepout: Keepout, body: Body) -> float:
     """Return what no point q of such a robot exceeds [m/s]."""
     d = body.drive
@@ -159,6 +169,9 @@ class Barrier:
         fastest = [[body.drive.max_speed] for body in bodies]  # as long as nothing is known of their commands
         self._lately = np.repeat(np.array(fastest), math.ceil(longest / keepout.tick) + 1, axis=1)  # speeds asked for
         self._half = np.array(keepout.arena) / 2
+        floors_first = sorted(keepout.solids, key=lambda solid: not solid.floor)
+        self._edges, self._rings = solids.outlines(floors_first)
+        self._floors = sum(solid.floor for solid in floors_first)
         self._still = np.zeros((len(bodies), 2))
         self._memory = np.zeros((len(bodies), 10), dtype=np.int64)
         self._told = np.zeros((len(bodies), 7))  # pose at a window's start, what was commanded since; where it stayed
@@ -189,9 +202,9 @@ class Barrier:
         how, blocked = np.zeros(len(wheels), dtype=np.int64), np.empty(len(wheels), dtype=np.bool_)
         pushed = self._still if pushed is None else pushed
         _filter(
-            poses, turning, unseen, pushed, driving, self._bodies, self._between, self._half, k.ahead, k.rate,
-            k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times, self._patience, how, blocked,
-            self._memory, self._lately, self._told,
+            poses, turning, unseen, pushed, driving, self._bodies, self._between, self._half, self._edges, self._rings,
+            self._floors, k.ahead, k.rate, k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times,
+            self._patience, how, blocked, self._memory, self._lately, self._told,
         )  # fmt: skip
         return how, blocked
 
@@ -199,9 +212,10 @@ class Barrier:
 @kernel
 def _filter(
     poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_], bodies: Array,
-    between: tuple[float, float], half: Array, ahead: float, rate: float, l: float, age: float, lost_after: float,
-    tick: float, wheels: Array, u: Array, times: tuple[int, int, int, int], patience: tuple[int, int], how: Instants,
-    blocked: NDArray[np.bool_], memory: Instants, lately: Array, told: Array,
+    between: tuple[float, float], half: Array, edges: Array, rings: Array, floors: int, ahead: float,
+    rate: float, l: float, age: float, lost_after: float, tick: float, wheels: Array, u: Array,
+    times: tuple[int, int, int, int], patience: tuple[int, int], how: Instants, blocked: NDArray[np.bool_],
+    memory: Instants, lately: Array, told: Array,
 ) -> None:  # fmt: skip
     n = len(poses)
     stops, grown, believed = np.empty((n, 6)), np.empty(n), np.empty(n)
@@ -214,7 +228,8 @@ def _filter(
     share = min(1.0, rate * tick)
     grid = sorted_into_cells(stops, unseen < np.inf, _reach(bodies, between, grown, believed, pushed, rate, share))
     near, found = np.empty(n), np.empty(n, dtype=np.int64)
-    rows, whose = np.empty((10 + n, 3)), np.empty(10 + n, dtype=np.int64)
+    most = 10 + n + 2 * len(edges)
+    rows, whose = np.empty((most, 3)), np.empty(most, dtype=np.int64)
     for i in range(len(wheels)):
         if not driving[i]:
             memory[i] = 0
@@ -228,6 +243,11 @@ def _filter(
         margin = bodies[i, _EDGE] + grown[i]
         first = _edges(rows, _limits(rows, bodies[i], l, fastest), stops[i], half, margin, rate, back)
         count = first
+        if len(rings) > 0:
+            fast = bodies[i, _FASTEST]
+            first = _solid_rows(rows, first, stops[i], edges, rings[:floors], margin, rate, fast, back)
+            count = _solid_rows(rows, first, stops[i], edges, rings[floors:], margin + between[0], rate, fast, back)
+            whose[first:count] = _OBSTACLE
         for k in range(others):
             j = found[k]
             whose[count] = j
@@ -363,6 +383,9 @@ def _held_by(
     for k in range(first, len(rows)):
         if rows[k, 0] * x + rows[k, 1] * y > rows[k, 2] + _TOLERANCE:
             j, met = whose[k], True
+            if j == _OBSTACLE:
+                stands, idle = True, True
+                continue
             stands |= not asks[j]
             idle |= memory[j, _WAITED] == 0
     return met, stands, idle
@@ -391,9 +414,9 @@ def _limits(rows: Array, body: Array, l: float, speed: float) -> int:
     """Write the rows of the wheels, and of the body's speed: what the robot can do, and may."""
     turn, fastest, count = body[_BASE] / (2.0 * l), body[_WHEEL] * body[_WHEEL_SPEED] * _INSIDE, 0
     for sign in (1.0, -1.0):
-        count = _add(rows, count, sign, sign * turn, fastest)
-        count = _add(rows, count, sign, -sign * turn, fastest)
-        count = _add(rows, count, sign, 0.0, speed * _INSIDE)
+        count = _add_row(rows, count, sign, sign * turn, fastest)
+        count = _add_row(rows, count, sign, -sign * turn, fastest)
+        count = _add_row(rows, count, sign, 0.0, speed * _INSIDE)
     return count
 
 
@@ -402,7 +425,7 @@ def _edges(rows: Array, count: int, stop: Array, half: Array, margin: float, rat
     for out_x, out_y in _WALLS:
         left = abs(out_x) * half[0] + abs(out_y) * half[1] - margin - out_x * stop[0] - out_y * stop[1]
         along, across = out_x * stop[2] + out_y * stop[3], out_x * stop[4] + out_y * stop[5]
-        count = _add(rows, count, along, across, max(rate * left, back))
+        count = _add_row(rows, count, along, across, max(rate * left, back))
     return count
 
 
@@ -421,17 +444,7 @@ def _pair(
     along = towards_x * stop[2] + towards_y * stop[3]
     across = towards_x * stop[4] + towards_y * stop[5]
     coming = max(0.0, -towards_x * pushed[0] - towards_y * pushed[1])
-    return _add(rows, count, along, across, max(rate * (distance - apart) / 2.0 - coming, back))
-
-
-@kernel
-def _add(rows: Array, count: int, along: float, across: float, limit: float) -> int:
-    """Write along v + across (l omega) <= limit, scaled to a normal of size 1."""
-    size = np.hypot(along, across)
-    if size < _TOLERANCE:
-        return count  # nothing that the robot does changes it
-    rows[count, 0], rows[count, 1], rows[count, 2] = along / size, across / size, limit / size
-    return count + 1
+    return _add_row(rows, count, along, across, max(rate * (distance - apart) / 2.0 - coming, back))
 
 
 @kernel

@@ -34,7 +34,7 @@ _SAID = 3  # processes that are named
 
 CAUSED = frozenset({  # what lateness can do to a fleet that drives
     Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.CONTROLLER_SILENT, Event.TICKS_OVERRUN, Event.TRACKER_SILENT,
-    Event.CAMERA_STALLED, Event.BEHAVIOUR_LATE,
+    Event.CAMERA_STALLED, Event.POSES_SILENT, Event.BEHAVIOUR_LATE,
 })  # fmt: skip
 SPOILT = CAUSED | {  # and to its checks: images too old, commands too late, a stroke that lasted too long
     Event.TAG_LOST, Event.LEASE_LOST, Event.GATE_LATCHED, Event.NOT_AT_REST, Event.ESTOP_UNANSWERED,
@@ -182,7 +182,12 @@ def _spoilt(memory: Memory, happening: Happening, now_ns: int) -> bool:
 
 def _gone(memory: Memory, happening: Happening, now_ns: int) -> bool:
     """Return whether the process that an event tells of was not heard for so long that nobody waits for it."""
-    rows = {Event.CONTROLLER_SILENT: CONTROLLER, Event.TRACKER_SILENT: TRACKER, Event.CAMERA_STALLED: TRACKER}
+    rows = {
+        Event.CONTROLLER_SILENT: CONTROLLER,
+        Event.TRACKER_SILENT: TRACKER,
+        Event.CAMERA_STALLED: TRACKER,
+        Event.POSES_SILENT: TRACKER,
+    }
     row = DRIVERS + happening.robot if happening.event is Event.DRIVER_SILENT else rows.get(happening.event)
     if row is None or row >= len(memory.heard):
         return False

@@ -69,6 +69,8 @@ class Event(IntEnum):
     CAMERA_FROZEN = 21
     CAMERA_LOST = 22
     CAMERA_MOVED = 23
+    CAMERA_OUT = 24  # of several: detail is its number
+    POSES_SILENT = 25  # of a source that is no camera, as a motion capture
     # a robot
     WIRED_STOP = 30
     GATE_LATCHED = 31  # safety.gate.Latch
@@ -157,6 +159,8 @@ CAUSES = {
     Event.CAMERA_FROZEN: "the camera froze",
     Event.CAMERA_LOST: "the camera is gone, or is another one",
     Event.CAMERA_MOVED: "the camera moved: calibrate its place again",
+    Event.CAMERA_OUT: "no other camera sees what {camera} saw, which gives no poses",
+    Event.POSES_SILENT: "the source of the poses went silent",
     Event.WIRED_STOP: "the robot's own e-stop",
     Event.GATE_LATCHED: "its gate is latched: look at the robot, then reset",
     Event.STOPPED_AT_GATE: "an emergency stop closed its gate without the supervisor: look at the robots, then reset",
@@ -243,6 +247,8 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.CAMERA_FROZEN:        (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.CAMERA_LOST:          (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.CAMERA_MOVED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
+    Event.CAMERA_OUT:           (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
+    Event.POSES_SILENT:         (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.WIRED_STOP:           (_E,    _E,    _E,    _E,    _E,    _SAME),
     Event.GATE_LATCHED:         (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.STOPPED_AT_GATE:      (_SAME, _E,    _E,    _E,    _E,    _SAME),
@@ -308,14 +314,15 @@ for _cell in _IMPOSSIBLE:
 
 
 class Roster(tuple[str, ...]):
-    """Ids of the robots in the order of their numbers, and of which group each one is."""
+    """Ids of the robots in the order of their numbers, of which group each one is, and the names of the cameras."""
 
     _groups: tuple[str, ...]
+    cameras: tuple[str, ...]
 
-    def __new__(cls, robots: Iterable[str], groups: Iterable[str]) -> Self:
+    def __new__(cls, robots: Iterable[str], groups: Iterable[str], cameras: Iterable[str] = ()) -> Self:
         """Keep them; ``groups``: of each robot, empty for one in no group."""
         made = super().__new__(cls, robots)
-        made._groups = tuple(groups)
+        made._groups, made.cameras = tuple(groups), tuple(cameras)
         return made
 
     def group_of(self, robot: int) -> str:
@@ -352,7 +359,9 @@ def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     group = "the behaviour of its group"
     if isinstance(robots, Roster) and robot < len(robots):
         group += f" {robots.group_of(robot)}"
-    cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other, group=group)
+    cameras = robots.cameras if isinstance(robots, Roster) else ()
+    camera = f"the camera {cameras[int(detail)]}" if 0 <= detail < len(cameras) else "a camera"
+    cause = CAUSES[event].format(detail=detail, percent=100 * detail, other=other, group=group, camera=camera)
     return f"{robots[robot]}: {cause}" if robot < len(robots) else cause
 
 

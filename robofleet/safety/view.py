@@ -69,6 +69,7 @@ class FleetView(NamedTuple):
     tracker_build: int = 0
     image: int = 0  # its number
     image_tick: int = 0  # the newest tick that the tracker knew at its exposure
+    cameras_out: tuple[Happening, ...] = ()  # of several: why some give no poses, detail their numbers; not all
     news: tuple[Happening, ...] = ()  # of the tracker, since the last view
     operator_ns: int = NEVER  # newest sign of the operator's life
     free_bytes: int = 1 << 40  # where the run is recorded

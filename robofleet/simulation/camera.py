@@ -64,10 +64,12 @@ class SceneRenderer:
         prints: Sequence[Print] = (),
         offsets: Array | None = None,
         light: float = 1.0,
+        obstacles: Sequence[Array] = (),
     ) -> None:
         """Take the image's (width, height), the tags on the N robots, all of one side, and those that lie still.
 
-        offsets (N, 3): forward, left [m], turn [rad] of the tags on their robots. light: of full light.
+        offsets (N, 3): forward, left [m], turn [rad] of the tags on their robots. light: as ``expose`` takes it.
+        obstacles (K, 2) each: outlines on the floor [m].
         """
         self._size, self._robots, self._prints, self._shutter = image_size, tuple(robots), tuple(prints), tuple(shutter)
         self._offsets = np.zeros((len(robots), 3)) if offsets is None else offsets
@@ -75,15 +77,17 @@ class SceneRenderer:
         self._height = max(target.height for target in robots)
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
-        self._gain = np.float32(light) * _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
-        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._side, BLUR_PX, rng)
+        self._even = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
+        self._gain = np.float32(light) * self._even
+        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._side, BLUR_PX, rng, obstacles)
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
-        self._bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
+        self._quiet_bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
+        self._quiet_offset, self._bank = self._offset, self._quiet_bank
         self._images = np.empty((_IMAGES, height, width), np.uint8)
         # Of each image, what is renewed when it is drawn again: robots, prints, and a strip.
         self._boxes = np.zeros((_IMAGES, len(robots) + len(prints) + 1, 4), np.int64)
-        self._rendered = 0
+        self._rendered, self._noise = 0, 1.0
         self._heights = np.array([target.height for target in robots])
         looks = [cells(target.tag, target.family) for target in robots]
         self._looks = np.stack([*looks, np.zeros_like(looks[0])])
@@ -100,11 +104,32 @@ class SceneRenderer:
         near = np.maximum(*np.moveaxis(np.abs(plane - geometry.position[:2]), 2, 0)) < WIDEST * geometry.position[2]
         self._blurs = BLUR_PX * _scales(plane, near)
         self._further = self._further_by(self._heights)
-        ground = self._floor.grays(plane + (plane - geometry.position[:2]) * self._further_by(np.zeros(1))[0, 0])
-        self._ground = np.rint(ground * self._gain).astype(np.uint8)
+        self._floor_grays = self._floor.grays(
+            plane + (plane - geometry.position[:2]) * self._further_by(np.zeros(1))[0, 0]
+        )
+        self._light_ground()
+
+    def expose(self, exposure_s: float, light: float, noise: float) -> None:
+        """Draw exposures of another length from now on, with ``light`` times the greys of full light, and with
+        ``noise`` times the noise: what gain makes of both."""
+        self._shutter = (exposure_s, self._shutter[1])
+        gain = np.float32(light) * self._even
+        if noise != self._noise:
+            self._noise = noise
+            self._offset = min(math.ceil(self._quiet_offset * noise), 127)
+            bank = np.rint((self._quiet_bank.astype(np.float32) - self._quiet_offset) * noise) + self._offset
+            self._bank = np.clip(bank, 0, 2 * self._offset).astype(np.uint8)
+        elif np.array_equal(gain, self._gain):
+            return
+        self._gain = gain
+        self._light_ground()
+
+    def _light_ground(self) -> None:
+        """Draw what lies still, in the present light."""
+        self._ground = np.minimum(np.rint(self._floor_grays * self._gain), 255).astype(np.uint8)
         self._boxes[:] = 0
         quiet = np.full_like(self._ground, self._offset)
-        for k, ((tag, side, tag_height, _, family), x, y, psi) in enumerate(self._prints):
+        for k, ((tag, side, tag_height, _, family, _), x, y, psi) in enumerate(self._prints):
             lying, height = np.array([[x, y, psi]]), np.array([tag_height])
             still, further = np.zeros((1, 3)), self._further_by(height)
             boxes = self._boxes[0, len(self._robots) + k :][:1]

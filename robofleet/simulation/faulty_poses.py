@@ -10,7 +10,7 @@ from robofleet.comms.messages import TagPose
 from robofleet.config.tree import Config
 from robofleet.simulation.faults import Injection, Schedule, struck
 from robofleet.tracking.events import News, Notice, TrackerEvent
-from robofleet.tracking.sources import Feed, Frame, Lost, Observation, PoseSource
+from robofleet.tracking.sources import Exposure, ExposureLimits, Feed, Frame, Lost, Observation, PoseSource
 from robofleet.tracking.watch import CameraWatch
 
 _APART_M = 0.5  # of a tag's two prints
@@ -39,9 +39,17 @@ class FaultyFeed:
             return None
         frozen = struck(self._frozen, at_ns)
         if frozen and self._last is not None:
-            return Frame(self._last.image, taken.exposure_ns)
+            return taken._replace(image=self._last.image)
         self._last = taken
         return taken
+
+    def exposure_limits(self) -> ExposureLimits | None:
+        """Return what the camera can be set to."""
+        return self._feed.exposure_limits()
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Change how the camera exposes."""
+        self._feed.adjust(exposure)
 
     def close(self) -> None:
         """Let go of the camera."""
@@ -82,7 +90,8 @@ class FaultyPoses:
     """A source whose poses are missing, wrong or late."""
 
     def __init__(self, source: PoseSource, schedule: Schedule, config: Config) -> None:
-        self._source = source if config.tracker.source == "camera" else _WatchedTruth(source, schedule, config)
+        self._source = _WatchedTruth(source, schedule, config) if config.tracker.source == "truth" else source
+        self._silent = schedule.of("camera_stalled") if config.tracker.own_times else ()
         self._now_ns = schedule.now_ns
         self._tags = {robot.id: robot.tag for robot in config.robots}
         self._rng = schedule.rng("poses")
@@ -100,6 +109,8 @@ class FaultyPoses:
     def observe(self, now_ns: int) -> Observation | None:
         """Return the observation that is ready, or None."""
         observation, at_ns = self._source.observe(now_ns), self._now_ns()
+        if struck(self._silent, at_ns):
+            observation = None
         if observation is not None:
             for injection in self._faults:
                 if injection.strike(at_ns):

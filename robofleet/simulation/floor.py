@@ -1,6 +1,7 @@
 """What lies in the arena: a cluttered floor, and the looks of printed tags."""
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory
+_OBSTACLE, _OBSTACLE_EDGE = 105, 75  # greys
 _CELLS = 8  # along a print that is no tag
 _PIXEL_M = 0.002  # side of a pixel of the drawn floor
 WIDEST = 2.0  # that the floor is drawn out to [camera's heights]; its rim goes on for ever
@@ -20,8 +22,12 @@ _AROUND_M = 0.3  # drawn beyond what is in view: a camera may be knocked
 class Floor:
     """Wood, scraps, tape, cables and prints that look like tags, over what a camera sees."""
 
-    def __init__(self, seen: Array, eye: Array, side: float, blur_px: float, rng: np.random.Generator) -> None:
-        """Take the points (..., 2) [m] that are seen, from ``eye`` (3,), and the side of the prints [m]."""
+    def __init__(
+        self, seen: Array, eye: Array, side: float, blur_px: float, rng: np.random.Generator,
+        obstacles: Sequence[Array] = (),
+    ) -> None:  # fmt: skip
+        """Take the points (..., 2) [m] that are seen, from ``eye`` (3,), the side of the prints [m], and the outlines
+        (K, 2) [m] of what stands on the floor: it hides nothing but floor."""
         seen = np.clip(seen.reshape(-1, 2), eye[:2] - WIDEST * eye[2], eye[:2] + WIDEST * eye[2])
         self._low = seen.min(0) - _AROUND_M
         w, h = np.ceil((seen.max(0) + _AROUND_M - self._low) / _PIXEL_M).astype(int) + 1
@@ -42,6 +48,10 @@ class Floor:
             cells = np.zeros((_CELLS, _CELLS), np.uint8)
             cells[1:-1, 1:-1] = rng.integers(0, 2, (_CELLS - 2, _CELLS - 2))
             _paste(floor, 30 + 180 * np.pad(cells, 1, constant_values=1), side, rng)
+        for outline in obstacles:
+            corners = np.rint((outline - self._low) / _PIXEL_M).astype(np.int32)
+            cv2.fillPoly(floor, [corners], _OBSTACLE, cv2.LINE_AA)
+            cv2.polylines(floor, [corners], True, _OBSTACLE_EDGE, 3, cv2.LINE_AA)
         self._grays = np.asarray(cv2.GaussianBlur(floor, (0, 0), blur_px * 1.5), np.uint8)  # a pixel is about 1.5
 
     def grays(self, points: Array) -> Array:

@@ -6,18 +6,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.config import obstacles
 from robofleet.config.calibrated import FloorTag, TagOffset
-from robofleet.config.camera import Cover, Knock, Outage
+from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSettings
 from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target, robot_targets
 
 _SLOW_STEPS = 20  # in which a slow knock is done
+_LIGHT_STEP = 0.02  # by which daylight changes, at least
 
 
 def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
-    """Return what draws the configuration's robots, floor tags and posters."""
+    """Return what draws the configuration's robots, floor tags, posters and obstacles."""
     camera, simulated = config.camera, config.camera.simulated
     lying = [*config.tracker.floor_tags, *simulated.posters]
     true = {offset.robot: offset for offset in simulated.tag_offsets}
@@ -32,8 +34,16 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
         shutter=Shutter(camera.exposure_s, camera.model.line_time_s),
         prints=[_print(tag, config.tracker.family) for tag in lying],
         offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in offsets]),
-        light=simulated.light,
+        light=light_at(simulated, 0.0),
+        obstacles=[solid.outline for solid in obstacles.standing(config.arena)],
     )
+
+
+def light_at(settings: SimulatedCameraSettings, t: float) -> float:
+    """Return the share of full light at a time."""
+    if not settings.daylight:
+        return settings.light
+    return float(np.interp(t, *np.array([(then.at_s, then.light) for then in settings.daylight]).T))
 
 
 class ScenePlay:
@@ -43,7 +53,15 @@ class ScenePlay:
         self._settings = config.camera.simulated
         self._rows = {robot.id: row for row, robot in enumerate(config.seen)}
         self._calibrated = CameraGeometry.from_model(config.camera.model)
+        self._light = light_at(self._settings, 0.0)
         self._progress = [0.0] * len(self._settings.knocks)
+
+    def light(self, t: float) -> float:
+        """Return the share of full light; daylight changes in small steps."""
+        now = light_at(self._settings, t)
+        if abs(now - self._light) > _LIGHT_STEP * self._light:
+            self._light = now
+        return self._light
 
     def looks(self, t: float) -> NDArray[np.int64]:
         """Return (N,) whose tag each robot carries; N for plain paper."""

@@ -1,7 +1,7 @@
 """Where poses come from when there is no laboratory: a rendered camera, or the truth with errors added."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,18 +10,21 @@ from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Stream
 from robofleet.comms.keys import TRUTH, key
 from robofleet.comms.messages import UNIT_TRUTH, TagPose
+from robofleet.config.faults import Complaint
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.simulation.arena import NOBODY, TruthHistory
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.simulation.trigger import Ticks, Trigger
-from robofleet.tracking.sources import CameraContext, Frame, Observation
+from robofleet.tracking.exposure import nothing_left
+from robofleet.tracking.sources import CameraContext, Exposure, ExposureLimits, Frame, Observation
 
 Array = NDArray[np.float64]
 
 _HISTORY = 32  # true samples a robot, 10 ms apart
 _POLL_NS = S // 1000
+_LIMITS = ExposureLimits(Exposure(1e-5, 0.0), Exposure(1.0, 24.0), Exposure(1e-5, 0.1), 1.0)
 _BEYOND = 1e9  # any arena [m], any heading [rad]: a pose that is not a number is sent as one that is further away
 
 
@@ -72,13 +75,19 @@ class SimulatedCamera:
         self._trigger = Trigger(config, context.ticks, context.clock)
         self._line_ns, self._middle = camera.model.line_time_s * S, (camera.height - 1) / 2
         half_ns = self._line_ns * self._middle  # from the first row to the middle one, and on to the last
-        readout_ns = max(camera.readout_s * S - half_ns, half_ns)  # no image before its last row was exposed
-        self._after_ns = round(camera.exposure_s / 2 * S + readout_ns) + context.extra_delay_ns
-        self._half_ns = max(MS, round(camera.exposure_s * S / 2))
+        self._readout_ns = max(camera.readout_s * S - half_ns, half_ns)  # no image before its last row was exposed
+        self._extra_ns, self._full_s = context.extra_delay_ns, camera.exposure_s
+        self._exposure = self._asked = Exposure(camera.exposure_s, 0.0)  # of the next image, and of those after it
         self._play = ScenePlay(config)
         self._renderer = scene_renderer(config, context.rng)
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
         self._image: NDArray[np.uint8] | None = None
+
+    @staticmethod
+    def refusals(config: Config) -> Iterator[Complaint]:
+        """Return what cannot work with this configuration."""
+        if config.camera.adjusts_exposure:
+            yield from nothing_left(config, _LIMITS)
 
     def ready_ns(self) -> int | None:
         """Return when the next image will be read out; None while its trigger has not come.
@@ -89,7 +98,7 @@ class SimulatedCamera:
         while exposure_ns is not None and (stalled_s := self._play.stalled_for(self._since_start(exposure_ns))):
             self._trigger.fire(exposure_ns + round(stalled_s * S))
             exposure_ns = self._trigger.next_ns()
-        return None if exposure_ns is None else exposure_ns + self._after_ns
+        return None if exposure_ns is None else exposure_ns + self._after_ns()
 
     def read(self) -> Frame:
         """Wait for the next image, and render it."""
@@ -97,33 +106,50 @@ class SimulatedCamera:
             self._ticks.update()
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
         self._clock.sleep_until(ready_ns)
-        exposure_ns = ready_ns - self._after_ns
+        exposure_ns = ready_ns - self._after_ns()
         self._trigger.fire(self._clock.now_ns())
         self._world.update()
+        exposure, self._exposure = self._exposure, self._asked
         t = self._since_start(exposure_ns)
         if self._image is None or not self._play.frozen(t):
-            self._image = self._picture(exposure_ns, t)
-        return Frame(self._image, exposure_ns)
+            self._image = self._picture(exposure_ns, t, exposure)
+        return Frame(self._image, exposure_ns, exposure)
+
+    def exposure_limits(self) -> ExposureLimits:
+        """Return what it can be set to. Its gain is in decibels."""
+        return _LIMITS
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Expose so from the image after the next one, which may have begun. Mid-exposures stay where they are."""
+        self._asked = exposure
 
     def close(self) -> None:
         """Nothing to let go of."""
+
+    def _after_ns(self) -> int:
+        """Return the time from the next image's mid-exposure until it is there."""
+        return round(self._exposure.time_s / 2 * S + self._readout_ns) + self._extra_ns
 
     def _since_start(self, exposure_ns: int) -> float:
         """Return seconds since the run began; 0 before."""
         began_ns = self._ticks.began_ns
         return max(0.0, (exposure_ns - began_ns) / S) if began_ns else 0.0
 
-    def _picture(self, exposure_ns: int, t: float) -> NDArray[np.uint8]:
+    def _picture(self, exposure_ns: int, t: float, exposure: Exposure) -> NDArray[np.uint8]:
+        gain = 10.0 ** (exposure.gain / 20.0)
+        light = self._play.light(t) * gain * exposure.time_s / self._full_s
+        self._renderer.expose(exposure.time_s, light, gain)
+        half_ns = max(MS, round(exposure.time_s * S / 2))
         geometry = self._play.camera(t)
         if geometry is not None:
             self._renderer.moved(geometry)
         self._renderer.looks = self._play.looks(t)
         instants_ns = np.full(len(self._world.tags), exposure_ns)
-        poses, velocities = self._world.moving(instants_ns, self._half_ns)
+        poses, velocities = self._world.moving(instants_ns, half_ns)
         if self._line_ns:
             rows = np.nan_to_num(self._renderer.rows(poses), nan=self._middle)
             instants_ns += np.rint((rows - self._middle) * self._line_ns).astype(np.int64)
-            poses, velocities = self._world.moving(instants_ns, self._half_ns)
+            poses, velocities = self._world.moving(instants_ns, half_ns)
         image = self._renderer.render(poses, velocities)
         if self._effects:
             image = image.copy()

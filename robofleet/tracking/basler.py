@@ -15,9 +15,20 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
-from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns, unmeasured
+from robofleet.tracking.sources import (
+    CameraContext,
+    CameraError,
+    Exposure,
+    ExposureChange,
+    ExposureLimits,
+    Frame,
+    start_to_middle_ns,
+    unmeasured,
+)
 
 _NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"
+_TIMES, _GAINS = ("ExposureTime", "ExposureTimeAbs"), ("Gain", "GainRaw")  # of new and of old models
+_GAIN_DB = 24.0  # that the range of GainRaw is taken for
 _TIMEOUT_MS = 500  # of one wait for an image: then it is asked whether the camera is still there
 _WINDOW = 64  # images; the least delayed one of them tells
 _POLL_NS = 1 * MS
@@ -36,7 +47,8 @@ class BaslerCamera:
         camera = context.config.camera
         device = _found(pylon, camera.basler.serial)
         self.identity = _name(device)
-        self._from_arrival_ns = start_to_middle_ns(camera) - round((camera.exposure_s + camera.readout_s) * S)
+        self._settings, self._genicam = camera, genicam
+        self._exposing = ExposureChange(Exposure(camera.exposure_s, camera.basler.gain))
         try:
             self._camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(device))
             self._camera.Open()
@@ -59,20 +71,65 @@ class BaslerCamera:
         """Return what cannot work with this configuration on this machine."""
         if not _installed():
             yield "camera.source", _NO_PYPYLON
+        if config.camera.triggered_by_line and config.camera.adjusts_exposure:
+            where = f"camera.basler.trigger_source is {config.camera.basler.trigger_source}"
+            yield "camera.exposure_control", f"{where}, which cannot move with the exposure: set it to fixed"
         yield from unmeasured(config)
 
     def read(self) -> Frame:
         """Return the next image; one that did not arrive whole is passed over."""
         while True:
+            self._take_over()
             if self._trigger is not None and self._trigger.wait(self._camera.IsGrabbing):
                 self._camera.TriggerSoftware.Execute()
             with self._camera.RetrieveResult(_TIMEOUT_MS, self._pylon.TimeoutHandling_Return) as result:
                 arrival_ns = self._clock.now_ns()
                 if result.IsValid() and result.GrabSucceeded():
-                    arrival_ns = self._stamps.arrival(result.TimeStamp, arrival_ns)
-                    return Frame(result.Array, arrival_ns + self._from_arrival_ns)
+                    return self._frame(result, arrival_ns)
             if self._camera.IsCameraDeviceRemoved() or not self._camera.IsGrabbing():
                 raise CameraError(f"{self.identity} gives no images any more: is it plugged in?")
+
+    def exposure_limits(self) -> ExposureLimits:
+        """Return what the camera can be set to; GainRaw's decibels are assumed."""
+        times, gains = self._node(*_TIMES), self._node(*_GAINS)
+        gain_db = 1.0 if gains.Node.Name == _GAINS[0] else _GAIN_DB / max(gains.Max - gains.Min, 1)
+        return ExposureLimits(
+            Exposure(times.Min * 1e-6, gains.Min), Exposure(times.Max * 1e-6, gains.Max),
+            Exposure(_step(times) * 1e-6, _step(gains)), gain_db,
+        )  # fmt: skip
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Expose so from the next image that has not begun."""
+        self._exposing.ask(exposure)
+
+    def _take_over(self) -> None:
+        """Set what was asked for, and note what the camera made of it; the trigger moves by half the change."""
+        asked = self._exposing.take()
+        if asked is None:
+            return
+        times, gains = self._node(*_TIMES), self._node(*_GAINS)
+        times.Value = type(times.Value)(asked.time_s * 1e6)
+        gains.Value = type(gains.Value)(asked.gain)
+        has = Exposure(times.Value * 1e-6, float(gains.Value))
+        if self._trigger is None:
+            self._exposing.done(has, self._clock.now_ns())
+        else:  # the next image is triggered after this
+            self._exposing.done(has, 0)
+            self._trigger.exposure_s = has.time_s
+
+    def _node(self, *names: str) -> Any:
+        """Return the first of these nodes that the camera has."""
+        nodes = (self._camera.GetNodeMap().GetNode(name) for name in names)
+        return next(node for node in nodes if self._genicam.IsWritable(node))
+
+    def _frame(self, result: Any, arrival_ns: int) -> Frame:
+        """Return an image. A camera stamps when its exposure begins, so the clock must not see how long that takes."""
+        readout_ns = round(self._settings.readout_s * S)
+        exposed_ns = round(self._exposing.newest.time_s * S)
+        exposure = self._exposing.of(arrival_ns - readout_ns - exposed_ns)
+        exposed_ns = round(exposure.time_s * S)
+        began_ns = self._stamps.arrival(result.TimeStamp, arrival_ns - readout_ns - exposed_ns)
+        return Frame(result.Array, began_ns + start_to_middle_ns(self._settings, exposure.time_s), exposure)
 
     def close(self) -> None:
         """Stop the camera and close it."""
@@ -107,6 +164,11 @@ def _name(device: Any) -> str:
     return f"{device.GetModelName()} {device.GetSerialNumber()}"
 
 
+def _step(node: Any) -> float:
+    """Return a node's increment; 0 where it has none, as some floats have not."""
+    return float(node.Inc) if not hasattr(node, "HasInc") or node.HasInc() else 0.0
+
+
 class DeviceClock:
     """Puts a camera's stamps on this host's clock, by the image that came with the least delay of late."""
 
@@ -137,7 +199,8 @@ class SoftwareTrigger:
         """Follow ticks that another thread updates."""
         self._ticks, self._clock = ticks, clock
         before_s = config.controller.tick_s - config.camera.trigger_lead_s
-        self._after_tick_ns = round(before_s * S) - start_to_middle_ns(config.camera)
+        self._before_ns, self._camera = round(before_s * S), config.camera
+        self.exposure_s = config.camera.exposure_s  # of the next image
         self._triggered = ticks.newest
 
     def wait(self, running: Any) -> bool:
@@ -146,7 +209,7 @@ class SoftwareTrigger:
             tick = self._ticks.newest
             if tick != self._triggered:
                 self._triggered = tick
-                at_ns = self._ticks.instant(tick) + self._after_tick_ns
+                at_ns = self._ticks.instant(tick) + self._before_ns - start_to_middle_ns(self._camera, self.exposure_s)
                 if self._clock.now_ns() <= at_ns + _TOO_LATE_NS:
                     self._clock.sleep_until(at_ns)
                     return True
@@ -168,8 +231,8 @@ class _Settings:
             self._put(f"camera.{size.lower()}", pixels, size)
         for name in ("ExposureAuto", "GainAuto"):
             self._put_if_there("Off", name)
-        self._put("camera.exposure_s", camera.exposure_s * 1e6, "ExposureTime", "ExposureTimeAbs")
-        self._put("camera.basler.gain", camera.basler.gain, "Gain", "GainRaw")
+        self._put("camera.exposure_s", camera.exposure_s * 1e6, *_TIMES)
+        self._put("camera.basler.gain", camera.basler.gain, *_GAINS)
         self._put_if_there("FrameStart", "TriggerSelector")
         if camera.trigger == "tick":
             self._put("camera.basler.trigger_source", camera.basler.trigger_source, "TriggerSource")

@@ -18,6 +18,7 @@ Lens = Literal["pinhole", "fisheye"]
 
 # A step of the fixed-point iteration shrinks its error by about the distortion: 40 reach rounding.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
+_SAME_M = 0.01
 
 
 class CameraGeometry:
@@ -60,6 +61,18 @@ class CameraGeometry:
         points = points_world.reshape(-1, 1, 3)
         pixels, _ = project(points, self._rotation, self._translation, self.K, self.distortion)
         return np.asarray(pixels, np.float64).reshape(-1, 2)
+
+    def sees(self, points_world: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
+        """Return which points (N, 3) [m; world] appear in an image of a size (width, height) [px].
+
+        Far outside its image a lens's coefficients mean nothing, and may bring a pixel back into it.
+        """
+        pixels = self.project(points_world)
+        inside: NDArray[np.bool_] = np.all(np.abs(pixels / (np.array(size) - 1.0) - 0.5) <= 0.5, axis=1)
+        if inside.any():
+            back = self.to_plane(pixels[inside], points_world[inside, 2])
+            inside[inside] = np.abs(back - points_world[inside, :2]).max(axis=1) < _SAME_M
+        return inside
 
     def to_plane(self, pixels: Array, height_m: float | Array) -> Array:
         """Return x, y (N, 2) [m; world] where the rays of pixels (N, 2) meet z = height_m, one for all or (N,)."""

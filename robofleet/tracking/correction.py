@@ -14,6 +14,8 @@ from robofleet.kernels import kernel
 Array = NDArray[np.float64]
 
 _MOST_EFFICIENT = 2.0
+_LEAST_VARIANCE = 1e-14  # of a measurement [m^2, rad^2]: a tenth of a micrometre
+_LEAST_SHARE = 1e-6  # of a coordinate's variance that the others leave
 
 
 @kernel
@@ -24,13 +26,45 @@ def copy(to: Array, source: Array) -> None:
 
 
 @kernel
-def start_anew(x: Array, p: Array, measured: Array, variance: Array, wander: Array) -> None:
-    """Believe a measurement alone, and every wheel again."""
+def covariance_of(measured: Array, variance: Array, r: Array) -> None:
+    """Write R (3, 3) of a measurement (9,): as it says itself; without that, ``variance`` (3,) of x, y and psi."""
+    xx, xy, yy, x_psi, y_psi, psi_psi = (
+        measured[3], measured[4], measured[5], measured[6], measured[7], measured[8],
+    )  # fmt: skip
+    if not psi_psi > 0.0:
+        xx, xy, yy, x_psi, y_psi, psi_psi = variance[0], 0.0, variance[1], 0.0, 0.0, variance[2]
+    r[0, 0], r[1, 1], r[2, 2] = max(xx, _LEAST_VARIANCE), max(yy, _LEAST_VARIANCE), max(psi_psi, _LEAST_VARIANCE)
+    r[0, 1] = r[1, 0] = xy
+    r[0, 2] = r[2, 0] = x_psi
+    r[1, 2] = r[2, 1] = y_psi
+
+
+@kernel
+def whitening(r: Array, w: Array) -> None:
+    """Write the lower triangle W (3, 3) with W R W' = 1: of a measurement times W the parts are independent."""
+    for i in range(3):
+        for j in range(i + 1):
+            total = r[i, j]
+            for k in range(j):
+                total -= w[i, k] * w[j, k]
+            w[i, j] = math.sqrt(max(total, _LEAST_SHARE * r[i, i])) if i == j else total / w[j, j]
+    for i in range(3):
+        w[i, i] = 1.0 / w[i, i]
+        for j in range(i):
+            total = 0.0
+            for k in range(j, i):
+                total -= w[i, k] * w[k, j]
+            w[i, j] = total * w[i, i]
+
+
+@kernel
+def start_anew(x: Array, p: Array, measured: Array, r: Array, wander: Array) -> None:
+    """Believe a measurement with covariance R (3, 3) alone, and every wheel again."""
     for i in range(len(x)):
         for j in range(len(x)):
-            p[i, j] = 0.0
+            p[i, j] = r[i, j] if i < 3 and j < 3 else 0.0
     for k in range(3):
-        x[k], p[k, k] = measured[k], variance[k]
+        x[k] = measured[k]
     for k in range(3, 5):
         x[k] = 1.0
         p[k, k] = wander[0]
@@ -87,28 +121,34 @@ def held_up(p: Array, moved: Array, wide: Array) -> Array:
 
 
 @kernel
-def correct(x: Array, p: Array, prior: Array, innovation: Array, variance: Array, gate: float, room: Array) -> bool:
+def correct(x: Array, p: Array, prior: Array, innovation: Array, w: Array, gate: float, room: Array) -> bool:
     """Correct state and covariance ``p``, with ``prior`` in its place, unless the innovation is beyond the gate.
 
-    The three coordinates are independent measurements: they correct one after the other. ``room``: (7, 5).
+    Times W (3, 3) of ``whitening``, the three coordinates are independent: they correct one after the other. ``room``:
+    (8, 5).
     """
     n = len(x)
-    change, gain, trial = room[0], room[1], room[2:]
+    change, gain, shared, trial = room[0], room[1], room[2], room[3:]
     for i in range(n):
         change[i] = 0.0
         copy(trial[i], prior[i])
     distance = 0.0
     for k in range(3):
-        s = trial[k, k] + variance[k]
-        residual = innovation[k] - change[k]
+        s, residual = 1.0, 0.0
+        for i in range(n):
+            shared[i] = 0.0
+            for j in range(k + 1):
+                shared[i] += w[k, j] * trial[j, i]
+        for j in range(k + 1):
+            s += w[k, j] * shared[j]
+            residual += w[k, j] * (innovation[j] - change[j])
         distance += residual * residual / s
         for i in range(n):
-            gain[i] = trial[i, k] / s
+            gain[i] = shared[i] / s
             change[i] += gain[i] * residual
         for j in range(n):
-            shared = trial[k, j]
             for i in range(n):
-                trial[i, j] -= gain[i] * shared
+                trial[i, j] -= gain[i] * shared[j]
     if distance > gate:
         return False
     for i in range(n):

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.settings import FAMILIES, Family
-from robofleet.tracking.photometric import PhotometricFit, pattern, side_px
-from robofleet.tracking.tags import CORNERS, Findings, Found, Region, Squares
+from robofleet.tracking.photometric import Found, PhotometricFit, pattern, side_px
+from robofleet.tracking.tags import CORNERS, Findings, Region, Squares
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -111,7 +111,7 @@ class DeepSearch:
         """
         whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
         if whole.alike[0] > _ALIKE:
-            return Found(target, complex(whole.centre[0]), float(whole.psi[0]))
+            return whole.found(0, target)
         for may_be_wrong in (_ROUGHLY, _AT_LAST):
             cells = self._cells(image, target, centre, psi)
             if cells is None:
@@ -119,7 +119,8 @@ class DeepSearch:
             cover, wrong = self._cover(cells, target)
             if wrong > may_be_wrong or not cover.any():
                 return None
-            fit = self._fit.fit_partly(image, target, cover[1:-1, 1:-1], centre, psi)
+            guess = np.array([target]), np.array([centre]), np.array([psi])
+            fit = self._fit.fit(image, *guess, hidden=cover[1:-1, 1:-1])
             if fit.alike[0] <= _ALIKE:
                 return None
             centre, psi = complex(fit.centre[0]), float(fit.psi[0])
@@ -127,7 +128,7 @@ class DeepSearch:
                 self._hides(cells, cover) and (followed or not self._is_like_another(cells, target, wrong))
             ):
                 return None
-        return Found(target, centre, psi)
+        return fit.found(0, target)
 
     # Squares
 

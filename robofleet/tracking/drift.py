@@ -1,11 +1,13 @@
 """Notices that the camera is no longer where it was calibrated, by tags that lie on the floor, and corrects it.
 
 A camera that turned, shifted or stretched a little since shows every landmark a little off, each by its row of a
-sensitivity matrix times six small numbers: the rotation about the optical centre, its shift over the floor, and the
-logarithm of the focal length. A Kalman filter follows them. Height above the floor is not among them: from landmarks of
-one height it looks like focal length, and taking 1 mm at 2.5 m for that leaves 0.04 mm at a robot's tag. A tilt and a
-shift differ by how the corners of the arena move: three landmarks far apart tell one from the other. Two do not; then a
-tilt is believed, for mounts turn more than they shift, and up to half of what was a shift remains in the far corners.
+sensitivity matrix times six small numbers (``camera_motion.py``). A Kalman filter follows them: what remains from image
+to image (drift), and what each image has of its own (vibration), of zero mean and with variances that are learnt: of a
+camera at rest they shrink, and its images are not corrected by their noise. Height above the floor is not among the
+six: from landmarks of one height it looks like focal length, and taking 1 mm at 2.5 m for that leaves 0.04 mm at a
+robot's tag. A tilt and a shift differ by how the corners of the arena move: three landmarks far apart tell one from the
+other. Two do not; then a tilt is believed, for mounts turn more than they shift, and up to half of what was a shift
+remains in the far corners.
 
 What the landmarks were off at the beginning is the survey's, not the camera's: each landmark's own is learnt and
 subtracted, if the survey's tolerance explains it. Landmarks that a camera cannot explain moved themselves.
@@ -16,11 +18,11 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
 from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.tracker import TagSighting
 
@@ -30,6 +32,11 @@ Flags = NDArray[np.bool_]
 # Covariances of the camera: rotation [rad] about world x, y, z, shift along x, y [m], log focal length.
 _WANDER = np.diag([1.5e-6, 1.5e-6, 1.5e-6, 1e-6, 1e-6, 1e-6]) ** 2  # from image to image, by warming: 5 mm/min
 _KNOCK = np.diag([5e-3, 5e-3, 5e-3, 2e-3, 2e-3, 3e-4]) ** 2  # by a knock
+# Variances of an image's own part: the least, and what a first surprise makes of it.
+_REST = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 3e-7]) ** 2
+_SHAKEN = np.array([1e-4, 1e-4, 1e-4, 4e-5, 4e-5, 6e-6]) ** 2
+_SHAKEN_MORE = 4.0  # a surprise raises them by so much at most
+_VIBRATION_GAIN = 0.1
 # Standard deviations of a landmark's x, y [m], psi [rad].
 _SURVEY = np.array([5e-4, 5e-4, math.radians(1.0)])
 _NOISE = np.array([1e-4, 1e-4, 3e-3])  # of a sighting, supposed until it is known
@@ -39,7 +46,8 @@ _NOISE_GAIN = 0.05
 _MEDIAN = 0.6745 * math.sqrt(2.0)  # of the magnitude of the difference of two sightings [standard deviations of one]
 
 _GATE, _SURVEY_GATE = 6.0**2, 4.0**2  # squared distance from which a landmark disagrees
-_LEARNT = 20  # sightings, of a landmark's own offset
+_LEARNT = 20  # sightings, of a landmark's own offset, and more if the camera shakes
+_LEAST_FREE = 0.2  # share of a sighting's variance that its image's camera must leave to tell its noise
 _CALM = 2  # images in agreement, after which a knock is over
 _LOST = 30  # images in a row that do not agree, after which the camera is given up
 _FAR_OFF = 3  # the same, if the landmarks are out of bounds
@@ -47,10 +55,9 @@ _OFF = 10  # images, of a landmark that moved itself
 _BACK = 30  # images until it is believed again
 _STALE = 5e-5  # change of a landmark's place that is worth a new geometry [m]
 _SAID = 1e-3  # change worth telling [m]
-_TOLERATED = 2e-3  # error up to which poses are good while a knock goes on [m]
+_TOLERATED = 4e-3  # error up to which an image is believed to show what a knock did [m]
 _BOUND = 0.02  # of the camera's height: largest correction on the floor, 50 mm of 2.5 m, or about a degree
-_ARM = 0.01  # of the cross that stands for a tag's heading [m]
-_ONE = np.eye(6)
+_ONE, _NOTHING = np.eye(6), np.zeros((6, 6))
 
 
 class Landmark(NamedTuple):
@@ -66,10 +73,10 @@ class Landmark(NamedTuple):
 class DriftMonitor:
     """Compares where landmarks are seen with where they lie.
 
-    ``trusted``: poses may be used. Not while a knock of more than 2 mm goes on, and not when the camera is further out
-    than is corrected; it can come back. One landmark alone tells that something moved, not what. Two correct a knock,
-    three follow a drift; four in the arena's corners place a robot to better than a tenth of a millimetre, relative to
-    the calibration.
+    ``geometry``: where the camera hangs; by it the next image's landmarks are to be placed. ``trusted``: poses may be
+    used. Not while a knock of more than 4 mm goes on, and not when the camera is further out than is corrected; it can
+    come back. One landmark alone tells that something moved, not what. Two correct a knock, three follow a drift; four
+    in the arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
     """
 
     def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
@@ -80,10 +87,14 @@ class DriftMonitor:
         self._rows = {landmark.tag: row for row, landmark in enumerate(landmarks)}
         self._tags = [landmark.tag for landmark in landmarks]
         self._survey, self._points = table[:, 1:4].copy(), table[:, [1, 2, 4]].copy()
-        self._calibrated = self._geometry = geometry
-        self._sensitivity = _sensitivity(geometry, self._points)
-        self._state = np.zeros(6)  # since the geometry given last
+        self._calibrated = self.geometry = geometry
+        self._sensitivity = sensitivity(geometry, self._points)
+        self._state = np.zeros(6)  # what remains, since ``geometry``
         self._covariance: Array = np.zeros((6, 6))
+        self._home = self._state, self._covariance  # before a knock that is not believed yet
+        self._vibration: Array = _REST  # variances
+        self._shaken = np.zeros(6)  # what the newest image has of its own
+        self._uncertainty: Array = np.zeros((6, 6))  # of that image's camera
         self._noise: Array = _NOISE
         self._before = np.full((n, 3), np.nan)
         self._own = np.zeros((n, 3))  # what a landmark is off by itself
@@ -96,41 +107,66 @@ class DriftMonitor:
         self._worst = 0.0  # of a landmark since the camera is lost [m]
         self._said = np.zeros((n, 2))  # corrections told last
 
-    def update(self, sightings: Sequence[TagSighting]) -> tuple[CameraGeometry | None, tuple[Notice, ...]]:
-        """Take one image's sightings of the landmarks, placed by the geometry given last.
+    def update(self, sightings: Sequence[TagSighting]) -> tuple[CameraGeometry, tuple[Notice, ...]]:
+        """Take one image's sightings of the landmarks, placed by ``geometry``.
 
-        Returns the corrected geometry if it changed, and what happened.
+        Returns the camera of this very image, and what happened.
         """
-        residual = self._residuals(sightings)
-        self._follow_noise(residual)
+        before, residual = self.geometry, self._residuals(sightings)
+        self._shaken, self._uncertainty = np.zeros(6), self._covariance + np.diag(self._vibration)
         offset = residual - self._own
         voters = ~np.isnan(offset[:, 0]) & (self._off < _OFF)
         if not np.count_nonzero(voters):
-            return None, ()
+            return before, ()
         variance = self._noise**2 * self._share + self._unknown
+        if self._calm < _CALM and self._agrees(offset, variance, voters, *self._home):
+            (self._state, self._covariance), self._calm = self._home, _CALM
+        if self._agrees(offset, variance, voters, self._state, self._covariance):
+            happenings = self._followed(residual, offset, variance, voters)
+        else:
+            happenings = self._knocked(offset, variance, voters)
+        seen = self._seen(self._state + self._shaken)
+        if self.geometry is before:
+            self._follow_noise(residual - seen, variance)
+        if self._given_up or np.abs(seen[:, :2]).max() < _STALE:
+            return self.geometry, happenings
+        return corrected(self.geometry, self._state + self._shaken), happenings
+
+    def covariance(self, points: Array) -> Array:
+        """Return the covariances (N, 3, 3) of x, y [m] and psi [rad] that the newest image's camera adds to those of
+        tags at points (N, 3)."""
+        return pose_covariance(self.geometry, points, self._uncertainty)
+
+    def _agrees(self, offset: Array, variance: Array, voters: Flags, state: Array, covariance: Array) -> bool:
+        """Return whether half of the voters lie where a camera shows them."""
+        agree = self._distance(offset - self._seen(state), variance, covariance + np.diag(self._vibration)) < 1.0
+        return bool(2 * np.count_nonzero(agree & voters) >= np.count_nonzero(voters))
+
+    def _followed(self, residual: Array, offset: Array, variance: Array, voters: Flags) -> tuple[Notice, ...]:
+        """Follow a camera that is about where it was expected."""
         surprise = offset - self._seen(self._state)
-        distance = self._distance(surprise, variance, self._covariance)
+        distance = self._distance(surprise, variance, self._covariance + np.diag(self._vibration))
         agree = distance < 1.0
-        if 2 * np.count_nonzero(agree & voters) < np.count_nonzero(voters):
-            return None, self._knocked(offset, variance, voters)
         self._calm += 1
         happenings = self._blame(surprise, agree)
         known = agree & voters & (self._learnt > 0)
-        if np.count_nonzero(known) >= 3:
+        count = np.count_nonzero(known)
+        if count >= 2:
             # Those that hardly agree count less. With fewer than three, what they do not show would wander by noise.
             weight = known / np.fmax(4.0 * distance, 1.0)
-            self._correct(surprise, variance, weight, self._covariance + _WANDER)
+            self._correct(surprise, variance, weight, self._covariance + _WANDER if count >= 3 else _NOTHING)
         if self._calm < _CALM:
-            return None, happenings
-        geometry, told = self._settled()
-        if geometry is None and self.trusted:
+            return happenings
+        before = self.geometry
+        told = self._settled()
+        if self.geometry is before and self.trusted:
             self._learn(residual, agree)
-        return geometry, happenings + told
+        return happenings + told
 
     def _residuals(self, sightings: Sequence[TagSighting]) -> Array:
         """Return how far off (L, 3) the landmarks are seen; NaN for one that is not measured in this image."""
         placed = np.full_like(self._survey, np.nan)
-        for tag, x, y, psi, _, coasted_ns in sightings:
+        for tag, x, y, psi, _, coasted_ns, _ in sightings:
             row = self._rows.get(tag)
             if row is not None and coasted_ns == 0:
                 placed[row] = x, y, psi
@@ -142,15 +178,18 @@ class DriftMonitor:
         """Return how far off (..., L, 3) states (..., 6) show the landmarks."""
         return (state @ self._sensitivity.T).reshape(*state.shape[:-1], -1, 3)
 
-    def _follow_noise(self, residual: Array) -> None:
-        """Learn the sightings' noise from how they change, of which a drift is nothing: as many below as above."""
-        change = np.abs(residual - self._before)
-        self._before = residual
-        seen = np.count_nonzero(~np.isnan(change[:, 0]))
-        if seen:
-            below = (change < _MEDIAN * self._noise).sum(0) / seen
-            noise = self._noise * (1.0 + _NOISE_GAIN * (0.5 - below))
-            self._noise = np.minimum(np.maximum(noise, _LEAST_NOISE), _MOST_NOISE)
+    def _follow_noise(self, left: Array, variance: Array) -> None:
+        """Learn the sightings' noise from how what the camera leaves changes, of which a landmark's own is nothing: as
+        many below as above."""
+        spread = (self._sensitivity @ self._uncertainty * self._sensitivity).sum(-1).reshape(-1, 3)
+        free = variance / (variance + spread)
+        left = np.where(free > _LEAST_FREE, left / np.sqrt(free), np.nan)
+        change = np.abs(left - self._before)
+        self._before = left
+        seen = np.count_nonzero(~np.isnan(change), axis=0)
+        below = (change < _MEDIAN * self._noise).sum(0)
+        noise = self._noise * (1.0 + _NOISE_GAIN * np.where(seen > 0, 0.5 - below / np.maximum(seen, 1), 0.0))
+        self._noise = np.minimum(np.maximum(noise, _LEAST_NOISE), _MOST_NOISE)
 
     def _distance(self, surprise: Array, variance: Array, covariance: Array) -> Array:
         """Return squared distances (..., L), 1 at the gate; surprises (..., L, 3), covariances (..., 6, 6)."""
@@ -159,16 +198,30 @@ class DriftMonitor:
         return distance
 
     def _correct(self, surprise: Array, variance: Array, weight: Array, prior: Array) -> None:
-        """Correct the state by the landmarks whose weight (L,) is more than 0."""
+        """Correct what remains, whose covariance is ``prior``, and estimate what this image has of its own, by the
+        landmarks whose weight (L,) is more than 0."""
         surprise = np.where(weight[:, None] > 0, surprise, 0.0)
         weighted = self._sensitivity * (weight[:, None] / variance).reshape(-1, 1)
-        posterior = np.linalg.solve(_ONE + prior @ (weighted.T @ self._sensitivity), prior)
-        self._covariance = np.asarray(posterior, np.float64)
-        self._state = self._state + self._covariance @ (weighted.T @ surprise.ravel())
+        information = weighted.T @ self._sensitivity
+        both = prior + np.diag(self._vibration)
+        self._uncertainty = np.asarray(np.linalg.solve(_ONE + both @ information, both), np.float64)
+        pull = weighted.T @ surprise.ravel()
+        pull = pull - information @ (self._uncertainty @ pull)  # what the image says, by the inverse of both
+        known = information - information @ self._uncertainty @ information
+        self._shaken = self._vibration * pull
+        if prior is not _NOTHING:
+            self._state = self._state + prior @ pull
+            self._covariance = prior - prior @ known @ prior
+        if self._calm >= _CALM:  # a step of expectation maximization
+            grown = self._vibration**2 * (pull**2 - np.diag(known))
+            self._vibration = np.maximum(self._vibration + _VIBRATION_GAIN * grown, _REST)
 
     def _knocked(self, offset: Array, variance: Array, voters: Flags) -> tuple[Notice, ...]:
-        """Try what most landmarks agree on; without it the state remains. Geometries are given when it is calm."""
+        """Try what most landmarks agree on; without it the state remains. It is believed when it is calm."""
+        if self._calm >= _CALM:
+            self._home = self._state, self._covariance
         self._calm = 0
+        self._state, self._covariance = self._home
         voting = np.flatnonzero(voters)
         prior = self._covariance + _KNOCK
         if len(voting) >= 2:
@@ -176,8 +229,11 @@ class DriftMonitor:
             agree = voters & self._consensus(surprise, variance, voting, prior)
             if 2 * np.count_nonzero(agree) > len(voting):
                 self._correct(surprise, variance, agree.astype(np.float64), prior)
+                jump = self._state - self._home[0] + self._shaken
+                most = _SHAKEN_MORE * self._vibration + _SHAKEN
+                self._vibration = self._vibration + np.minimum(jump**2, most)
         errors = np.hypot(offset[voting, 0], offset[voting, 1])
-        error, bound = float(np.median(errors)), _BOUND * self._geometry.position[2]
+        error, bound = float(np.median(errors)), _BOUND * self.geometry.position[2]
         self.trusted = self.trusted and error <= _TOLERATED
         self._worst = max(self._worst, float(errors.max()))
         self._lost = 0 if self.trusted else self._lost + 1
@@ -218,51 +274,30 @@ class DriftMonitor:
 
     def _learn(self, residual: Array, agree: Flags) -> None:
         """Learn what landmarks are off by themselves."""
-        fresh = agree & (self._learnt < _LEARNT)
+        shaking = self._sensitivity**2 @ self._vibration
+        patience = _LEARNT * (1.0 + np.sqrt(shaking.reshape(-1, 3)[:, :2].max(1)) / self._noise[:2].max())
+        fresh = agree & (self._learnt < patience)
         if np.count_nonzero(fresh):
             self._learnt[fresh] += 1.0
             part = 1.0 / self._learnt[fresh, None]
             self._own[fresh] += part * (residual - self._own - self._seen(self._state))[fresh]
             self._share[fresh], self._unknown[fresh], self._gate[fresh] = 1.0 + part, 0.0, _GATE
 
-    def _settled(self) -> tuple[CameraGeometry | None, tuple[Notice, ...]]:
-        """Give the corrected geometry if it differs, and within bounds."""
+    def _settled(self) -> tuple[Notice, ...]:
+        """Take the camera for where it is now, if that differs, and within bounds."""
         self._lost, self._worst = 0, 0.0
         if self.trusted and np.abs(self._seen(self._state)[:, :2]).max() < _STALE:
-            return None, ()
-        geometry = _corrected(self._geometry, self._state)
+            return ()
+        geometry = corrected(self.geometry, self._state)
         points = self._points
         shift = self._calibrated.to_plane(geometry.project(points), points[:, 2]) - points[:, :2]
         largest = float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if largest > _BOUND * self._calibrated.position[2]:
-            return None, self._give_up(largest)
+            return self._give_up(largest)
         tell = self._given_up or float(np.abs(shift - self._said).max()) > _SAID
         self.trusted, self._given_up = True, False
-        self._geometry, self._state = geometry, np.zeros(6)
+        self.geometry, self._state = geometry, np.zeros(6)
         if not tell:
-            return geometry, ()
+            return ()
         self._said = shift
-        return geometry, (Notice(TrackerEvent.CAMERA_CORRECTED, value=largest),)
-
-
-def _corrected(geometry: CameraGeometry, state: Array) -> CameraGeometry:
-    """Return the camera turned, shifted and stretched."""
-    T, K = geometry.T_world_camera.copy(), geometry.K.copy()
-    T[:3, :3] = cv2.Rodrigues(state[:3])[0] @ T[:3, :3]
-    T[:2, 3] += state[3:5]
-    K[[0, 1], [0, 1]] *= math.exp(state[5])
-    return CameraGeometry(K, geometry.distortion, T, geometry.lens)
-
-
-def _sensitivity(geometry: CameraGeometry, points: Array) -> Array:
-    """Return how far off landmarks at points (L, 3) are seen for a state, as a matrix (3 L, 6)."""
-    n, step = len(points), 1e-4
-    cross = points[:, None] + _ARM * np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-    columns = np.zeros((n, 3, 6))
-    for k in range(6 if n else 0):
-        seen = _corrected(geometry, step * _ONE[k]).project(cross.reshape(-1, 3))
-        moved = geometry.to_plane(seen, np.repeat(points[:, 2], 4)).reshape(n, 4, 2) - cross[:, :, :2]
-        columns[:, :2, k] = moved.mean(1) / step
-        east, north = moved[:, 0] - moved[:, 2], moved[:, 1] - moved[:, 3]
-        columns[:, 2, k] = (east[:, 1] - north[:, 0]) / (4.0 * _ARM * step)
-    return columns.reshape(3 * n, 6)
+        return (Notice(TrackerEvent.CAMERA_CORRECTED, value=largest),)

@@ -7,18 +7,29 @@ is the same motion continued with the commands that are under way.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
 from robofleet.tracking import reckoning
-from robofleet.tracking.correction import copy, correct, held_up, predict_covariance, start_anew, wrapped
+from robofleet.tracking.correction import (
+    copy,
+    correct,
+    covariance_of,
+    held_up,
+    predict_covariance,
+    start_anew,
+    whitening,
+    wrapped,
+)
 from robofleet.tracking.reckoning import advance
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
+Memory = tuple[NDArray[Any], ...]
 
 UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away
 
@@ -28,7 +39,7 @@ _CARRIED_AFTER = 5  # outliers in a row that agree with each other
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Standard deviations: of a measurement, and of the prediction after one second.
+    """Standard deviations: of a measurement that does not tell its own, and of the prediction after one second.
 
     ``efficiency``: of a wheel's true travel over the believed one, in the long run; 0 takes every wheel as believed.
     It is forgotten with the time constant ``efficiency_time`` [s].
@@ -84,10 +95,15 @@ class FleetFilter:
     def observe(self, instants_ns: Instants, poses: Array) -> NDArray[np.int64]:
         """Use an image: ``poses`` (N, 3), NaN where a robot was not seen, each at its own mid-exposure (N,).
 
+        With nine columns, the others are the measurements' covariances, as ``measured.placed`` writes them. Where they
+        are 0, or not there, the filter's own noise counts.
+
         Returns for each robot UNUSED, USED, or CARRIED (used, and the filter started anew). What is older than the
         newest of a robot is not used; a robot that was not seen is moved on.
         """
         used = np.zeros(len(poses), dtype=np.int64)
+        if poses.shape[1] == 3:
+            poses = np.pad(poses, ((0, 0), (0, 6)))
         _observe(
             self._state, self._covariance, self._wheels, self._instants_ns, instants_ns, self._ticks_ns,
             self._delays_ns, self._commands, self._motion, self._drift, self._wander, self._variance, self._gate,
@@ -103,6 +119,26 @@ class FleetFilter:
             self._motion,
         )  # fmt: skip
 
+    @property
+    def instants_ns(self) -> Instants:
+        """The instants (N,) of the robots' states; 0: never seen."""
+        return self._instants_ns
+
+    def memory(self) -> Memory:
+        """Return all that images change, for ``go_back``."""
+        return tuple(each.copy() for each in self._changed())
+
+    def go_back(self, memory: Memory) -> None:
+        """Be as at an earlier ``memory``; the commands since then stay known."""
+        for each, before in zip(self._changed(), memory, strict=True):
+            each[...] = before
+
+    def _changed(self) -> Memory:
+        return (
+            self._state, self._covariance, self._wheels, self._instants_ns, self._moved, self._outliers,
+            self._outlier_pose, self.measured_ns,
+        )  # fmt: skip
+
     def disturbance(self, poses: Array, point_ahead: float) -> Array:
         """Return w (N, 2): the velocity of the points p that the newest commands do not explain [m/s; world]."""
         return reckoning.disturbance(self._state, self._commands[-1], self._motion, poses, point_ahead)
@@ -114,7 +150,8 @@ def _observe(
     delays_ns: Instants, commands: Array, motion: Array, drift: Array, wander: Array, variance: Array, gate: float,
     measured: Array, moved: Array, outliers: Instants, outlier_pose: Array, measured_ns: Instants, used: Instants,
 ) -> None:  # fmt: skip
-    before, travel, step, innovation, room = np.empty(3), np.empty(2), np.empty(3), np.empty(3), np.empty((12, 5))
+    before, travel, step, innovation, room = np.empty(3), np.empty(2), np.empty(3), np.empty(3), np.empty((13, 5))
+    r, w = np.empty((3, 3)), np.empty((3, 3))
     for i in range(len(state)):
         seen = not np.isnan(measured[i, 0])
         if exposures_ns[i] <= instants_ns[i] or (instants_ns[i] == 0 and not seen):
@@ -139,10 +176,12 @@ def _observe(
         if not seen:
             continue
         innovation[2] = wrapped(innovation[2])
+        covariance_of(measured[i], variance, r)
+        whitening(r, w)
         known = measured_ns[i] > 0
         if known and (
-            correct(x, p, p, innovation, variance, gate, room[:7])
-            or correct(x, p, held_up(p, moved[i], room[7:]), innovation, variance, gate, room[:7])
+            correct(x, p, p, innovation, w, gate, room[:8])
+            or correct(x, p, held_up(p, moved[i], room[8:]), innovation, w, gate, room[:8])
         ):
             outliers[i] = 0
             used[i] = USED
@@ -151,10 +190,10 @@ def _observe(
                 step[k] = abs(measured[i, k] - outlier_pose[i, k])
             agrees = step[0] < 0.03 and step[1] < 0.03 and abs(wrapped(step[2])) < 0.3
             outliers[i] = outliers[i] + 1 if agrees else 1
-            copy(outlier_pose[i], measured[i])
+            copy(outlier_pose[i], measured[i, :3])
             if known and outliers[i] < _CARRIED_AFTER:
                 continue
-            start_anew(x, p, measured[i], variance, wander)
+            start_anew(x, p, measured[i], r, wander)
             outliers[i] = 0
             used[i] = CARRIED
         x[2] = wrapped(x[2])

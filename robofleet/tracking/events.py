@@ -25,8 +25,18 @@ class TrackerEvent(IntEnum):
     CAMERA_STRANGE = 14  # not the camera that was calibrated: 0
     CAMERA_ENDED = 15  # no more images in the file: how many there were
     CAMERA_BACK = 16  # good images again: seconds without
+    CLOCK_JUMPED = 17  # of the camera, whose stamps are corrected from now on: seconds ahead; less than 0: back
     CAMERA_MOVED = 20  # out of its calibration, beyond what is corrected: largest error of a floor tag [m]
     CAMERA_CORRECTED = 21  # out of its calibration, and corrected: largest error of a floor tag before [m]
+    CAMERA_TOO_DARK = 22  # at the limits of exposure and gain: contrast of the tags, or the image's light grey
+    CAMERA_TOO_BRIGHT = 23  # white paper is saturated, at the limits of exposure and gain: its grey level
+    CAMERA_LIGHT_GOOD = 24  # neither any more: grey level of white paper
+    CAMERA_DISAGREES = 30  # with the others, that see the same robots elsewhere: how far [m]; its poses are not used
+    CAMERA_AGREES = 31  # with the others again: how far they are apart now [m]
+    POSES_SILENT = 32  # nothing from a source that is no camera: seconds
+    POSES_BACK = 33  # poses again: seconds without
+    BODY_LOST = 34  # the motion capture does not track it: seconds
+    BODY_FOUND = 35  # seconds since it was tracked last
 
 
 class Notice(NamedTuple):
@@ -51,15 +61,34 @@ _SENTENCES = {
     TrackerEvent.CAMERA_STRANGE: "not the camera that was calibrated: no poses",
     TrackerEvent.CAMERA_ENDED: "no more images after {value:.0f}",
     TrackerEvent.CAMERA_BACK: "camera back after {value:.1f} s",
+    TrackerEvent.CLOCK_JUMPED: "the camera's clock jumped by {value:+.3f} s: corrected",
     TrackerEvent.CAMERA_MOVED: "camera moved, floor tags {value:.3f} m off: no poses; calibrate again",
     TrackerEvent.CAMERA_CORRECTED: "camera moved, floor tags {value:.4f} m off: corrected",
+    TrackerEvent.CAMERA_TOO_DARK: "too dark for the camera: {value:.0f} grey levels at its limits; switch a lamp on",
+    TrackerEvent.CAMERA_TOO_BRIGHT: "too bright for the camera: white paper is at {value:.0f}; shade the arena",
+    TrackerEvent.CAMERA_LIGHT_GOOD: "the camera's light is good again: white paper is at {value:.0f}",
+    TrackerEvent.CAMERA_DISAGREES: "camera sees robots {value:.4f} m from where others do, was it knocked? "
+    "Its poses are not used until it agrees again; calibrate its place",
+    TrackerEvent.CAMERA_AGREES: "camera agrees with the others again, to {value:.4f} m",
+    TrackerEvent.POSES_SILENT: "no poses for {value:.2f} s: their source is silent",
+    TrackerEvent.POSES_BACK: "poses again after {value:.2f} s",
+    TrackerEvent.BODY_LOST: "body {tag} is not tracked for {value:.2f} s",
+    TrackerEvent.BODY_FOUND: "body {tag} is tracked again after {value:.2f} s",
 }
 
+_CAMERA = "camera "
 
-def describe(event: int, tag: int, value: float) -> str:
-    """Return what happened in a sentence; a number for an event of another version."""
-    sentence = {int(known): text for known, text in _SENTENCES.items()}.get(event)
-    return f"event {event}" if sentence is None else sentence.format(tag=tag, value=value)
+
+def describe(event: int, tag: int, value: float, camera: str = "") -> str:
+    """Return what happened in a sentence; a number for an event of another version.
+
+    ``camera``: the name of the one that saw it, where there are several.
+    """
+    sentence = {int(known): text for known, text in _SENTENCES.items()}.get(event, f"event {event}")
+    if camera:
+        own = sentence.startswith(_CAMERA)
+        sentence = f"{_CAMERA}{camera} {sentence.removeprefix(_CAMERA)}" if own else f"camera {camera}: {sentence}"
+    return sentence.format(tag=tag, value=value)
 
 
 class News:

@@ -12,6 +12,7 @@ Instants = NDArray[np.int64]
 
 _TAGS = 1 << 16  # that a message can tell apart
 _NOBODY = -1
+COLUMNS = 9  # of a measurement: x, y [m], psi [rad] and their covariance
 
 
 def rows_of(tags: dict[int, int]) -> Instants:
@@ -25,16 +26,21 @@ def rows_of(tags: dict[int, int]) -> Instants:
 def placed(
     said: NDArray[Any], rows: Instants, exposure_ns: int, latest_ns: int, poses: Array, instants_ns: Instants
 ) -> None:
-    """Write what an image measured, ``said``: TagPose (K,), into poses (M, 3), NaN where nothing was, and the robots'
+    """Write what an image measured, ``said``: TagPose (K,), into poses (M, 9), NaN where nothing was, and the robots'
     own mid-exposures (M,). What is predicted, or later than ``latest_ns``, is no measurement.
+
+    Columns: x, y [m], psi [rad], and their covariance in the message's order; zeros where nobody knows it.
     """
     for row in range(len(poses)):
-        poses[row, 0], poses[row, 1], poses[row, 2] = np.nan, np.nan, np.nan
+        for k in range(COLUMNS):
+            poses[row, k] = np.nan
         instants_ns[row] = exposure_ns
     for one in said:
         row, instant_ns = rows[one["tag"]], exposure_ns + one["after_ns"]
         if row != _NOBODY and one["coasted_ns"] == 0 and instant_ns <= latest_ns:
             poses[row, 0], poses[row, 1], poses[row, 2] = one["x_m"], one["y_m"], one["psi_rad"]
+            poses[row, 3], poses[row, 4], poses[row, 5] = one["xx_m2"], one["xy_m2"], one["yy_m2"]
+            poses[row, 6], poses[row, 7], poses[row, 8] = one["xpsi_m_rad"], one["ypsi_m_rad"], one["psipsi_rad2"]
             instants_ns[row] = instant_ns
 
 

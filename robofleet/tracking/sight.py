@@ -1,6 +1,7 @@
 """From an image to the poses of the robots' centres: tags, where they sit on their robots, and the camera's drift."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +10,11 @@ from numpy.typing import NDArray
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.covariance import Covariance, covariance
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import News, Notice
-from robofleet.tracking.offset import centre_from_tag
+from robofleet.tracking.light import Light, Place, TagLight
+from robofleet.tracking.offset import centre_covariance, centre_from_tag
 from robofleet.tracking.targets import floor_targets, robot_targets
 from robofleet.tracking.tracker import TagSighting, TagTracker
 
@@ -27,6 +30,7 @@ class RobotSighting(NamedTuple):
     psi: float  # [rad; CCW +]
     after_ns: int
     coasted_ns: int
+    covariance: Covariance
 
 
 class Sight(NamedTuple):
@@ -44,6 +48,9 @@ class FleetSight:
         model = config.camera.model
         geometry = CameraGeometry.from_model(model)
         targets = [*robot_targets(config), *floor_targets(config)]
+        self._heights = {target.tag: target.height for target in targets}
+        self._light = TagLight(targets)
+        self._places: list[Place] = []  # of the tags in the newest image
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
         calibrated = {robot.tag: robot.calibration for robot in config.seen}
         self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in calibrated.items()}
@@ -52,28 +59,65 @@ class FleetSight:
             for floor in config.tracker.floor_tags
         ]
         self._drift = DriftMonitor(geometry, landmarks) if landmarks else None
+        self._camera = geometry  # of the newest image
         self._news = News()
         self._blind = 0
 
     def see(self, image: NDArray[np.uint8], exposure_ns: int) -> Sight:
         """Return what an image (H, W) tells. ``exposure_ns``: mid-exposure of its middle row."""
-        poses, refused, happenings = self._tracker.track(image, exposure_ns)
+        drift = self._drift
+        if drift is None:
+            poses, refused, happenings = self._tracker.track(image, exposure_ns)
+            self._places = [Place(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
+            return Sight(tuple(map(self._robot, poses)), refused, happenings)
+        placed = False
+
+        def place(lying: list[TagSighting]) -> None:
+            nonlocal placed
+            placed = bool(lying)
+            self._place(drift, lying, exposure_ns)
+
+        self._tracker.geometry = drift.geometry
+        poses, refused, happenings = self._tracker.track(image, exposure_ns, place)
+        self._places = [Place(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
         robots = [pose for pose in poses if pose.tag in self._offsets]
         measured = [pose for pose in poses if pose.coasted_ns == 0 and pose.tag not in self._offsets]
-        if self._drift is not None:
-            trusted = self._drift.trusted
-            geometry, drifted = self._drift.update(measured)
-            for happening in drifted:
-                self._news.say(*happening, exposure_ns)
-            happenings += self._news.take()
-            if geometry is not None:
-                self._tracker.moved(geometry)
-            self._blind = 0 if measured else self._blind + 1
-            # The image that ends the doubt was placed by the camera as it was before.
-            if not (trusted and self._drift.trusted) or self._blind > _BLIND_IMAGES:
-                robots = [pose for pose in robots if pose.coasted_ns]
-        return Sight(tuple(map(self._robot, robots)), refused, happenings)
+        if measured and not placed:  # they were found with the robots
+            drift.update(measured)
+        self._blind = 0 if measured else self._blind + 1
+        if not drift.trusted or self._blind > _BLIND_IMAGES:
+            robots = [pose for pose in robots if pose.coasted_ns]
+        return Sight(tuple(map(self._robot, self._doubted(drift, robots))), refused, happenings + self._news.take())
+
+    def _doubted(self, drift: DriftMonitor, robots: list[TagSighting]) -> list[TagSighting]:
+        """Add what is not known of this image's camera to what is not known of the tags in it."""
+        if not robots:
+            return robots
+        spread = drift.covariance(np.array([[seen.x, seen.y, self._heights[seen.tag]] for seen in robots]))
+        rows = spread[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] + [seen.covariance for seen in robots]
+        return [
+            seen if seen.coasted_ns else seen._replace(covariance=covariance(row))
+            for seen, row in zip(robots, rows, strict=True)
+        ]
+
+    def _place(self, drift: DriftMonitor, lying: Sequence[TagSighting], exposure_ns: int) -> None:
+        """Place the other tags by the camera that shows the floor tags of this image where they lie."""
+        trusted = drift.trusted
+        camera, drifted = drift.update(lying)
+        for happening in drifted:
+            self._news.say(*happening, exposure_ns)
+        if trusted:
+            self._tracker.geometry = camera
+        else:  # where the robots are is not known: they are followed by where they were seen
+            self._tracker.geometry = self._camera
+            self._tracker.moved(camera)
+        self._camera = camera
+
+    def light(self, image: NDArray[np.uint8]) -> Light:
+        """Return how bright the image (H, W) is that was seen last."""
+        return self._light.of(image, self._tracker.geometry, self._places)
 
     def _robot(self, seen: TagSighting) -> RobotSighting:
         centre = centre_from_tag(seen.x, seen.y, seen.psi, self._offsets[seen.tag])
-        return RobotSighting(seen.tag, *centre, seen.after_ns, seen.coasted_ns)
+        spread = centre_covariance(seen.covariance, seen.psi, self._offsets[seen.tag])
+        return RobotSighting(seen.tag, *centre, seen.after_ns, seen.coasted_ns, spread)

@@ -1,4 +1,5 @@
-"""Cameras: where images come from. Found by the entry-point group ``robofleet.cameras`` or as ``module:Class``.
+"""Where poses and images come from: pose sources and cameras, found by the entry-point groups ``robofleet.poses`` and
+``robofleet.cameras`` or as ``module:Class``.
 
 A camera just reads and raises. One that fails is closed and opened again, ever more patiently, for as long as it takes:
 by a thread where reading waits (``CameraReader``), between two steps where it does not (``CameraPoller``).
@@ -32,11 +33,28 @@ class CameraError(Exception):
     """A camera that cannot be used as it is asked to; the message says what is wrong and how to mend it."""
 
 
+class Exposure(NamedTuple):
+    """How a camera exposes."""
+
+    time_s: float  # of each row
+    gain: float  # [the camera's own units]
+
+
+class ExposureLimits(NamedTuple):
+    """What a camera can be set to."""
+
+    shortest: Exposure  # and the least gain
+    longest: Exposure  # and the greatest gain
+    step: Exposure  # from one possible setting to the next; 0: any
+    gain_db: float  # of one unit of the gain; roughly, where the camera does not tell
+
+
 class Frame(NamedTuple):
     """One image."""
 
     image: NDArray[np.uint8]  # gray (H, W)
     exposure_ns: int  # mid-exposure; of the middle row, if the shutter rolls [this host's clock]
+    exposure: Exposure | None = None  # how it was exposed, as far as an AdjustableCamera knows
 
 
 class Lost(NamedTuple):
@@ -70,6 +88,20 @@ class ScheduledCamera(Protocol):
         """Return when ``read`` will not wait; None while that is not known."""
 
 
+@runtime_checkable
+class AdjustableCamera(Protocol):
+    """A camera whose exposure can be changed between two images. Its frames carry their ``exposure``."""
+
+    def exposure_limits(self) -> ExposureLimits:
+        """Return what it can be set to."""
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Expose so as soon as possible. Returns at once, also while ``read`` waits in another thread.
+
+        Mid-exposures of images that follow ticks stay where they are: the exposure begins half the change earlier.
+        """
+
+
 @dataclass(frozen=True)
 class CameraContext:
     """What a camera is made from; ``bus`` is for a simulated one, ``ticks`` for one that they trigger."""
@@ -82,10 +114,36 @@ class CameraContext:
     extra_delay_ns: int  # from the end of the readout to the image's use (lockstep's charge for the tracker's work)
 
 
-def start_to_middle_ns(camera: CameraSettings) -> int:
+def start_to_middle_ns(camera: CameraSettings, exposure_s: float) -> int:
     """Return the time from the start of the first row's exposure to the middle row's mid-exposure [ns]."""
     rolling_s = camera.model.line_time_s * (camera.height - 1)
-    return round((camera.exposure_s + rolling_s) / 2 * S)
+    return round((exposure_s + rolling_s) / 2 * S)
+
+
+class ExposureChange:
+    """Which exposure an image has while a camera changes it: the old one, if it began before the change."""
+
+    def __init__(self, exposure: Exposure) -> None:
+        self.newest = self._before = exposure
+        self._asked: Exposure | None = None
+        self._since_ns = 0
+
+    def ask(self, exposure: Exposure) -> None:
+        """Note what is wanted, from any thread."""
+        self._asked = exposure
+
+    def take(self) -> Exposure | None:
+        """Return what was asked for since the last call."""
+        asked, self._asked = self._asked, None
+        return asked
+
+    def done(self, exposure: Exposure, now_ns: int) -> None:
+        """Note what the camera has from now on."""
+        self._before, self.newest, self._since_ns = self.newest, exposure, now_ns
+
+    def of(self, began_ns: int) -> Exposure:
+        """Return the exposure of an image by when it began [ns]."""
+        return self.newest if began_ns >= self._since_ns else self._before
 
 
 def unmeasured(config: Config) -> Iterator[Complaint]:
@@ -131,6 +189,17 @@ class ReopenedCamera:
         self._pause_s = _FIRST_PAUSE_S
         return frame
 
+    def exposure_limits(self) -> ExposureLimits | None:
+        """Return what the camera can be set to; None if it cannot be adjusted, or is away."""
+        camera = self.camera
+        return camera.exposure_limits() if isinstance(camera, AdjustableCamera) else None
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Change how the camera exposes, unless it is away."""
+        camera = self.camera
+        if isinstance(camera, AdjustableCamera):
+            camera.adjust(exposure)
+
     def pause_s(self) -> float:
         """Return how long to wait before the next ``read`` after one that lost the camera [s]."""
         pause_s = self._pause_s
@@ -155,10 +224,16 @@ class Observation(NamedTuple):
 
 
 class PoseSource(Protocol):
-    """Gives observations as they become ready."""
+    """Gives observations as they become ready. Made from one :class:`PoseContext`; its constructor raises CameraError
+    if it cannot be opened.
+
+    Its class may have static methods: ``refusals(config)`` returns what cannot work as (dotted path, what is wrong),
+    and opens nothing; ``unreachable(config)`` asks who is there, and returns what does not answer;
+    ``works_in_lockstep(config)`` tells whether it lives by ``context.clock`` alone, without a thread.
+    """
 
     def next_ns(self) -> int | None:
-        """Return when the next one will be ready [ns]; None: a message or a camera will wake the process."""
+        """Return when the next one will be ready [ns]; None: a message, or ``context.wake``, will wake the process."""
 
     def observe(self, now_ns: int) -> Observation | None:
         """Return the observation that is ready, or None."""
@@ -167,7 +242,7 @@ class PoseSource(Protocol):
         """Return what happened to the camera and to the tags since the last call, with an image or without one."""
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Let go of the device. Idempotent."""
 
 
 class Feed(Protocol):
@@ -179,8 +254,23 @@ class Feed(Protocol):
     def take(self, now_ns: int) -> Frame | Lost | None:
         """Return the image that is there, or why there is none."""
 
+    def exposure_limits(self) -> ExposureLimits | None:
+        """Return what the camera can be set to; None if it cannot be adjusted."""
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Change how an :class:`AdjustableCamera` exposes."""
+
     def close(self) -> None:
         """Let go of the camera."""
+
+
+@dataclass(frozen=True)
+class PoseContext(CameraContext):
+    """What a pose source is made from."""
+
+    wake: Wake  # wakes the process from any thread: it then observes
+    real_time: bool  # False: lockstep
+    around: Callable[[Feed], Feed]  # puts faults on purpose around a camera's images
 
 
 class CameraReader:
@@ -202,6 +292,14 @@ class CameraReader:
         """Return the newest image not taken yet, or what happened before it."""
         with self._lock:
             return self._taken.popleft() if self._taken else None
+
+    def exposure_limits(self) -> ExposureLimits | None:
+        """Return what the camera can be set to; None if it cannot be adjusted."""
+        return self._camera.exposure_limits()
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Change how an :class:`AdjustableCamera` exposes."""
+        self._camera.adjust(exposure)
 
     def close(self) -> None:
         """End the thread and let go of the camera."""
@@ -251,6 +349,14 @@ class CameraPoller:
             self._ended = taken.event is TrackerEvent.CAMERA_ENDED
             self._again_ns = now_ns + round(self._camera.pause_s() * S)
         return taken
+
+    def exposure_limits(self) -> ExposureLimits | None:
+        """Return what the camera can be set to; None if it cannot be adjusted."""
+        return self._camera.exposure_limits()
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Change how an :class:`AdjustableCamera` exposes."""
+        self._camera.adjust(exposure)
 
     def close(self) -> None:
         """Let go of the camera."""

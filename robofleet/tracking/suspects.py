@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from robofleet.clock import S
-from robofleet.tracking.tags import Found
+from robofleet.tracking.photometric import Found
 from robofleet.tracking.targets import Target
 
 SAME = 0.5  # two places closer than this are of one print [sides]
 _PATIENCE = 2  # after so many sightings, about a sweep apart, a print is believed,
 _PATIENCE_NS = 3 * S  # and of a tag that was known, after so long: the run has ended by then
 _DOUBT_NS = 10 * S  # without a second print, until one of a tag that had one is believed
-_DRIVES_ON_NS = 3 * S // 4  # a robot that is not seen is stopped
 _KICKED = 2.5  # a tag that lies still is believed so far from where it lay: who watches the camera judges it [sides]
 _SLIP = 1.5  # a robot may be faster than its limit: pushed, downhill, a worn wheel
 
@@ -33,6 +32,7 @@ class Suspects:
     def __init__(self, targets: Sequence[Target]) -> None:
         self._same = SAME * np.array([target.side for target in targets])
         self._near = [(_KICKED if target.max_speed == 0.0 else SAME) * target.side for target in targets]
+        self._drives_on_ns = [round(target.drives_on_s * S) for target in targets]
         self._speeds = _SLIP * np.array([target.max_speed for target in targets])
         self._suspects: dict[int, _Suspect] = {}
         self._displaced: set[int] = set()
@@ -104,4 +104,6 @@ class Suspects:
 
     def _range(self, target: int, elapsed_ns: int) -> float:
         """Return how far a print can have been driven in a while [m]."""
-        return float(self._speeds[target] * min(max(elapsed_ns, 0), _DRIVES_ON_NS) * 1e-9 + self._near[target])
+        return float(
+            self._speeds[target] * min(max(elapsed_ns, 0), self._drives_on_ns[target]) * 1e-9 + self._near[target]
+        )

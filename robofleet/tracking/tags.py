@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import PhotometricFit, dictionary, side_px
+from robofleet.tracking.photometric import Found, PhotometricFit, dictionary, side_px
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -38,14 +38,6 @@ class Region(NamedTuple):
     top: int
     right: int
     bottom: int
-
-
-class Found(NamedTuple):
-    """A tag in an image: planar pose of its centre in the world frame."""
-
-    target: int  # its index
-    centre: complex  # [m]
-    psi: float  # [rad; CCW +]
 
 
 class Findings(NamedTuple):
@@ -94,8 +86,9 @@ class TagDetector:
             found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
         fit = self._fit.fit(image, found, centre, psi)
         good = plausible & (fit.alike > _ALIKE)
-        rows = zip(found[good].tolist(), fit.centre[good].tolist(), fit.psi[good].tolist(), strict=True)
-        return Findings(tuple(Found(*row) for row in rows), len(found) - int(good.sum()))
+        there = fit.of(np.flatnonzero(good))
+        tags = (there.found(k, target) for k, target in enumerate(found[good].tolist()))
+        return Findings(tuple(tags), len(found) - int(good.sum()))
 
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         """Return what reads as a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""

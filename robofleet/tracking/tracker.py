@@ -12,7 +12,7 @@ id, it is believed: the tag was carried there, or is new.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from robofleet.clock import S
 from robofleet.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.covariance import UNKNOWN, Covariance, covariance
 from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.motion import measure, predict
-from robofleet.tracking.photometric import Fit, PhotometricFit, side_px
+from robofleet.tracking.photometric import Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
-from robofleet.tracking.tags import Findings, Found, Region, Sweep, TagDetector, tiles, wrapped
+from robofleet.tracking.tags import Findings, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -34,7 +35,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
+CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
 _DEEP_TILES = (3, 3)  # of the deep search
@@ -55,6 +56,7 @@ class TagSighting(NamedTuple):
     psi: float  # of the print's right [rad; CCW +]
     after_ns: int  # its own mid-exposure, minus the image's (rolling shutter)
     coasted_ns: int  # 0: measured in this image; else predicted, from a measurement so old
+    covariance: Covariance = UNKNOWN  # of what is predicted
 
 
 class Sightings(NamedTuple):
@@ -89,6 +91,7 @@ class TagTracker:
         self._psi = np.zeros(n)
         self._velocity = np.zeros(n, np.complex128)  # in the tag's frame, forward + i left [m/s]
         self._omega = np.zeros(n)  # [rad/s]
+        self._covariance = np.zeros((n, 6))  # of the newest measurement, each a Covariance
         self._row = np.zeros(n)  # of the image, where it was [px]
         self._measured_ns = np.zeros(n, np.int64)
         self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
@@ -103,27 +106,61 @@ class TagTracker:
         self._news = News()
         self._refused = 0
 
+    @property
+    def geometry(self) -> CameraGeometry:
+        """The camera that places the tags; one that moved shows them elsewhere."""
+        return self._fit.geometry
+
+    @geometry.setter
+    def geometry(self, geometry: CameraGeometry) -> None:
+        self._fit.geometry = geometry
+
     def moved(self, geometry: CameraGeometry) -> None:
         """Go on with a corrected camera: what was seen at a pixel is seen there still."""
-        known = np.flatnonzero(self._measured_ns)
-        pixels = self._fit.pixels(known, self._centre[known])
-        self._fit.geometry = geometry
-        x_y = geometry.to_plane(pixels, self._fit.heights[known])
-        self._centre[known] = x_y[:, 0] + 1j * x_y[:, 1]
+        known, before = np.flatnonzero(self._measured_ns), self.geometry
+        self.geometry = geometry
+        self._carry(known, self._centre[known], before)
 
-    def track(self, image: Image, exposure_ns: int) -> Sightings:
-        """Return what an image (H, W) shows. ``exposure_ns``: mid-exposure of its middle row."""
+    def track(
+        self, image: Image, exposure_ns: int, place: Callable[[list[TagSighting]], None] | None = None
+    ) -> Sightings:
+        """Return what an image (H, W) shows. ``exposure_ns``: mid-exposure of its middle row.
+
+        place: is told what was measured of the tags that lie still, before the others are; it may give another camera.
+        """
         self._refused = 0
         followed = np.flatnonzero(self._followed)
-        measured = self._follow(image, exposure_ns, followed)
-        hidden = [int(i) for i in followed if i not in measured]
-        measured |= self._search(image, exposure_ns, hidden, measured)
+        measured: set[int] = set()
+        if place is not None:
+            still = self._lies_still[followed]
+            measured = self._expected(image, exposure_ns, followed[still], {int(i) for i in followed[~still]})
+            lying = np.array(sorted(measured), np.int64)
+            centre, before = self._centre[lying], self.geometry
+            place(self._sightings(lying.tolist(), exposure_ns))
+            if measured and self.geometry is not before:
+                self._carry(lying, centre, before)
+            followed = followed[~still]
+        measured |= self._expected(image, exposure_ns, followed, measured)
+        hidden = [int(i) for i in np.flatnonzero(self._followed) if i not in measured]
         measured |= self._scan(image, exposure_ns, measured)
         poses = self._sightings(sorted(measured), exposure_ns)
         poses += self._coast(exposure_ns, [i for i in hidden if i not in measured])
         return Sightings(tuple(poses), self._refused, self._news.take())
 
+    def _carry(self, index: Indices, centre: Complex, before: CameraGeometry) -> None:
+        """Take tags for where the camera sees them now at the pixels where one before saw ``centre`` (M,)."""
+        heights = self._fit.heights[index]
+        pixels = before.project(np.column_stack([centre.real, centre.imag, heights]))
+        x_y = self.geometry.to_plane(pixels, heights)
+        self._centre[index] = x_y[:, 0] + 1j * x_y[:, 1]
+
     # Tags that are expected
+
+    def _expected(self, image: Image, exposure_ns: int, index: Indices, others: set[int]) -> set[int]:
+        """Measure followed tags; returns those that are there. ``others`` are expected elsewhere, or were found."""
+        measured = self._follow(image, exposure_ns, index)
+        hidden = [int(i) for i in index if i not in measured]
+        return measured | self._search(image, exposure_ns, hidden, measured | others)
 
     def _follow(self, image: Image, exposure_ns: int, index: Indices) -> set[int]:
         """Fit the followed tags where they are expected; returns those that are there."""
@@ -132,10 +169,10 @@ class TagTracker:
         centre, psi, velocity = self._predicted(index, exposure_ns)
         fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
         there = np.flatnonzero(fit.alike > self._alike)
-        for k in there[fit.alike[there] < _CLEAR][:_SEARCHES].tolist():
+        for k in there[fit.alike[there] < CLEAR][:_SEARCHES].tolist():
             tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
             if tag is not None:
-                fit.centre[k], fit.psi[k] = tag.centre, tag.psi
+                fit.centre[k], fit.psi[k], fit.covariance[k] = tag.centre, tag.psi, tag.covariance
         self._measure(index[there], fit.of(there), exposure_ns)
         return set(index[there].tolist())
 
@@ -147,6 +184,7 @@ class TagTracker:
         """Take measured poses, and the motion since the ones before."""
         moving = self._followed & ~self._lies_still
         measure(index, exposure_ns, self._line_ns, moving, fit.centre, fit.psi, fit.row, *self._motion)
+        self._covariance[index] = fit.covariance
         self._followed[index] = True
 
     def _reach(self, i: int, exposure_ns: int) -> float:
@@ -202,7 +240,9 @@ class TagTracker:
             self._regained_ns[tag.target] = exposure_ns
         index, centre = np.array([tag.target]), np.array([tag.centre])
         rows = self._fit.pixels(index, centre)[:, 1]
-        self._measure(index, Fit(centre, np.array([tag.psi]), np.ones(1), rows), exposure_ns)
+        self._measure(
+            index, Fit(centre, np.array([tag.psi]), np.ones(1), rows, np.array([tag.covariance])), exposure_ns
+        )
         self._suspects.cleared(tag.target)
 
     def _coast(self, exposure_ns: int, hidden: list[int]) -> list[TagSighting]:
@@ -216,7 +256,7 @@ class TagTracker:
                 continue
             centre, psi, _ = predict(np.array([i]), exposure_ns, np.zeros(2), *self._motion)
             pose = (float(centre[0].real), float(centre[0].imag), wrapped(float(psi[0])))
-            poses.append(TagSighting(self._targets[i].tag, *pose, 0, max(1, coasted_ns)))
+            poses.append(TagSighting(self._targets[i].tag, *pose, 0, max(1, coasted_ns), UNKNOWN))
         return poses
 
     # Tags that are not
@@ -311,6 +351,6 @@ class TagTracker:
         centre, psi = self._centre[index].tolist(), self._psi[index].tolist()
         after_ns = (self._measured_ns[index] - exposure_ns).tolist()
         return [
-            TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0)
+            TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0, covariance(self._covariance[i]))
             for i, z, angle, after in zip(index, centre, psi, after_ns, strict=True)
         ]

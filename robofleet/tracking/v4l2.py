@@ -1,4 +1,4 @@
-"""A camera of the kernel's (Video4Linux) through OpenCV: one buffer, fixed exposure and gain, the kernel's stamps."""
+"""A camera of the kernel's (Video4Linux) through OpenCV: one buffer, exposure and gain by hand, the kernel's stamps."""
 
 import math
 import os
@@ -15,10 +15,21 @@ from robofleet.clock import MS, S, from_monotonic
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
-from robofleet.tracking.sources import CameraContext, CameraError, Frame, start_to_middle_ns, unmeasured
+from robofleet.tracking.sources import (
+    CameraContext,
+    CameraError,
+    Exposure,
+    ExposureChange,
+    ExposureLimits,
+    Frame,
+    start_to_middle_ns,
+    unmeasured,
+)
+from robofleet.tracking.v4l2_controls import EXPOSURE_ABSOLUTE, GAIN, Range, control_range
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
 _EXPOSURE_UNIT_S = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE
+_GAIN_DB = 24.0  # that a gain's range is taken for: no driver tells; the loop corrects what is wrong with it
 _ROUNDED = {cv2.CAP_PROP_FPS: 0.01, cv2.CAP_PROP_EXPOSURE: 0.05}  # drivers round to what the sensor can do
 _OLDEST_NS = 10 * S  # a stamp further off than this is of another clock
 _AHEAD_NS = 10 * MS
@@ -29,14 +40,17 @@ _SYSFS = Path("/sys/class/video4linux")
 class V4L2Camera:
     """Reads ``camera.v4l2.device``; CameraError with everything that it did not take over."""
 
-    def __init__(self, context: CameraContext, open_capture: Callable[[str, int], Any] = cv2.VideoCapture) -> None:
+    def __init__(
+        self,
+        context: CameraContext,
+        open_capture: Callable[[str, int], Any] = cv2.VideoCapture,
+        ask_range: Callable[[str, int], Range | None] = control_range,
+    ) -> None:
         """Open the device as OpenCV does, and set it up."""
         camera = context.config.camera
         self._device, self._gray = camera.v4l2.device, camera.v4l2.format == "GREY"
-        self._clock = context.clock
-        self._to_middle_ns = start_to_middle_ns(camera)
-        if camera.v4l2.stamp == "end":
-            self._to_middle_ns -= round((camera.exposure_s + camera.readout_s) * S)
+        self._clock, self._camera, self._ask = context.clock, camera, ask_range
+        self._exposing = ExposureChange(Exposure(camera.exposure_s, float(camera.v4l2.gain or 0)))
         self.identity = device_identity(Path(self._device))
         self._reading = threading.Lock()
         self._capture = open_capture(self._device, cv2.CAP_V4L2)
@@ -64,13 +78,33 @@ class V4L2Camera:
         """Return the next image; one that did not arrive whole is passed over."""
         while True:
             with self._reading:
+                self._take_over()
                 arrived, data = self._capture.read()
                 stamp_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC)
             if not arrived:
                 raise CameraError(f"{self._device} gives no image: is it plugged in?")
             image = data if self._gray else _decoded(data)
             if image is not None:
-                return Frame(image, self._exposure_ns(stamp_ms))
+                return self._frame(image, stamp_ms)
+
+    def exposure_limits(self) -> ExposureLimits:
+        """Return what the device can be set to; its gain's decibels are assumed."""
+        times, gains = self._ask(self._device, EXPOSURE_ABSOLUTE), None
+        if self._camera.v4l2.gain is not None:
+            gains = self._ask(self._device, GAIN)
+        if times is None:
+            raise CameraError(f"{self._device} tells no exposure times: set camera.exposure_control to fixed")
+        low, high, step = gains or Range(int(self._exposing.newest.gain), int(self._exposing.newest.gain), 1)
+        return ExposureLimits(
+            Exposure(max(times.low, 1) * _EXPOSURE_UNIT_S, low),
+            Exposure(times.high * _EXPOSURE_UNIT_S, high),
+            Exposure(max(times.step, 1) * _EXPOSURE_UNIT_S, max(step, 1)),
+            _GAIN_DB / max(high - low, 1),
+        )
+
+    def adjust(self, exposure: Exposure) -> None:
+        """Expose so from the image after the one that is awaited."""
+        self._exposing.ask(exposure)
 
     def close(self) -> None:
         """Close the device; one that waits for an image is left to the end of the process."""
@@ -80,11 +114,28 @@ class V4L2Camera:
             finally:
                 self._reading.release()
 
-    def _exposure_ns(self, stamp_ms: float) -> int:
+    def _take_over(self) -> None:
+        """Set what was asked for, and note what the device made of it."""
+        asked = self._exposing.take()
+        if asked is None:
+            return
+        self._capture.set(cv2.CAP_PROP_EXPOSURE, round(asked.time_s / _EXPOSURE_UNIT_S))
+        gain = asked.gain
+        if self._camera.v4l2.gain is not None:
+            self._capture.set(cv2.CAP_PROP_GAIN, round(gain))
+            gain = self._capture.get(cv2.CAP_PROP_GAIN)
+        time_s = self._capture.get(cv2.CAP_PROP_EXPOSURE) * _EXPOSURE_UNIT_S
+        self._exposing.done(Exposure(time_s, gain), self._clock.now_ns())
+
+    def _frame(self, image: NDArray[np.uint8], stamp_ms: float) -> Frame:
         stamp_ns = from_monotonic(round(stamp_ms * MS))
         if not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_NS:
             raise CameraError(f"{self._device} stamps its images by another clock than CLOCK_MONOTONIC")
-        return stamp_ns + self._to_middle_ns
+        to_end_s = self._exposing.newest.time_s + self._camera.readout_s if self._camera.v4l2.stamp == "end" else 0.0
+        exposure = self._exposing.of(stamp_ns - round(to_end_s * S))
+        if to_end_s:
+            stamp_ns -= round((exposure.time_s + self._camera.readout_s) * S)
+        return Frame(image, stamp_ns + start_to_middle_ns(self._camera, exposure.time_s), exposure)
 
     def _set_up(self, camera: CameraSettings) -> None:
         if not self._capture.isOpened():

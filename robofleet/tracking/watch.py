@@ -1,7 +1,13 @@
 """Tells whether a camera still does what a camera does, image by image, and gives what happens to it a name.
 
 A trouble is said once, when it begins, and once more, as CAMERA_BACK, when a good image ends it.
+
+A camera's clock may jump: its stamps go back, run ahead of now, or are far older than they were. Images with such
+stamps are not believed; when some in a row agree on how far it jumped, they are put on this host's clock by the delay
+that images had before. So for all who take poses time goes on.
 """
+
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +20,8 @@ _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a sec
 _FIRST_NS = 3 * S  # within which a camera that was just opened gives its first image
 _FROZEN_REPEATS = 3  # one may be a driver that hands a buffer out twice
 _AHEAD_NS = 100 * MS  # of now, that a driver's stamp may be
+_JUMPED_IMAGES = 3  # in a row, that agree on a jump of the clock
+_DELAYS = 64  # of images, the least of which is what one needs to come
 _SAMPLED_ROWS = 64  # one of so many is compared: a few microseconds
 
 
@@ -23,10 +31,14 @@ class CameraWatch:
     def __init__(self, size: tuple[int, int], period_ns: int, noisy: bool, now_ns: int) -> None:
         """Take the images' (width, height), their period, and whether noise makes two equal ones impossible."""
         self._shape = size[::-1]
+        self._period_ns = period_ns
         self._patience_ns = max(_STALLED_PERIODS * period_ns, _STALLED_NS)
         self._noisy = noisy
         self._last: bytes | None = None  # of the newest image's pixels
-        self._exposed_ns: int | None = None  # the newest image that was believed
+        self.exposed_ns: int | None = None  # mid-exposure of the newest image that was believed [this host's clock]
+        self._ahead_ns = 0  # of the camera's clock, since it jumped
+        self._delays_ns: deque[int] = deque(maxlen=_DELAYS)  # of those that were believed
+        self._apart_ns: deque[int] = deque(maxlen=_JUMPED_IMAGES)  # now minus stamp, of those that cannot be right
         self._repeats = 0
         self._images = 0
         self._good_ns = now_ns  # when the newest good image came
@@ -42,22 +54,23 @@ class CameraWatch:
         return self._stalled_ns
 
     def look(self, image: NDArray[np.uint8], exposure_ns: int, now_ns: int) -> bool:
-        """Return whether an image that came just now can be believed."""
+        """Return whether an image that came just now can be believed; ``exposed_ns`` tells then when it was exposed.
+
+        exposure_ns: mid-exposure, as the camera's driver stamped it [this host's clock, as long as it does not jump].
+        """
         self._images += 1
         self._waiting_since_ns, self._stalled_ns = now_ns, now_ns + self._patience_ns
         self._lost = False
         if np.shape(image) != self._shape or image.dtype != np.uint8:
             self._say(TrackerEvent.CAMERA_RESIZED, float(np.shape(image)[1]) if np.ndim(image) > 1 else 0.0)
             return False
-        again = self._seen_before(image)
-        early = self._exposed_ns is not None and exposure_ns <= self._exposed_ns
-        if again or early or exposure_ns > now_ns + _AHEAD_NS:
+        possible = not self._seen_before(image) and self._timed(exposure_ns, now_ns)
+        if not possible:
             self._repeats += 1
             if self._repeats >= _FROZEN_REPEATS:
                 self._say(TrackerEvent.CAMERA_FROZEN, self._repeats)
             return False
         self._repeats = 0
-        self._exposed_ns = exposure_ns
         if self._said:
             self._news.append(Notice(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
             self._said.clear()
@@ -86,6 +99,31 @@ class CameraWatch:
         news = tuple(self._news)
         self._news.clear()
         return news
+
+    def _timed(self, exposure_ns: int, now_ns: int) -> bool:
+        """Return whether a stamp can be right, as it is or because the camera's clock jumped, and take it."""
+        stamp_ns = exposure_ns - self._ahead_ns
+        early = self.exposed_ns is not None and stamp_ns <= self.exposed_ns
+        old = self._delays_ns and now_ns - stamp_ns > min(self._delays_ns) + self._patience_ns
+        if early or old or stamp_ns > now_ns + _AHEAD_NS:
+            if not self._jumped(now_ns - exposure_ns):
+                return False
+            stamp_ns = exposure_ns - self._ahead_ns
+        self._apart_ns.clear()
+        self._delays_ns.append(now_ns - stamp_ns)
+        self.exposed_ns = stamp_ns
+        return True
+
+    def _jumped(self, apart_ns: int) -> bool:
+        """Return whether images in a row agree that the camera's clock jumped; then its stamps are corrected."""
+        self._apart_ns.append(apart_ns)
+        least_ns = min(self._apart_ns)
+        agree = len(self._apart_ns) == _JUMPED_IMAGES and max(self._apart_ns) - least_ns < self._period_ns // 2
+        if not agree or not self._delays_ns:
+            return False
+        before_ns, self._ahead_ns = self._ahead_ns, min(self._delays_ns) - least_ns
+        self._news.append(Notice(TrackerEvent.CLOCK_JUMPED, value=(self._ahead_ns - before_ns) / S))
+        return True
 
     def _seen_before(self, image: NDArray[np.uint8]) -> bool:
         """Return whether these are the last image's pixels again."""

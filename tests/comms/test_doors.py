@@ -31,7 +31,7 @@ def session(endpoint: str, mode: str = "client") -> zenoh.Session:
     """Return a stranger's session: it knows Zenoh, and the endpoint."""
     config = zenoh.Config()
     where = "connect/endpoints" if mode == "client" else "listen/endpoints"
-    given = {"mode": mode, where: [endpoint], "scouting/multicast/enabled": False}
+    given = {"mode": mode, where: [endpoint], "scouting/multicast/enabled": False, "scouting/delay": 0}
     for name, value in given.items():
         config.insert_json5(name, json.dumps(value))
     return zenoh.open(config)

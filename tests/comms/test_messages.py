@@ -108,7 +108,7 @@ def flat(message: Any) -> list[float]:
     ]
 
 
-@settings(EXACT, max_examples=200)
+@settings(EXACT, max_examples=80)
 @given(st.data())
 def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
     """What a field cannot hold becomes the nearest that it can; what is not a number, the least."""

@@ -258,8 +258,9 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
     wishes = {key(ARENA, WISH, group) for group in NAMES["group"]}
-    assert [one.name for one in who if may[one.name, SAYS] & wishes] == ["script"]
+    assert [one.name for one in who if may[one.name, SAYS] & wishes] == ["web", "operator", "script"]
     assert may["script", SAYS] - wishes == {key(ARENA, NOTE, group) for group in NAMES["group"]}
     assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
-    assert may["viewer", SAYS] == may["operator", SAYS] == set()
+    assert may["viewer", SAYS] == set()
+    assert may["operator", SAYS] == may["web", SAYS] == wishes, "a gamepad's, in groups that a person drives"
     assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])

@@ -9,6 +9,7 @@ import pytest
 from robofleet.control import planning, precedence
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
+from robofleet.vehicles.solids import Solid, distances
 
 Array = np.ndarray
 
@@ -146,3 +147,42 @@ def test_goals_are_shared_out_with_the_longest_way_shortest_and_then_the_sum(see
     chosen = distances[np.arange(n), found]
     longest, total = brute_force(distances)
     assert (chosen.max(), chosen.sum()) == pytest.approx((longest, total))
+
+
+BESIDE = 0.08
+BOX = Solid("box", ((-0.2, -0.92), (0.2, -0.92), (0.2, 0.6), (-0.2, 0.6)))  # leaves a way at the top
+PILLAR = Solid("pillar", ((0.7, 0.2),), 0.12)
+NOTCH = Solid("notch", ((-1.2, -0.1), (-0.6, -0.1), (-0.6, 0.3), (-0.7, 0.3), (-0.7, 0.0), (-1.2, 0.0)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_plan_keeps_its_distance_from_solids_between_its_steps_too(seed: int) -> None:
+    solids, rng = (BOX, PILLAR, NOTCH), np.random.default_rng(seed)
+    starts, goals = (
+        np.array([at for at in drawn(rng, 40, 0.2) if distances(solids, at[None]).min() > BESIDE][:6]) for _ in range(2)
+    )
+    plan = made(Problem(starts, goals, NOTHING, HALF, DISTANCE, CELL, solids, BESIDE), seed)
+    between = np.linspace(plan.places[:, :-1], plan.places[:, 1:], 20).reshape(-1, 2)
+    assert np.array_equal(plan.places[:, -1], goals)
+    assert distances(solids, between).min() >= BESIDE - 0.0025
+
+
+def test_a_goal_nearer_to_a_solid_is_come_to_and_the_rest_of_the_way_keeps_its_distance() -> None:
+    starts, goals = np.array([(-0.8, 0.8)]), np.array([(0.7, 0.2 + 0.12 + 0.06)])
+    plan = made(Problem(starts, goals, NOTHING, HALF, DISTANCE, CELL, (PILLAR,), BESIDE))
+    between = np.linspace(plan.places[:, :-1], plan.places[:, 1:], 20).reshape(-1, 2)
+    assert distances((PILLAR,), between).min() >= 0.06 - 0.0025
+    assert distances((PILLAR,), between[np.linalg.norm(between - goals[0], axis=1) > 0.05]).min() >= BESIDE - 0.0025
+
+
+def test_who_cannot_come_to_its_goal_is_named() -> None:
+    cage = [(0.3, 0.3), (1.1, 0.3), (1.1, 0.8), (0.3, 0.8)]
+    walls = tuple(
+        Solid(f"wall{k}", ((*a,), (*b,), (b[0] + 0.01, b[1] + 0.01)))
+        for k, (a, b) in enumerate(zip(cage, cage[1:] + cage[:1], strict=True))
+    )
+    starts, goals = np.array([(-1.0, 0.0), (-0.5, 0.5)]), np.array([(-0.5, -0.5), (0.7, 0.55)])
+    problem = Problem(starts, goals, NOTHING, HALF, DISTANCE, CELL, walls, BESIDE)
+    assert planning.unreachable(problem) == [1]
+    assert result(precedence.plan(problem, np.random.default_rng(0))) is None
+    assert planning.unreachable(Problem(starts, goals, NOTHING, HALF, DISTANCE, CELL, walls[:3], BESIDE)) == []

@@ -34,7 +34,7 @@ def ticks(fleet: Fleet, stream: Stream, seconds: float) -> NDArray[np.float64]:
     stream.drain()
     CLOCK.sleep_until(CLOCK.now_ns() + round(seconds * S))
     heads = [TICK_RECORD.decode_head(payload) for _, _, payload in stream.drain()]
-    return np.array([head[-2:] for head in heads if head is not None]) * 1e3 / MS
+    return np.array([(head.lateness_ns, head.compute_ns) for head in heads if head is not None]) * 1e3 / MS
 
 
 def measured(fleet: Fleet, folder: Path, turns: int, seconds: float) -> dict[str, list[NDArray[np.float64]]]:

@@ -202,3 +202,12 @@ def test_check_names_its_place_in_the_file(tmp_path: Path) -> None:
     assert f"parked.yaml:{line}:47: robots.4.start: the distance of a robot that is not in the group" in str(
         refused.value
     )
+
+
+def test_nobody_hits_a_cart_that_is_pushed_into_a_platoon_s_way(platoon_of: Make) -> None:
+    cart = "arena.moving=[{name: cart, tag: 40, radius_m: 0.12, start: {x_m: 0.0, y_m: 0.3, heading_deg: 0}}]"
+    push = "faults=[{kind: pushed, robot: cart, velocity_m_s: [0.0, 0.05], at_s: 2.0, duration_s: 10.0}]"
+    s = driven(platoon_of(cart, push, TRUTH, "run.duration_s=13"))
+    assert s["bystanders"] == ["cart"]
+    assert s["min_gap_mm"] >= GAP_MM
+    assert s["filtered_fraction"] > 0.05, "they did come near"

@@ -107,6 +107,8 @@ REFUSED = [
     (["groups.0.settings.spacing_m=0.2"], "groups.0.settings.spacing_m", "the barrier would hold r2 back from r1"),
     (["controller.barrier.rate_per_s=31"], "controller.barrier.rate_per_s", "below 30.3"),
     (["camera.trigger_lead_s=0.0059"], "camera.trigger_lead_s", "must be at least 0.006 s"),
+    (["camera.exposure_control=auto", "camera.exposure_s=0.02"], "camera.exposure_s", "1 px of motion blur"),
+    (["camera.exposure_control=auto", "camera.exposure.gain=[30, 40]"], "camera.exposure.gain", "has 0 to 24"),
     (["camera.exposure_s=0.03"], "camera.exposure_s", "is 0.034 s, must be at most 0.033 s"),
     (["camera.trigger=free", "camera.rate_hz=200"], "camera.exposure_s", "must be at most 0.005 s"),
 ]  # fmt: skip

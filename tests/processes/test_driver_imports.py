@@ -33,10 +33,14 @@ def base_install() -> set[str]:
 
 
 def loaded(driver: str) -> set[str]:
-    """Return the top-level modules of a driver process that has read its configuration, but Python's own."""
-    modules = "{name.partition('.')[0] for name in sys.modules} - set(sys.stdlib_module_names)"
+    """Return the top-level modules of a driver process that has read its configuration, but Python's own.
+
+    What a package loads in every Python of its environment is not the process's.
+    """
+    modules = "{name.partition('.')[0] for name in set(sys.modules) - began} - set(sys.stdlib_module_names)"
     read = f"[robofleet.config.load.load_config(file) for file in pathlib.Path({str(CONFIGS)!r}).glob('*.yaml')]"
-    code = f"import pathlib, sys, robofleet.config.load, {', '.join(PROCESS)}, {driver}; {read}; print(*{modules})"
+    own = f"robofleet.config.load, {', '.join(PROCESS)}, {driver}; {read}; print(*{modules})"
+    code = f"import pathlib, sys; began = set(sys.modules); import {own}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return {name for name in done.stdout.split() if not name.startswith("_")}
 

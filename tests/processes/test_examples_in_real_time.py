@@ -10,6 +10,8 @@ import pytest
 from tests.examples import EXAMPLES, Watched, seen, started
 from tests.processes.realrun import RealRun
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def arena(alone_for_a_module: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealRun]:

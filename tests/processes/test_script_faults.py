@@ -73,6 +73,7 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script(alone_for_a_module: No
     assert "no arena has a run" in listed.stderr
 
 
+@pytest.mark.slow
 def test_a_run_of_its_own_ends_with_a_script_that_is_killed(alone_for_a_module: None, tmp_path: Path) -> None:
     environment, folder = own_folders(tmp_path), tmp_path / "run"
     file = tmp_path / "own.py"
@@ -190,7 +191,12 @@ WORDS = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+FAST = "killed", "raises"  # one of each event; what else is silent is silent alike
+
+
+@pytest.mark.parametrize(
+    "case", [case if case in FAST else pytest.param(case, marks=pytest.mark.slow) for case in CASES]
+)
 def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scripts: Scripts, case: str) -> None:
     body, strike, event = CASES[case]
     before = len(stops(read(scripts.run.folder)))

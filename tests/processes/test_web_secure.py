@@ -120,8 +120,12 @@ def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
     assert lines[0].startswith("refused (1 so far): a connection of 127.0.0.1: no TLS: ")
 
 
-def test_half_open_greetings_delay_nobody_and_are_closed(stand: WebStand, comes: Comes) -> None:
+def test_half_open_greetings_delay_nobody_and_are_closed_and_a_page_that_has_left_is_missed_by_nobody(
+    stand: WebStand, comes: Comes, caplog: pytest.LogCaptureFixture
+) -> None:
     visitor = comes(stand.url)
+    with visitor.page() as page:
+        assert page.heard_one()["type"] == "hello"
     with ExitStack() as opened:
         there = [
             opened.enter_context(socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S))
@@ -134,16 +138,7 @@ def test_half_open_greetings_delay_nobody_and_are_closed(stand: WebStand, comes:
             assert fresh.client.get("/page.js", timeout=ANSWERED_WITHIN_S).status_code == 200
         assert visitor.post("/estop").json()["to"] == "estop"
         assert b"estop" in stand.asked
-        assert all(one.recv(4096) == b"" for one in there)
-
-
-def test_a_page_that_has_left_is_missed_by_nobody(
-    stand: WebStand, comes: Comes, caplog: pytest.LogCaptureFixture
-) -> None:
-    with comes(stand.url).page() as page:
-        assert page.heard_one()["type"] == "hello"
-    with socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S) as later:
-        assert later.recv(1) == b"", "its time is over, and so is the time of the page before"
+        assert all(one.recv(4096) == b"" for one in there), "their time is over, and so is that of the page before"
     assert [record.getMessage() for record in caplog.records if record.name == "asyncio"] == []
 
 

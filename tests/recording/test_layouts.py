@@ -1,6 +1,7 @@
 """Layouts for viewers: they name channels and fields that the run's file has, and all robots."""
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,14 +13,16 @@ from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.config import groups
 from robofleet.config.load import load_config
+from robofleet.recording.drawn import Drawn
 from robofleet.recording.robot_ticks import MESSAGE, PACKAGE
 from robofleet.recording.run import Recording
 from robofleet.recording.scene import Scene
 from robofleet.recording.viewers import foxglove
 from robofleet.recording.viewers.layouts import VIEWERS
 from robofleet.recording.viewers.plots import tabs
-from tests.recording import recorded
+from tests.recording import make_layouts, recorded
 
 PLOTTED = {
     "centre_error_mm", "estimated_path_error_mm", "estimated_spacing_mm",
@@ -153,3 +156,19 @@ def test_a_file_that_is_no_recording_has_no_layout(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["layout", "foxglove", str(tmp_path)])
     assert result.exit_code == 2
     assert not (tmp_path / "foxglove.json").exists()
+
+
+def test_layouts_of_the_repository_are_those_of_the_platoon_and_name_channels_that_it_has() -> None:
+    config = load_config(recorded.PLATOON)
+    fields = {
+        channel.topic: {field.name for file in FileDescriptorSet.FromString(channel.description).file
+                        for message in file.message_type for field in message.field}
+        for channel in Drawn(config, groups.descriptions(config)).channels
+    }  # fmt: skip
+    for file, layout in make_layouts.layouts():
+        assert file.read_bytes() == layout, "python -m tests.recording.make_layouts"
+        named = {name.decode() for name in re.findall(rb'["; ](/[\w/]+(?:\.\w+)?)', layout)}
+        assert len(named) > len(config.robots)
+        for name in named - set(fields):
+            topic, field = re.split(r"[./](?=\w+$)", name)
+            assert field in fields[topic], f"{file.name} names {name}"

@@ -18,7 +18,7 @@ NOW = 1000 * S
 RUNNING = RunStatus(Phase.RUNNING, Event.PROVED)
 LOAD_MAKES = {  # said here once more: what lateness can do to a fleet that drives
     Event.SUPERVISOR_STALLED, Event.DRIVER_SILENT, Event.CONTROLLER_SILENT, Event.TICKS_OVERRUN, Event.TRACKER_SILENT,
-    Event.CAMERA_STALLED, Event.BEHAVIOUR_LATE,
+    Event.CAMERA_STALLED, Event.POSES_SILENT, Event.BEHAVIOUR_LATE,
 }  # fmt: skip
 LOAD_SPOILS = LOAD_MAKES | {  # ... and to its checks; not what wires, wheels and hands do
     Event.TAG_LOST, Event.LEASE_LOST, Event.GATE_LATCHED, Event.NOT_AT_REST, Event.ESTOP_UNANSWERED,

@@ -28,7 +28,7 @@ ENDS = {  # nobody can go on from here without looking
 }  # fmt: skip
 HOLDS = {  # it may pass, and the run can be resumed
     Event.TRACKER_SILENT, Event.TRACKER_RESTARTED, Event.CAMERA_STALLED, Event.CAMERA_FROZEN, Event.TAG_TWICE,
-    Event.TOO_CLOSE, Event.DISK_FULL, Event.BYSTANDER_LOST, Event.BYSTANDER_MOVED, Event.LINK_LOST,
+    Event.TOO_CLOSE, Event.DISK_FULL, Event.BYSTANDER_LOST, Event.BYSTANDER_MOVED, Event.LINK_LOST, Event.POSES_SILENT,
 }  # fmt: skip
 OF_MOTION = {  # mean something while the fleet drives
     Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED, Event.UNDER_WAY_TOO_LONG,
@@ -43,6 +43,7 @@ WISHES = {
     (Phase.IDLE, Event.START_REQUESTED): Phase.ARMED,
     (Phase.ARMED, Event.PROVED): Phase.RUNNING,
     (Phase.ARMED, Event.SET_OUT): Phase.POSITIONING,
+    (Phase.ARMED, Event.CAMERA_OUT): Phase.FAULT,
     (Phase.POSITIONING, Event.AT_START): Phase.RUNNING,
     (Phase.RUNNING, Event.ACCOMPLISHED): Phase.IDLE,
     (Phase.RUNNING, Event.OFF_TO_PARK): Phase.PARKING,

@@ -92,9 +92,9 @@ def errors(floor: Floor, seen: list[Any]) -> np.ndarray:
     """Return pose minus truth at mid-exposure, (poses, 3)."""
     return np.array(
         [
-            np.subtract(pose, floor.where(tag - 1, observed.exposure_ns))
+            np.subtract((pose.x_m, pose.y_m, pose.psi_rad), floor.where(pose.tag - 1, observed.exposure_ns))
             for observed in seen
-            for tag, _, _, *pose in observed.poses
+            for pose in observed.poses
         ]
     )
 

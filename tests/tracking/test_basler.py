@@ -2,10 +2,12 @@
 
 import importlib.util
 import itertools
+import math
 import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.tracking.basler import BaslerCamera, DeviceClock, SoftwareTrigger
-from robofleet.tracking.sources import CameraContext, CameraError
+from robofleet.tracking.sources import CameraContext, CameraError, Exposure
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
@@ -154,6 +156,55 @@ def test_a_tick_triggers_one_image_its_lead_before_the_next_tick(lab: Lab, expos
     assert min(off_ns) < 4 * MS
 
 
+def test_the_trigger_moves_by_half_the_change_of_the_exposure(lab: Lab) -> None:
+    trigger = SoftwareTrigger(config("camera.trigger=tick"), lab.ticks, lab.clock)
+    trigger.exposure_s = 0.0001
+
+    def lateness_ms(tick: int) -> float:
+        lab.tick(tick)
+        at_ns = lab.ticks.instant(lab.ticks.newest)
+        end_ns = lab.clock.now_ns() + 60 * MS
+        triggered = trigger.wait(lambda: lab.clock.now_ns() < end_ns)
+        return (lab.clock.now_ns() - at_ns) / MS if triggered else math.inf
+
+    for exposure_s in (0.0001, 0.014, 0.0001):  # a busy machine wakes late: the promptest of some counts
+        trigger.exposure_s = exposure_s
+        began = lab.ticks.newest
+        least_ms = min(lateness_ms(began + 1 + k) for k in range(8))
+        assert least_ms >= 15 - 1e3 * exposure_s / 2, "never before its instant"
+        assert least_ms < 15 - 1e3 * exposure_s / 2 + 4
+
+
+def test_exposure_and_gain_are_adjusted_between_two_images(lab: Lab) -> None:
+    for overrides in (["camera.trigger=free", "camera.rate_hz=50"], ["camera.trigger=tick"]):
+        camera = lab.open(*overrides)
+        if overrides[0].endswith("tick"):
+            trigger = camera._trigger
+            assert trigger is not None
+            trigger.wait = lambda _running: True  # type: ignore[method-assign]
+        assert camera.read().exposure == Exposure(0.004, 0.0)
+        limits = camera.exposure_limits()
+        assert limits.shortest == Exposure(pytest.approx(1e-6), 0.0)
+        assert limits.longest.gain == pytest.approx(48.0)
+        assert limits.gain_db == 1.0
+        camera.adjust(Exposure(0.007, 6.0))
+        frames = [camera.read() for _ in range(6)]
+        assert frames[-1].exposure == Exposure(pytest.approx(0.007, abs=1e-6), pytest.approx(6.0, abs=0.01))
+        if overrides[0].endswith("tick"):
+            assert {frame.exposure for frame in frames} == {frames[-1].exposure}, "triggered after the change"
+            assert trigger.exposure_s == pytest.approx(0.007, abs=1e-6)
+        camera.close()
+
+
+def test_a_line_that_triggers_keeps_the_exposure() -> None:
+    line = ["camera.trigger=tick", "camera.basler.trigger_source=Line1", "camera.model.camera=somebody's"]
+    assert not config(*line).camera.adjusts_exposure
+    assert config(line[0]).camera.adjusts_exposure
+    ((where, why),) = BaslerCamera.refusals(config(*line, "camera.exposure_control=auto"))
+    assert where == "camera.exposure_control"
+    assert "set it to fixed" in why
+
+
 def test_a_tick_triggers_once_and_one_that_is_known_too_late_never(lab: Lab) -> None:
     trigger = SoftwareTrigger(config("camera.trigger=tick"), lab.ticks, lab.clock)  # 13 ms after a tick
 
@@ -245,6 +296,21 @@ def test_a_clock_that_was_set_back_is_learnt_anew() -> None:
     for k in range(1, 100):
         clock.arrival(k * 33 * MS, 5 * S + k * 33 * MS)
     assert clock.arrival(1 * MS, 20 * S) == 20 * S
+
+
+def test_a_stamp_of_the_exposures_beginning_stays_right_while_exposures_grow(lab: Lab) -> None:
+    camera = lab.open("camera.trigger=free", "camera.readout_s=0.005")
+    origin_ns, errors = lab.clock.now_ns(), []
+    for k in range(1, 300):
+        exposure = Exposure(0.004 + 3e-5 * k, 0.0)
+        camera._exposing.done(exposure, 0)
+        jitter_ns = 0 if k % 20 == 0 else k * 7919 % 20 * MS
+        began_ns = origin_ns + k * 33 * MS
+        result = SimpleNamespace(TimeStamp=k * 33 * MS, Array=np.zeros((2, 2), np.uint8))
+        frame = camera._frame(result, began_ns + round((exposure.time_s + 0.005) * S) + jitter_ns)
+        if k > 64:
+            errors.append(frame.exposure_ns - began_ns - exposure.time_s / 2 * S)
+    assert np.abs(errors).max() < 1000, "a microsecond"
 
 
 def test_without_stamps_the_arrival_is_what_is_known() -> None:

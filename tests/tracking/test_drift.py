@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.camera_motion import pose_covariance, sensitivity
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import NO_TAG, Notice, TrackerEvent
 from robofleet.tracking.tracker import TagSighting
@@ -80,7 +81,7 @@ class Lab:
             arm = 0.02
             ends = np.column_stack([x + arm * np.cos(psi), y + arm * np.sin(psi), 0 * x])
             points = np.vstack([np.column_stack([x, y, 0 * x]), ends])
-            centres, ends = self.used.to_plane(true.project(points), 0.0).reshape(2, -1, 2)
+            centres, ends = self.monitor.geometry.to_plane(true.project(points), 0.0).reshape(2, -1, 2)
             headings = np.arctan2(ends[:, 1] - centres[:, 1], ends[:, 0] - centres[:, 0])
             self.show(np.column_stack([centres, headings]), hidden)
 
@@ -90,8 +91,8 @@ class Lab:
         rows = [i for i in range(len(noisy)) if i not in hidden]
         geometry, news = self.monitor.update([TagSighting(100 + i, *noisy[i].tolist(), 0, 0) for i in rows])
         self.news += news
-        if geometry is not None:
-            self.used, self.given = geometry, self.given + 1
+        self.given += geometry is not self.used
+        self.used = geometry
 
     def events(self) -> list[TrackerEvent]:
         return [happening.event for happening in self.news]
@@ -333,9 +334,9 @@ def test_predictions_and_strangers_are_no_sightings() -> None:
     lab = Lab(CORNERS)
     lab.see(CALIBRATED, SECOND)
     far = [TagSighting(100 + i, 0.0, 0.0, 0.0, 0, 1) for i in range(4)] + [TagSighting(1, 0.0, 0.0, 0.0, 0, 0)]
-    assert all(lab.monitor.update(far) == (None, ()) for _ in range(3 * SECOND))
+    assert all(lab.monitor.update(far) == (CALIBRATED, ()) for _ in range(3 * SECOND))
     assert lab.monitor.trusted
-    assert DriftMonitor(CALIBRATED, []).update(far) == (None, ())
+    assert DriftMonitor(CALIBRATED, []).update(far) == (CALIBRATED, ())
 
 
 @pytest.mark.parametrize(
@@ -351,11 +352,93 @@ def test_noise_and_robots_that_hide_tags_are_no_news(
     for k in range(images):
         begins = rng.random(n) < 0.004  # a robot drives over it, for up to ten seconds
         until[begins] = k + rng.integers(5, 300, np.count_nonzero(begins))
-        if lab.used is not used:
-            used = lab.used
+        if lab.monitor.geometry is not used:
+            used = lab.monitor.geometry
             poses[:, :2] = used.to_plane(pixels, 0.0)
-            assert error_mm(CALIBRATED, used) < 0.1 * max(1.0, sigma / 1e-4)
+        if k % 10 == 0:
+            assert error_mm(CALIBRATED, lab.used) < 0.1 * max(1.0, sigma / 1e-4)
         lab.show(poses, np.flatnonzero(until > k).tolist())
         assert lab.monitor.trusted
     assert lab.news == []
     assert lab.given < (images / 40 if n > 2 else 1)  # geometries change for reasons
+
+
+def shaken(deg: float, k: int, axes: tuple[float, ...] = (1.0, 1.0, 1.0)) -> CameraGeometry:
+    """The camera in image ``k`` while it turns at 7 Hz."""
+    return moved(*(deg * math.sin(math.tau * 7.0 * k / SECOND + 0.4) * np.array(axes)))
+
+
+@pytest.mark.parametrize("axes", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)], ids=["x", "z", "all"])
+@pytest.mark.parametrize("deg", [0.02, 0.05])
+def test_every_image_of_a_camera_that_vibrates_has_its_own_correction(deg: float, axes: tuple[float, ...]) -> None:
+    lab, errors = Lab(CORNERS), []
+    lab.see(CALIBRATED, SECOND)
+    for k in range(3 * SECOND):
+        lab.see(true := shaken(deg, k, axes))
+        if k >= 5:  # at first it may be a knock
+            assert lab.monitor.trusted, k
+            errors.append(error_mm(true, lab.used))
+    assert max(errors) < 0.15
+    assert max(error_mm(shaken(deg, k, axes), CALIBRATED) for k in range(SECOND)) > 0.35
+    lab.see(CALIBRATED, 10 * SECOND)  # it came to rest
+    assert error_mm(CALIBRATED, lab.used) < 0.05
+
+
+def test_a_camera_that_vibrates_from_the_beginning() -> None:
+    lab = Lab(CORNERS)
+    errors = []
+    for k in range(10 * SECOND):
+        lab.see(true := shaken(0.05, k))
+        errors.append(error_mm(true, lab.used))
+        assert lab.monitor.trusted or k < 10
+    assert max(errors[5 * SECOND :]) < 0.2
+    assert max(error_mm(shaken(0.05, k), CALIBRATED) for k in range(SECOND)) > 3.0
+
+
+def test_images_of_a_camera_at_rest_are_not_corrected_by_their_noise() -> None:
+    lab = Lab(CORNERS, sigma=1e-4)
+    for k in range(20 * SECOND):
+        lab.see(CALIBRATED)
+        if k > 2 * SECOND:
+            assert error_mm(CALIBRATED, lab.used) < 0.05, k
+
+
+def test_a_knock_of_a_camera_that_vibrates() -> None:
+    lab = Lab(CORNERS)
+    lab.see(CALIBRATED, SECOND)
+    knock = KNOCKS["tilt"].T_world_camera[:3, :3] @ CALIBRATED.T_world_camera[:3, :3].T
+    for k in range(3 * SECOND):
+        true = shaken(0.02, k)
+        if k >= SECOND:
+            T = true.T_world_camera.copy()
+            T[:3, :3] = knock @ T[:3, :3]
+            true = true.moved(T)
+        lab.see(true)
+        if not SECOND <= k < SECOND + 5:
+            assert lab.monitor.trusted, k
+            assert error_mm(true, lab.used) < 0.3, k
+    assert TrackerEvent.CAMERA_CORRECTED in lab.events()
+
+
+def test_the_uncertainty_of_an_images_camera_is_true() -> None:
+    lab, squares = Lab(CORNERS), []
+    points = np.array([(-1.0, 0.5, ROBOTS_M), (0.3, -0.4, ROBOTS_M), (1.2, 0.2, ROBOTS_M)])
+    lab.see(CALIBRATED, SECOND)
+    for k in range(20 * SECOND):
+        lab.see(true := shaken(0.03, k))
+        if k >= 5 * SECOND:
+            off = lab.used.to_plane(true.project(points), ROBOTS_M) - points[:, :2]
+            spread = lab.monitor.covariance(points)
+            squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread[:, :2, :2]), off))
+    assert 0.5 < np.mean(squares) / 2.0 < 2.0  # of a degree of freedom
+
+
+def test_what_a_camera_does_to_poses_is_that_of_its_whole_model() -> None:
+    points, rng = np.array([(-1.4, 0.8, ROBOTS_M), (0.3, -0.4, ROBOTS_M), (1.2, 0.2, 0.0)]), np.random.default_rng(0)
+    rows = sensitivity(CALIBRATED, points).reshape(3, 3, 6)
+    parts = 1e-4 * rng.normal(0.0, 1.0, (6, 6))
+    spread, wanted = (
+        pose_covariance(CALIBRATED, points, parts @ parts.T),
+        rows @ parts @ parts.T @ rows.transpose(0, 2, 1),
+    )
+    assert np.abs(spread - wanted).max() < 0.05 * wanted.max()  # a focal length is a little less of a barrel

@@ -63,7 +63,7 @@ def measure(renderer: SceneRenderer, frames: int) -> tuple[NDArray[np.float64], 
         truth = random_poses(rng)
         findings = DETECTOR.detect(renderer.render(truth))
         false += findings.refused
-        for target, centre, psi in findings.tags:
+        for target, centre, psi, _ in findings.tags:
             x_true, y_true, psi_true = truth[target]
             turned = math.degrees(math.remainder(psi - psi_true, math.tau))
             errors.append(((centre.real - x_true) * 1e3, (centre.imag - y_true) * 1e3, turned))

@@ -1,5 +1,6 @@
 """A V4L2 camera. No machine of a test has one: the real class drives what OpenCV's capture would be."""
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from robofleet.comms.bus import MemoryBus
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.tracking.sources import CameraContext, CameraError, Frame
+from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
 from robofleet.tracking.v4l2 import V4L2Camera, device_identity
+from robofleet.tracking.v4l2_controls import EXPOSURE_ABSOLUTE, GAIN, Range, control_range
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 EXPOSURE_S, READOUT_S = 0.006, 0.009
@@ -91,11 +93,15 @@ def config(*overrides: str) -> Config:
     )  # fmt: skip
 
 
-def camera_of(capture: Capture, *overrides: str) -> V4L2Camera:
+RANGES = {EXPOSURE_ABSOLUTE: Range(3, 2047, 1), GAIN: Range(0, 255, 5)}
+
+
+def camera_of(capture: Capture, *overrides: str, ranges: dict[int, Range] = RANGES) -> V4L2Camera:
     clock, tree = WallClock(), config(*overrides)
     bus = MemoryBus("platoon", clock, 0)
     ticks = TickFollower(bus, 33 * MS, lambda _: None)
-    return V4L2Camera(CameraContext(tree, clock, bus, ticks, np.random.default_rng(1), 0), capture)
+    context = CameraContext(tree, clock, bus, ticks, np.random.default_rng(1), 0)
+    return V4L2Camera(context, capture, lambda _, control: ranges.get(control))
 
 
 def scene() -> NDArray[np.uint8]:
@@ -196,6 +202,60 @@ def test_mid_exposure_is_told_from_the_kernels_stamp(
     overrides = [f"camera.v4l2.stamp={stamp}", f"camera.model.line_time_s={line_time_s:.6f}", "camera.v4l2.format=GREY"]
     frame, stamped_ns = read(capture, camera_of(capture, *overrides), scene())
     assert frame.exposure_ns - stamped_ns == pytest.approx(after_s * S, abs=1 * MS)
+
+
+def test_an_image_has_the_old_exposure_if_it_began_before_the_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robofleet.clock._CLOCK", 0)
+    for stamp in ("start", "end"):
+        capture = Capture()
+        camera = camera_of(capture, f"camera.v4l2.stamp={stamp}", "camera.v4l2.format=GREY")
+        assert read(capture, camera, scene())[0].exposure == Exposure(EXPOSURE_S, 0.0)
+        camera.adjust(Exposure(0.0101, 40.0))
+        assert (capture.has[cv2.CAP_PROP_EXPOSURE], capture.has[cv2.CAP_PROP_GAIN]) == (60, 0), "not in another thread"
+        for age_ms, exposure_s in ((20.0, EXPOSURE_S), (-5.0, 0.0101 if stamp == "start" else EXPOSURE_S)):
+            frame, stamped_ns = read(capture, camera, scene(), age_ms)
+            assert (capture.has[cv2.CAP_PROP_EXPOSURE], capture.has[cv2.CAP_PROP_GAIN]) == (101, 40)
+            assert frame.exposure is not None
+            assert frame.exposure.time_s == pytest.approx(exposure_s)
+            after_s = exposure_s / 2 if stamp == "start" else -READOUT_S - exposure_s / 2
+            assert frame.exposure_ns - stamped_ns == pytest.approx(after_s * S, abs=1 * MS)
+
+
+def test_what_the_device_made_of_a_change_is_told() -> None:
+    capture = Capture()
+    camera = camera_of(capture, "camera.v4l2.format=GREY")
+    capture.keeps = {cv2.CAP_PROP_EXPOSURE: 80.0, cv2.CAP_PROP_GAIN: 35.0}
+    camera.adjust(Exposure(0.0101, 40.0))
+    read(capture, camera, scene())
+    assert read(capture, camera, scene(), -5.0)[0].exposure == Exposure(pytest.approx(0.008), 35.0)
+
+
+def test_limits_are_the_devices() -> None:
+    limits = camera_of(Capture()).exposure_limits()
+    assert limits.shortest == Exposure(pytest.approx(0.0003), 0)
+    assert limits.longest == Exposure(pytest.approx(0.2047), 255)
+    assert limits.step == Exposure(pytest.approx(0.0001), 5)
+    assert 255 * limits.gain_db == pytest.approx(24.0)
+    without = camera_of(Capture(GAIN=-1), "camera.v4l2.gain=null").exposure_limits()
+    assert (without.shortest.gain, without.longest.gain) == (0, 0)
+    with pytest.raises(CameraError, match=r"set camera\.exposure_control to fixed"):
+        camera_of(Capture(), ranges={}).exposure_limits()
+
+
+@pytest.mark.parametrize(("flags", "known"), [(0, True), (0x10, True), (0x1, False), (0x4, False)])
+def test_a_controls_range_is_asked_of_the_kernel(tmp_path: Path, flags: int, known: bool) -> None:
+    device = tmp_path / "video0"
+    device.write_text("")
+
+    def ioctl(_descriptor: int, request: int, buffer: bytearray) -> int:
+        assert request == 0xC0445624  # VIDIOC_QUERYCTRL of a struct of 68 bytes
+        assert (len(buffer), struct.unpack_from("=I", buffer)) == (68, (GAIN,))
+        struct.pack_into("=iiiiI", buffer, 40, 16, 255, 2, 64, flags)
+        return 0
+
+    assert control_range(str(device), GAIN, ioctl) == (Range(16, 255, 2) if known else None)
+    assert control_range(str(device), GAIN) is None, "a file is no camera"
+    assert control_range(str(tmp_path / "none"), GAIN) is None
 
 
 @pytest.mark.parametrize("age_s", [-1.0, 60.0, 1.7e9, -1.7e9])

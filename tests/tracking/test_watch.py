@@ -37,6 +37,11 @@ class Sight:
         self.newest = self.image() if image is None else image
         return self.watch.look(self.newest, self.now_ns - 5 * MS if exposure_ns is None else exposure_ns, self.now_ns)
 
+    def stamped(self, ahead_ns: int) -> int | None:
+        """Take a good image of a camera whose clock is ahead; return when it is believed to have been exposed."""
+        stamp_ns = self.now_ns + PERIOD_NS - 5 * MS + ahead_ns
+        return self.watch.exposed_ns if self.look(exposure_ns=stamp_ns) else None
+
     def wait(self, ns: int, *, expected: bool = True) -> None:
         """Let time pass without an image, a millisecond a step."""
         for _ in range(ns // MS):
@@ -87,7 +92,37 @@ def test_one_stamp_from_the_future_does_not_make_the_next_images_old() -> None:
     assert not sight.look(exposure_ns=sight.now_ns + 10 * S)
     assert all(sight.look() for _ in range(10))
     assert sight.events() == []
-    assert not any(sight.look(exposure_ns=sight.now_ns + 10 * S) for _ in range(5))
+
+
+@pytest.mark.parametrize("jump_ns", [-S // 2, 5 * S, -3600 * S])
+def test_a_clock_that_jumps_is_told_and_its_images_are_put_on_this_hosts_clock(jump_ns: int) -> None:
+    sight = Sight()
+    assert all(sight.look() for _ in range(10))
+    for ahead_ns in (jump_ns, 0, jump_ns):  # it jumps back, too
+        believed = [sight.stamped(ahead_ns) for _ in range(10)]
+        assert believed == [None, None] + [sight.now_ns - 5 * MS - k * PERIOD_NS for k in range(7, -1, -1)]
+    told = sight.watch.news()
+    assert [event for event, _, _ in told] == [E.CLOCK_JUMPED] * 3
+    assert [value for _, _, value in told] == pytest.approx([jump_ns / S, -jump_ns / S, jump_ns / S])
+
+
+def test_late_images_are_no_jump_of_the_clock() -> None:
+    sight = Sight()
+    assert all(sight.look() for _ in range(10))
+    sight.wait(S)
+    sight.watch.news()
+    for k in range(20):  # those that were waiting, all at once
+        sight.now_ns -= PERIOD_NS - MS
+        sight.look(exposure_ns=sight.now_ns - S + k * PERIOD_NS)
+    assert E.CLOCK_JUMPED not in sight.events()
+    sight.now_ns += S
+    assert all(sight.stamped(0) == sight.now_ns - 5 * MS for _ in range(10))
+    assert E.CLOCK_JUMPED not in sight.events()
+
+
+def test_of_a_camera_whose_clock_was_never_right_nothing_is_believed() -> None:
+    sight = Sight()
+    assert not any(sight.look(exposure_ns=sight.now_ns + 10 * S) for _ in range(20))
     assert sight.events() == [E.CAMERA_FROZEN]
 
 

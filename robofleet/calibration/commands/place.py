@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from robofleet.calibration import frames
-from robofleet.calibration.arena import calibrate_arena
+from robofleet.calibration.arena import Wanted, calibrate_arena, calibrate_together
 from robofleet.calibration.commands.shared import (
     CameraName,
     ConfigsFolder,
@@ -20,6 +20,7 @@ from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.sizes import size
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.verify import verify as verify_camera
+from robofleet.config.tree import Config
 
 SurveyFile = Annotated[Path, typer.Argument(metavar="SURVEY", help="YAML with floor_tags and points, in metres.")]
 Images = Annotated[list[Path] | None, typer.Argument(metavar="[IMAGES]...", help="Images, or folders of them.")]
@@ -55,22 +56,43 @@ def arena(
 
     $ robofleet calibrate arena ceiling survey.yaml floor.png --arena-m 3.5x2.3
 
-    The camera's file is written again, with its place; `robofleet sheet floor` prints tags for the floor.
+    $ robofleet calibrate arena left,right survey.yaml --live configs/two-cameras.yaml
+
+    The camera's file is written again, with its place; `robofleet sheet floor` prints tags for the floor. Several
+    cameras, with commas between them, are placed at once, by one survey and by the tags that two of them see.
     """
-    file, config = known_camera(camera, configs, live), live_camera(live, overrides)
+    files = [known_camera(name, configs, live) for name in camera.split(",")]
+    config = live_camera(live, overrides)
     sides = size(arena_m, "--arena-m") if arena_m else None
     if config is not None:
         sides = sides or config.arena.size_m
         tag_height_m = config.tracker.tag_height_m if tag_height_m is None else tag_height_m
-    taken = frames.taken(images or (), config, count)
     page = report_file(report, "arena")
-    result = calibrate_arena(file, survey, taken, page, survey_mm, sides, tag_height_m or 0.0)
-    for note in result.notes:
-        print(note)
-    rms, most = result.figures["predicted_rms_mm"], result.figures["predicted_max_mm"]
-    print(f"expected error on the arena: {rms:.2f} mm rms, {most:.2f} mm at most")
-    print(f"{file}: written" + (f"; the one before it is {result.kept}" if result.kept else ""))
-    print(f"report: {page}")
+    taken = _taken(files, images or [], config, count)
+    if len(files) == 1:
+        results = [calibrate_arena(files[0], survey, taken[0], page, survey_mm, sides, tag_height_m or 0.0)]
+    else:
+        wanted = Wanted(survey, survey_mm, sides, tag_height_m or 0.0)
+        results = calibrate_together(files, taken, page, wanted)
+    for file, result in zip(files, results, strict=True):
+        for note in result.notes:
+            print(note)
+        rms, most = result.figures["predicted_rms_mm"], result.figures["predicted_max_mm"]
+        print(f"expected error on the arena: {rms:.2f} mm rms, {most:.2f} mm at most")
+        print(f"{file}: written" + (f"; the one before it is {result.kept}" if result.kept else ""))
+        own = page if len(files) == 1 else page.with_name(f"{page.stem}-{file.stem}{page.suffix}")
+        print(f"report: {own}")
+
+
+def _taken(files: list[Path], images: list[Path], config: Config | None, count: int) -> list[list[frames.Named]]:
+    """Return the images of each camera."""
+    if config is not None:
+        return [frames.taken(images, frames.camera_of(config, file.stem), count) for file in files]
+    if len(files) == 1:
+        return [frames.taken(images, None, count)]
+    if len(images) != len(files):
+        raise CalibrationError(f"{len(images)} images or folders of {len(files)} cameras: name one for each, in order")
+    return [frames.taken([its], None, count) for its in images]
 
 
 def verify(
@@ -88,7 +110,7 @@ def verify(
     $ robofleet calibrate verify ceiling survey.yaml --live configs/lab.yaml
     """
     file = known_camera(camera, configs, live)
-    taken = frames.taken(images or (), live_camera(live, overrides), count)
+    (taken,) = _taken([file], images or [], live_camera(live, overrides), count)
     verdict = verify_camera(file, survey, taken, survey_mm)
     if not verdict.good:
         raise CalibrationError(verdict.sentences)

@@ -28,7 +28,7 @@ class Diary:
         new = self.written - written
         return list(self._lines)[-new:] if new > 0 else []
 
-    def look(self, hearing: Hearing, news: list[TrackerNews]) -> None:
+    def look(self, hearing: Hearing, news: list[tuple[str, TrackerNews]]) -> None:
         """Write down what is new."""
         lines: list[Line] = []
         if hearing.state is not None:
@@ -38,7 +38,8 @@ class Diary:
             self._busy = True
             lines.append(busy_line(hearing.busy, self._robots))
         lines += self._gates(hearing)
-        lines += map(news_line, news)
+        several = len(hearing.cameras) > 1
+        lines += [news_line(item, camera if several else "") for camera, item in news]
         lines += [said_line(group, note.line) for group, note in hearing.notes if note.line is not None]
         for level, name, words in lines:
             told = words if name == "supervisor" else f"{name}: {words}"

@@ -37,7 +37,7 @@ class Feed:
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, said: Callable[[], str]) -> None:
         """``said``: what the launcher does, for as long as the supervisor has not spoken."""
-        self._config, self._clock, self._said = config, clock, said
+        self.config, self.bus, self._clock, self._said = config, bus, clock, said
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
@@ -52,7 +52,7 @@ class Feed:
         self.record_ns = 0  # arrival of the record that made it; 0: none did
         self._looked_ns = 0
         self._tick: tuple[int, str] = (-1, "")
-        self._picture: tuple[int, str] = (0, "")
+        self._pictures: dict[str, tuple[int, str]] = {}  # the newest of each camera that somebody looked at
 
     async def run(self) -> None:
         """Look whenever something comes, and ten times a second in any case; for ever."""
@@ -75,17 +75,18 @@ class Feed:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
             now_ns = self._clock.now_ns()
-            frame = frames.tick(self.hearing, self._config, self._groups, self.seq, now_ns, self._said())
+            frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._said())
             self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
 
-    def picture(self) -> tuple[int, str]:
-        """Return the newest picture's exposure [ns], 0 while there is none, and its frame."""
-        shown = self.hearing.shown
-        if shown is not None and shown.picture.exposure_ns != self._picture[0]:
-            frame = frames.picture(self.hearing, self._outlines)
-            self._picture = shown.picture.exposure_ns, dumps(frame, compact=True)
-        return self._picture
+    def picture(self, camera: str) -> tuple[int, str]:
+        """Return a camera's newest picture's exposure [ns], 0 while there is none, and its frame."""
+        shown = next((heard.shown for heard in self.hearing.cameras if heard.name == camera), None)
+        before = self._pictures.get(camera, (0, ""))
+        if shown is not None and shown.picture.exposure_ns != before[0]:
+            frame = frames.picture(camera, shown, self.hearing.tags, self._outlines[camera])
+            before = self._pictures[camera] = shown.picture.exposure_ns, dumps(frame, compact=True)
+        return before
 
     def shapes(self) -> str:
         """Return what is drawn on the floor now."""
@@ -112,8 +113,8 @@ class Feed:
         return self._clock.now_ns()
 
     @cached_property
-    def _outlines(self) -> TagOutlines:
-        return TagOutlines(self._config)
+    def _outlines(self) -> dict[str, TagOutlines]:
+        return {view.camera.name: TagOutlines(view) for view in self.config.views}
 
     def _wake(self, _arrival_ns: int) -> None:
         """Say that something came (from Zenoh's thread)."""
@@ -149,10 +150,10 @@ class Page:
         self._marked = 0  # of the feed's changes of marks that it was sent
         self._marked_ns = 0
         self._written = 0  # lines of the diary sent
-        self._exposure_ns = 0  # of the newest picture sent
+        self._pictured = "", 0  # camera and exposure of the newest picture sent
         self._ended: Frame | None = None  # that it was told
         self._left = False
-        self.wants_picture = False
+        self.wants_picture = ""  # the camera's name; empty: none
 
     def wake(self) -> None:
         """Say that there is something to send."""
@@ -205,9 +206,9 @@ class Page:
             yield feed.beat()
         lines, self._written = feed.diary.since(self._written), feed.diary.written
         yield from map(dumps, lines)
-        exposure_ns, picture = feed.picture() if self.wants_picture else (0, "")
-        if exposure_ns not in (0, self._exposure_ns):
-            self._exposure_ns = exposure_ns
+        exposure_ns, picture = feed.picture(self.wants_picture) if self.wants_picture else (0, "")
+        if exposure_ns and (self.wants_picture, exposure_ns) != self._pictured:
+            self._pictured = self.wants_picture, exposure_ns
             yield picture
 
     def _tick_due(self) -> bool:

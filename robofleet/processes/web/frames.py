@@ -5,20 +5,21 @@ A value that is not known is null, never 0.
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from robofleet.behaviours.described import Group
 from robofleet.behaviours.interface import Dots, Figure, Pose, Shape, with_unit
 from robofleet.clock import MS, S
-from robofleet.comms.messages import FleetPoses, RobotStatus, RobotTick, RunState
-from robofleet.config import barrier
+from robofleet.comms.messages import FleetPoses, RobotStatus, RobotTick, RunState, TickRecord
+from robofleet.config import barrier, obstacles
 from robofleet.config.tree import Config
 from robofleet.figures import robot_colours
 from robofleet.processes import live_figures
+from robofleet.processes.hand import driven
 from robofleet.processes.on_the_way import OnTheWay
-from robofleet.processes.web.hearing import Hearing
+from robofleet.processes.web.hearing import CameraHearing, Hearing, Shown
 from robofleet.processes.web.words import phase_name, phase_word, stage, what_next
 from robofleet.recording import busy_machine
 from robofleet.recording.causes import named, own_halt
@@ -44,7 +45,15 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
     bounds = config.run.bounds.model_dump(exclude_none=True)
     return {
         "type": "hello",
-        "arena": {"name": config.arena.name, "size_m": config.arena.size_m},
+        "arena": {
+            "name": config.arena.name,
+            "size_m": config.arena.size_m,
+            "floor_m": config.arena.floor_m,
+            "obstacles": [
+                {"name": solid.name, "points": solid.outline.round(_DIGITS).tolist()}
+                for solid in obstacles.standing(config.arena)
+            ],
+        },
         "robots": [
             {**_robot(config, row), "colour": colour} for row, colour in enumerate(robot_colours(len(config.bodies)))
         ],
@@ -53,6 +62,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
                 "name": group.name,
                 "behaviour": group.behaviour,
                 "robots": group.robots,
+                "by_hand": group.name in driven(config),
                 "shapes": [_shape(shape) for shape in group.shapes],
             }
             for group in groups
@@ -62,6 +72,10 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
+        "cameras": [
+            {"name": view.camera.name, "width": view.camera.width, "height": view.camera.height}
+            for view in (config.views if seen else ())
+        ],
         "config": str(folder / "config.yaml"),
         "folder": str(folder),
         "columns": COLUMNS,
@@ -108,6 +122,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
     return {
         "type": "tick",
         "seq": seq,
+        "tick": 0 if hearing.record is None else hearing.record.tick,
         "t_s": _rounded(hearing.t_s, 3),
         "phase": phase_name(state),
         "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
@@ -138,12 +153,12 @@ def answer(to: str, ok: bool, text: str) -> Frame:
     return {"type": "answer", "to": to, "ok": ok, "text": text}
 
 
-def picture(hearing: Hearing, outlines: TagOutlines) -> Frame:
-    """Return the newest picture, and where its tags were seen [px of the camera's image]."""
-    assert hearing.shown is not None
-    seen, poses = hearing.shown
+def picture(camera: str, shown: Shown, tags: Mapping[int, str], outlines: TagOutlines) -> Frame:
+    """Return a camera's picture, and where its tags were seen [px of the camera's image]; ``tags``: the robots'."""
+    seen, poses = shown
     return {
         "type": "picture",
+        "camera": camera,
         "exposure_ns": seen.exposure_ns,
         "width": seen.width,
         "height": seen.height,
@@ -151,7 +166,7 @@ def picture(hearing: Hearing, outlines: TagOutlines) -> Frame:
         "tags": [
             {
                 "id": tag,
-                "robot": hearing.tags.get(tag),
+                "robot": tags.get(tag),
                 "corners": [[_rounded(u, 1), _rounded(v, 1)] for u, v in corners],
             }
             for tag, corners in outlines.of(poses).items()
@@ -175,7 +190,12 @@ def _robot(config: Config, row: int) -> Frame:
 
 def _health(hearing: Hearing) -> Frame:
     record = None if hearing.controller_silent() else hearing.record
-    rate, seen = _tracker(list(hearing.images), len(hearing.tags))
+    now_ns, several = hearing.now_ns(), len(hearing.cameras) > 1
+    each = [(camera, *_tracker(list(camera.images), len(hearing.tags))) for camera in hearing.cameras]
+    rate, seen = each[0][1:]
+    if several:  # no camera sees all robots
+        rates = [its for _, its, _ in each if its is not None]
+        rate, seen = min(rates, default=None), _measured_pct(record)
     return {
         "compute_us": None if record is None else record.compute_ns // 1000,
         "late_us": None if record is None else record.lateness_ns // 1000,
@@ -183,7 +203,19 @@ def _health(hearing: Hearing) -> Frame:
         "latency_ms": _latency_ms(hearing),
         "tracker_hz": rate,
         "seen_pct": seen,
+        **({"cameras": [_camera(camera, its, now_ns) for camera, its, _ in each]} if several else {}),
     }
+
+
+def _camera(camera: CameraHearing, rate_hz: float | None, now_ns: int) -> Frame:
+    return {"name": camera.name, "hz": rate_hz, "age_ms": _age_ms(camera.heard_ns, now_ns)}
+
+
+def _measured_pct(record: TickRecord | None) -> float | None:
+    """Return how many of the robots the newest tick measured, whoever saw them [%]."""
+    if record is None or not record.robots:
+        return None
+    return _rounded(100.0 * sum(robot.measured for robot in record.robots) / len(record.robots), 1)
 
 
 def _latency_ms(hearing: Hearing) -> float | None:

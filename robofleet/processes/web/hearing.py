@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus, Inbox, Wake
-from robofleet.comms.keys import BUSY, CAMERA, NEWS, NOTE, PICTURE, POSES, STATE, TICK, key
+from robofleet.comms.keys import BUSY, NEWS, NOTE, PICTURE, POSES, STATE, TICK, key
 from robofleet.comms.messages import (
     BUSY_MACHINE,
     FLEET_POSES,
@@ -43,6 +43,42 @@ class Shown(NamedTuple):
     poses: tuple[TagPose, ...]
 
 
+class CameraHearing:
+    """What is heard of one camera."""
+
+    def __init__(self, config: Config, bus: Bus, camera: str) -> None:
+        arena = config.arena.name
+        self.name = camera
+        self._frames = bus.stream(key(arena, POSES, camera), capacity=_IMAGES)
+        self._news = bus.stream(key(arena, NEWS, camera), capacity=_NEWS)
+        self._pictures = bus.newest(PICTURE, camera)
+        self._pending: tuple[int, Picture] | None = None  # and when it came
+        self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
+        self.heard_ns = 0  # the newest image's arrival; 0: none yet
+        self.shown: Shown | None = None
+
+    def hear(self, now_ns: int) -> tuple[list[FleetPoses], list[TrackerNews]]:
+        """Take what came; returns the new images and the tracker's news."""
+        new = [image for *_, payload in self._frames.drain() if (image := FLEET_POSES.decode(payload)) is not None]
+        self.images.extend(new)
+        self.heard_ns = now_ns if new else self.heard_ns
+        self._show(now_ns)
+        news = (TRACKER_NEWS.decode(payload) for *_, payload in self._news.drain())
+        return new, [item for item in news if item is not None]
+
+    def _show(self, now_ns: int) -> None:
+        """Wait for the poses of a picture's image; they may come after it."""
+        payload = self._pictures.take()
+        if payload is not None and (picture := PICTURE_LAYOUT.decode(payload)) is not None:
+            self._pending = now_ns, picture
+        if self._pending is not None:
+            came_ns, picture = self._pending
+            same = next((image for image in self.images if image.exposure_ns == picture.exposure_ns), None)
+            if same is not None or now_ns - came_ns > _POSES_WITHIN_NS:
+                self.shown = Shown(picture, same.poses if same is not None else ())
+                self._pending = None
+
+
 class Hearing:
     """``wake`` is called, from any thread, when a tick's record or a state of the run came."""
 
@@ -53,14 +89,11 @@ class Hearing:
         self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
         self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
         self.statuses: list[RobotStatus | None] = [None] * len(robots)  # the newest ones
-        self._frames = bus.stream(key(arena, POSES, CAMERA), capacity=_IMAGES)
-        self._news = bus.stream(key(arena, NEWS, CAMERA), capacity=_NEWS)
+        self.cameras = [CameraHearing(config, bus, camera) for camera in config.camera_names]
         self._notes = {group: bus.stream(key(arena, NOTE, group), capacity=_NOTES) for group in groups.scripted(config)}
         self.notes: list[tuple[str, Noted]] = []  # that came since the look before, and of which group
-        self._pictures = bus.newest(PICTURE, CAMERA)
         self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE.decode)
         self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
-        self._pending: tuple[int, Picture] | None = None  # and when it came
         self.record: TickRecord | None = None
         self.record_ns = 0  # its arrival; 0: none yet
         self.overruns = 0  # in this run: what the start of all processes cost does not count
@@ -71,8 +104,6 @@ class Hearing:
         self.placed = [False] * driven  # it was seen at least once: its estimate is one
         self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
-        self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
-        self.shown: Shown | None = None
         self.way = OnTheWay(config)
         self.t_s: float | None = None  # of the run; stays while it is held
 
@@ -92,23 +123,27 @@ class Hearing:
                 self.t_s = None
         return changed or record is not None
 
-    def hear_the_rest(self) -> list[TrackerNews]:
-        """Take what else came: the robots' words, the images', a picture; returns the tracker's news."""
+    def hear_the_rest(self) -> list[tuple[str, TrackerNews]]:
+        """Take what else came: the robots' words, the images', a picture; returns each camera's news, with its name."""
         now_ns = self._clock.now_ns()
         for unit in self._statuses.take():
             for row in self._statuses.units[unit].numbers.tolist():
                 self.heard_ns[row] = now_ns
                 self.statuses[row] = RobotStatus._make(self._statuses.robots[row].item())
-        for *_, payload in self._frames.drain():
-            if (image := FLEET_POSES.decode(payload)) is not None:
-                self.images.append(image)
+        news = []
+        for camera in self.cameras:
+            images, told = camera.hear(now_ns)
+            news += [(camera.name, item) for item in told]
+            for image in images:
                 seen = (pose for pose in image.poses if pose.tag in self._parked and pose.coasted_ns == 0)
                 self.standing.update((self._parked[pose.tag], pose) for pose in seen)
-        self._show(now_ns)
         came = ((group, noted(payload)) for group, notes in self._notes.items() for *_, payload in notes.drain())
         self.notes = [(group, note) for group, note in came if note is not None]
-        news = (TRACKER_NEWS.decode(payload) for *_, payload in self._news.drain())
-        return [item for item in news if item is not None]
+        return news
+
+    def now_ns(self) -> int:
+        """Return the clock's instant."""
+        return self._clock.now_ns()
 
     def controller_silent(self) -> bool:
         """Whether what is known of the tick is of the past."""
@@ -122,15 +157,3 @@ class Hearing:
         self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
         if record.run_tick >= 0:
             self.t_s = record.run_tick * self._tick_s
-
-    def _show(self, now_ns: int) -> None:
-        """Wait for the poses of a picture's image; they may come after it."""
-        payload = self._pictures.take()
-        if payload is not None and (picture := PICTURE_LAYOUT.decode(payload)) is not None:
-            self._pending = now_ns, picture
-        if self._pending is not None:
-            came_ns, picture = self._pending
-            same = next((image for image in self.images if image.exposure_ns == picture.exposure_ns), None)
-            if same is not None or now_ns - came_ns > _POSES_WITHIN_NS:
-                self.shown = Shown(picture, same.poses if same is not None else ())
-                self._pending = None

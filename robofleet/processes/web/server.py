@@ -24,6 +24,7 @@ from robofleet.comms.bus import Bus
 from robofleet.comms.permissions import OPERATOR
 from robofleet.config.tree import Config
 from robofleet.files import read_plain
+from robofleet.processes.hand import Hands, Stick
 from robofleet.processes.page_address import LOOPBACK, Addresses
 from robofleet.processes.refusal import RefusedError
 from robofleet.processes.web.access import ROLES, Access, CookieAccess, TokenAccess, permits
@@ -177,10 +178,10 @@ def _code(address: str) -> str:
 
 async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) -> None:
     """Serve one page until it is closed, says what makes no sense, or the run ends."""
-    page = Page(feed)
+    page, hands = Page(feed), Hands(feed.bus, feed.config) if role == OPERATOR else None
     feed.pages.add(page)
     telling = asyncio.create_task(page.follow(link.send_text))
-    obeying = asyncio.create_task(_obey(link, page, controls, role))
+    obeying = asyncio.create_task(_obey(link, page, controls, role, hands))
     try:
         await asyncio.wait({telling, obeying}, return_when=asyncio.FIRST_COMPLETED)
         if obeying.done() and not obeying.result():
@@ -192,12 +193,14 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) ->
         pass
     finally:
         feed.pages.discard(page)
+        if hands is not None:
+            hands.let_go()
         for task in (telling, obeying):
             task.cancel()
         await asyncio.gather(telling, obeying, return_exceptions=True)
 
 
-async def _obey(link: WebSocket, page: Page, controls: Controls, role: str) -> bool:
+async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hands: Hands | None) -> bool:
     """Do what a page says, as it says it; returns whether it made sense until it was closed."""
     while (message := await link.receive())["type"] != "websocket.disconnect":
         try:
@@ -210,10 +213,14 @@ async def _obey(link: WebSocket, page: Page, controls: Controls, role: str) -> b
                     controls.begin(what, page.tell)
                 else:
                     page.tell(answer(what, False, _NOT_FOR_VIEWERS))
+            case {"drive": str(group), "stick": [int() | float() as forward, int() | float() as turn, bool(held)],
+                  "tick": int(tick)} if hands is not None:  # fmt: skip
+                if not hands.drive(group, Stick(forward, turn, held), tick):
+                    return False
             case {"ack": int(seq)}:
                 page.drawn(seq)
-            case {"picture": bool(wanted)}:
-                page.wants_picture = wanted
+            case {"picture": str() | False as wanted}:  # a camera's name
+                page.wants_picture = wanted or ""
                 page.wake()
             case _:
                 return False

@@ -1,8 +1,10 @@
 """A layout of Foxglove and of Lichtblick, which read the same JSON: panels by their ids, and where they are."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from robofleet.config.tree import Config
+from robofleet.recording.overlay import camera_topic
 from robofleet.recording.robot_ticks import topic
 from robofleet.recording.run import Recording
 from robofleet.recording.shapes import WORLD
@@ -14,13 +16,14 @@ _IMAGE = "Image!camera"
 _LOG = "RosOut!log"  # both call the log's panel so
 _STATES = "StateTransitions!states"
 _TABS = "Tab!plots"
+_BUTTONS = {"stop": "EMERGENCY STOP"}
 _FLAGS = "lost", "filtered", "saturated", "failed"
 
 Panel = dict[str, Any]
 
 
-def layout(recording: Recording) -> bytes:
-    """Return the layout of a run's file."""
+def layout(recording: Recording, services: Sequence[str] = (), request: Mapping[str, str] | None = None) -> bytes:
+    """Return the layout of a run's file; of a run that is on, with buttons that call services with a request."""
     config = recording.config
     panels: dict[str, Panel] = {_SCENE: _scene(config), _LOG: {"topicToRender": "/log", "minLogLevel": 1}}
     panels[_STATES] = {"isSynced": True, "paths": _flags(config)}
@@ -31,10 +34,15 @@ def layout(recording: Recording) -> bytes:
         shown.append({"title": tab.title, "layout": _split("column", *ids)})
     shown.append({"title": "States", "layout": _STATES})
     panels[_TABS] = {"activeTabIdx": 0, "tabs": shown}
-    left = [_SCENE, _LOG]
+    left: list[str | Panel] = [_SCENE, _LOG]
     if config.tracker.source == "camera":
-        panels[_IMAGE] = _image()
-        left.insert(1, _IMAGE)
+        images = {f"{_IMAGE}{row or ''}": _image(camera_topic(view)) for row, view in enumerate(config.views)}
+        panels |= images
+        left[1:1] = images
+    for service in services:
+        panels[f"CallService!{service}"] = _button(service, request or {})
+    if services:
+        left.append(_split("row", *(f"CallService!{service}" for service in services)))
     whole = {
         "configById": panels,
         "globalVariables": {},
@@ -75,9 +83,22 @@ def _scene(config: Config) -> Panel:
     }
 
 
-def _image() -> Panel:
-    shown = {"imageTopic": "/camera/image", "annotations": {"/camera/annotations": {"visible": True}}}
+def _image(topic: str) -> Panel:
+    shown = {"imageTopic": f"{topic}/image", "annotations": {f"{topic}/annotations": {"visible": True}}}
     return {"imageMode": shown, "topics": {}, "layers": {}, "scene": {}, "transforms": {}, "publish": {}}
+
+
+def _button(service: str, request: Mapping[str, str]) -> Panel:
+    return {
+        "serviceName": service,
+        "requestPayload": dumps(request),
+        "layout": "vertical",
+        "editingMode": False,
+        "timeoutSeconds": 10,
+        "buttonText": _BUTTONS.get(service, service.capitalize()),
+        "buttonColor": "#c62828" if service == "stop" else "#37474f",
+        "buttonTooltip": "",
+    }
 
 
 def _plot(plot: Plot) -> Panel:

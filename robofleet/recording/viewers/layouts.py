@@ -27,7 +27,11 @@ VIEWERS = {
         lambda recording, _: foxglove.layout(recording),
         ("In Lichtblick open the local file {run}. Then: Layouts, Import from file, {layout}",),
     ),
-    "plotjuggler": Viewer("plotjuggler.xml", plotjuggler.layout, ("plotjuggler --layout {layout}",)),
+    "plotjuggler": Viewer(
+        "plotjuggler.xml",
+        lambda recording, run: plotjuggler.layout(recording, run.absolute()),
+        ("plotjuggler --layout {layout}",),
+    ),
     "rerun": Viewer(
         "rerun.rbl",
         lambda recording, _: rerun_blueprint.layout(recording),

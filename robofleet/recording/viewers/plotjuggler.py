@@ -19,7 +19,7 @@ def layout(recording: Recording, run: Path) -> bytes:
     ET.SubElement(window, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
     files = ET.SubElement(root, "previouslyLoaded_Datafiles")
-    file = ET.SubElement(files, "fileInfo", filename=str(run.absolute()), prefix="")
+    file = ET.SubElement(files, "fileInfo", filename=str(run), prefix="")
     topics = ";".join(topic(robot.id) for robot in recording.config.members)
     ET.SubElement(file, "selected_datasources", value=topics)
     loader = ET.SubElement(file, "plugin", ID="DataLoad MCAP")

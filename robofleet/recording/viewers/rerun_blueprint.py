@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from robofleet.recording.fleet_scene import pose_topic
+from robofleet.recording.overlay import camera_topic
 from robofleet.recording.robot_ticks import PACKAGE, message_name, topic
 from robofleet.recording.run import Recording
 from robofleet.recording.shapes import WORLD
@@ -30,7 +31,11 @@ def layout(recording: Recording) -> bytes:
     )  # fmt: skip
     left = [scene, rrb.TextLogView(origin="/log", name="Log")]
     if config.tracker.source == "camera":
-        left.insert(1, rrb.Spatial2DView(origin="/camera/image", name="Camera"))
+        topics = [camera_topic(view) for view in config.views]
+        names = ["Camera"] if len(topics) == 1 else [f"Camera {name}" for name in config.camera_names]
+        left[1:1] = [
+            rrb.Spatial2DView(origin=f"{topic}/image", name=name) for topic, name in zip(topics, names, strict=True)
+        ]
     blueprint = rrb.Blueprint(
         rrb.Horizontal(rrb.Vertical(*left), rrb.Tabs(*plots), column_shares=[2, 3]), collapse_panels=True
     )

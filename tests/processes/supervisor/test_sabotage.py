@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.comms import statuses
-from robofleet.processes import fleet_view, supervisor
+from robofleet.processes import cameras_heard, fleet_view, supervisor
 from robofleet.safety import arming, requests
 from tests.processes import stand as bench_stand
 from tests.processes.supervisor import test_checks, test_run, test_said, test_sight, test_stops
@@ -96,19 +96,20 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_tick_that_was_overtaken_says_nothing"),
     (fleet_view, "record[\"epoch\"] == self._fleet.controller_epoch and ", "",
      "test_a_restarted_controller_ends_the_run"),
-    (fleet_view, "elif image[\"seq\"] <= self._fleet.image:", "elif False:",
+    (cameras_heard, "elif image[\"seq\"] <= self.seq:", "elif False:",
      "test_a_tag_that_the_tracker_predicts_is_not_seen"),
-    (fleet_view, "exposure_ns - pose.coasted_ns", "exposure_ns",
+    (cameras_heard, "exposure_ns - pose.coasted_ns", "exposure_ns",
      "test_a_tag_that_the_tracker_predicts_is_not_seen"),
-    (fleet_view, "if pose.coasted_ns == 0:", "if True:", "test_a_tag_that_is_only_predicted_gives_no_place"),
-    (fleet_view, "self._measured_ns += exposure_ns - self._exposure_ns", "pass",
+    (cameras_heard, "if pose.coasted_ns == 0:", "if True:", "test_a_tag_that_is_only_predicted_gives_no_place"),
+    (cameras_heard, "self.measured_ns += image[\"exposure_ns\"] - self.exposure_ns", "pass",
      "test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost"),
-    (fleet_view, "elif news.event in _TAG_NEWS and row != _UNKNOWN:", "elif False:",
+    (cameras_heard, "if news.event in _TAG_NEWS and row != _UNKNOWN:", "if False:",
      "test_the_trackers_news_in_the_runs_words"),
 ]  # fmt: skip
 WHERE = {
     requests: [(supervisor, name) for name in ("refusal", "acknowledged", "latched")],
     fleet_view: [(supervisor, "FleetListener")],
+    cameras_heard: [(fleet_view, "CamerasHeard")],
     statuses: [(fleet_view, "Statuses")],
     supervisor: [(bench_stand, "Supervisor")],
 }

@@ -98,6 +98,8 @@ def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost
         (TrackerEvent.CAMERA_STRANGE, None, (Phase.FAULT, Event.CAMERA_LOST)),
         (TrackerEvent.CAMERA_ENDED, None, (Phase.FAULT, Event.CAMERA_LOST)),
         (TrackerEvent.CAMERA_MOVED, None, (Phase.FAULT, Event.CAMERA_MOVED)),
+        (TrackerEvent.POSES_SILENT, None, (Phase.HOLD, Event.POSES_SILENT)),
+        (TrackerEvent.BODY_LOST, "r2", (Phase.RUNNING, Event.PROVED)),
         (TrackerEvent.TAG_TWICE, "r2", (Phase.HOLD, Event.TAG_TWICE)),
         (TrackerEvent.TAG_JUMPED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
         (TrackerEvent.TAG_CARRIED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),

@@ -20,6 +20,7 @@ export function drawFloor(g, view, hello) {
   g.strokeStyle = view.colour.muted;
   g.lineWidth = 1.5;
   g.strokeRect(view.x(-w / 2), view.y(h / 2), w * scale, h * scale);
+  drawObstacles(g, view, hello.arena);
   drawShapes(g, view, hello);
   drawScale(g, view, w, h, grid);
 }
@@ -61,6 +62,34 @@ function drawScale(g, view, w, h, { step, lines }) {
   lines(h / 2, (y) => {
     if (view.y(y) > 6 && view.y(y) < bottom) write(words(y), left, view.y(y));
   });
+}
+
+// What stands on the floor, and the floor's own edge where it is no rectangle.
+function drawObstacles(g, view, { floor_m, obstacles }) {
+  g.strokeStyle = view.colour.muted;
+  g.lineWidth = 1.5;
+  if (floor_m) {
+    outline(g, view, floor_m);
+    g.stroke();
+  }
+  g.font = "11px system-ui, sans-serif";
+  g.textAlign = "center";
+  g.textBaseline = "middle";
+  for (const { name, points } of obstacles) {
+    outline(g, view, points);
+    g.fillStyle = view.colour.grid;
+    g.fill();
+    g.stroke();
+    const [x, y] = [0, 1].map((axis) => points.reduce((sum, at) => sum + at[axis], 0) / points.length);
+    g.fillStyle = view.colour.ink;
+    g.fillText(name, view.x(x), view.y(y));
+  }
+}
+
+function outline(g, view, points) {
+  g.beginPath();
+  for (const [x, y] of points) g.lineTo(view.x(x), view.y(y));
+  g.closePath();
 }
 
 function drawShapes(g, view, hello) {

@@ -4,6 +4,7 @@ import { Arena } from "./arena.js";
 import { Camera } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
+import { Gamepads } from "./gamepads.js";
 import { Invitations } from "./invite.js";
 import { Legend } from "./legend.js";
 import { Link } from "./link.js";
@@ -35,6 +36,7 @@ const link = new Link((frame) => frames[frame.type]?.(frame));
 const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
 const [legend, plots] = [new Legend(), new Plots()];
 const [controls, camera] = [new Controls(link), new Camera(link)];
+const gamepads = new Gamepads(link);
 new Invitations();
 window.robofleet = { state, place: (x_m, y_m) => arena.place(x_m, y_m) };
 
@@ -44,7 +46,7 @@ let writtenAt = -Infinity;
 const frames = {
   hello(hello) {
     state.hello = hello;
-    for (const part of [arena, tables, charts, legend, plots, camera]) part.begin(hello);
+    for (const part of [arena, tables, charts, legend, plots, camera, gamepads]) part.begin(hello);
     id("events-list").replaceChildren();
     write("arena-name", hello.arena.name);
     write("config-name", hello.config);
@@ -53,6 +55,8 @@ const frames = {
   },
   tick(tick) {
     state.tick = tick;
+    gamepads.heard(tick);
+    camera.tell(tick.health);
     if (!drawing) {
       drawing = true;
       requestAnimationFrame(draw);

@@ -1,0 +1,116 @@
+"""teleop: a person drives a robot by a gamepad, on the page or by ``robofleet teleop``; the others follow it.
+
+The group's first robot does what the person commands, up to the speeds that are set, while the dead-man's button is
+held: whoever sends commands sends none without it. It stands when the newest command is too old. Each other robot
+follows the way of the robot ahead of it, ``spacing_m`` behind.
+"""
+
+from collections import deque
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from robofleet.behaviours.interface import Array, Behaviour, Decision, Figure, Flags, Situation, Team, WishKind
+from robofleet.settings import Model, within
+
+_ROUNDING = 1e-9
+_STEP = 0.005  # between two points of a way that are remembered [m]
+
+
+class Teleop(Behaviour):
+    """What a person drives."""
+
+    class Settings(Model):
+        """How fast it goes, and how long the person's computer may say nothing."""
+
+        max_speed_m_s: Annotated[float, within(0.001, 10)] = 0.1
+        """Speed of the first robot with the stick fully forward."""
+        max_turn_rad_s: Annotated[float, within(0.01, 100)] = 1.5
+        """How fast it turns with the stick fully to the side."""
+        silent_s: Annotated[float, within(0.05, 10)] = 0.15
+        """Age at which a command is too old: the robot stands until the next one. It counts from the controller's tick
+        that the person's computer has seen last."""
+        spacing_m: Annotated[float, within(0.01, 100)] = 0.25
+        """Way from each other robot's point p to the point p of the robot ahead."""
+        follow_rate: Annotated[float, within(0.01, 100)] = 2.0
+        """How fast a follower closes a gap [1/s]: its speed per metre of gap."""
+
+    settings: Settings
+    takes_wishes = True
+    figures = (
+        Figure("command_age", "s", meaning="age of the person's newest command"),
+        Figure("following_error", "m", "mm", "distance of p from its place on the way of the robot ahead"),
+    )
+
+    def __init__(self, settings: Settings, team: Team) -> None:
+        """See ``Behaviour``."""
+        super().__init__(settings, team)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the ways."""
+        self._ways = [deque[Array]() for _ in self.team.robots[1:]]  # of each robot that another one follows
+
+    def carried(self, robot: int) -> None:
+        """Begin the ways anew that it was on, or that it led."""
+        for k in (robot - 1, robot):
+            if 0 <= k < len(self._ways):
+                self._ways[k].clear()
+
+    def decide(self, now: Situation) -> Decision:
+        """Do what was commanded; follow."""
+        points, n = now.points(self.team.point_ahead), len(self.team)
+        velocities, references = np.zeros((n, 2)), np.full((n, 2), np.nan)
+        ages, errors = np.full(n, np.nan), np.full(n, np.nan)
+        command = self._command(now)
+        ages[0] = command.age
+        velocities[0] = self._of_point(command, now.poses[0, 2])
+        for k, way in enumerate(self._ways):
+            goal = self._place(way, points[k], points[k + 1], now.driving[k : k + 2])
+            references[k + 1], errors[k + 1] = goal, np.hypot(*(goal - points[k + 1]))
+            velocities[k + 1] = self.settings.follow_rate * (goal - points[k + 1])
+        figures = {"command_age": ages, "following_error": errors}
+        return Decision(velocities, references=references, figures=figures)
+
+    def _command(self, now: Situation) -> "_Command":
+        wish, s = now.wish, self.settings
+        if wish is None or wish.kind is not WishKind.BODY or not wish.told[0]:
+            return _Command(0.0, 0.0, np.nan)
+        age = wish.age + max(float(wish.values[0, 2]), -self.team.tick)  # none is younger than the tick that it echoes
+        if age > s.silent_s + _ROUNDING:
+            return _Command(0.0, 0.0, age)
+        v, omega = (float(value) for value in wish.values[0, :2])
+        most_v, most_omega = s.max_speed_m_s, s.max_turn_rad_s
+        return _Command(min(max(v, -most_v), most_v), min(max(omega, -most_omega), most_omega), age)
+
+    def _of_point(self, command: "_Command", psi: float) -> Array:
+        """Return the velocity of the point ahead [m/s; world]."""
+        cos, sin, sideways = np.cos(psi), np.sin(psi), self.team.point_ahead * command.omega
+        return np.array([command.v * cos - sideways * sin, command.v * sin + sideways * cos])
+
+    def _place(self, way: deque[Array], ahead: Array, own: Array, driving: Flags) -> Array:
+        """Return the place ``spacing_m`` behind a robot on its way; its follower's own where the way is shorter."""
+        if not driving.all():
+            return own
+        if not way:
+            way.append(own.copy())
+        if np.hypot(*(ahead - way[-1])) >= _STEP:
+            way.append(ahead.copy())
+        left, newer = self.settings.spacing_m, ahead
+        for k in range(len(way) - 1, -1, -1):
+            piece = float(np.hypot(*(newer - way[k])))
+            if piece >= left:
+                for _ in range(k):
+                    way.popleft()
+                place: Array = newer + (way[0] - newer) * (left / piece)
+                return place
+            left, newer = left - piece, way[k]
+        return own
+
+
+class _Command(NamedTuple):
+    """What a person commands."""
+
+    v: float  # [m/s]
+    omega: float  # [rad/s]
+    age: float  # [s]; NaN: nothing was commanded

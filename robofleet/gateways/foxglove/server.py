@@ -1,0 +1,81 @@
+"""The server: every channel of a recording, to any number of viewers. None of them is waited for.
+
+The library writes to each viewer in threads of its own. A viewer that is too slow misses the oldest messages.
+"""
+
+import logging
+from collections.abc import Sequence
+from queue import SimpleQueue
+from typing import NamedTuple
+
+from foxglove import Channel, Context, Schema, Service, start_server
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener
+
+from robofleet.gateways.foxglove.address import Address
+from robofleet.gateways.foxglove.kept import Kept
+from robofleet.recording.drawn import Channel as Described
+
+_BACKLOG = 16384  # messages for a viewer: half a second of a hundred robots comes at once
+
+
+class Keys(NamedTuple):
+    """A certificate and its private key, PEM."""
+
+    certificate: bytes
+    key: bytes
+
+
+class Server(ServerListener):
+    """Serves until ``close``; OSError where its address cannot be used."""
+
+    def __init__(
+        self, name: str, at: Address, keys: Keys | None, channels: Sequence[Described], services: list[Service]
+    ) -> None:
+        logging.getLogger("foxglove").setLevel(logging.ERROR)
+        context = self._context = Context()  # it lives as long as somebody holds it
+        self._channels = {
+            one.topic: Channel(
+                one.topic, message_encoding=one.encoding, context=context,
+                schema=Schema(name=one.schema, encoding=one.schema_encoding, data=one.description),
+            )
+            for one in channels
+        }  # fmt: skip
+        self._kept, self._new = Kept(), SimpleQueue[str]()
+        self.subscriptions = 0  # of all viewers, so far
+        try:
+            self._server = start_server(
+                name=name, host=at.host, port=at.port, context=context, server_listener=self,
+                capabilities=[Capability.Services] if services else [], services=services,
+                supported_encodings=["json"], message_backlog_size=_BACKLOG,
+                tls_cert=None if keys is None else keys.certificate, tls_key=None if keys is None else keys.key,
+            )  # fmt: skip
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return self._server.port
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Hear, in a thread of the library's, that somebody wants to see a topic."""
+        self._new.put(channel.topic)
+        self.subscriptions += 1
+
+    def tell(self, topic: str, log_ns: int, message: bytes) -> None:
+        """Send a message to whoever wants it."""
+        self._kept.take(topic, message)
+        self._channels[topic].log(message, log_time=log_ns)
+
+    def welcome(self, log_ns: int) -> None:
+        """Tell again what is told seldom, where somebody came late."""
+        late = set[str]()
+        while not self._new.empty():
+            late.add(self._new.get())
+        for topic in sorted(late):
+            if (message := self._kept.of(topic)) is not None:
+                self._channels[topic].log(message, log_time=log_ns)
+
+    def close(self) -> None:
+        """Leave every viewer."""
+        self._server.stop()

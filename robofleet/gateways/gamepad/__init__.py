@@ -1,0 +1,1 @@
+"""A gamepad at a computer of the operator's drives a robot, without a browser."""

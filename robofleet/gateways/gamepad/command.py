@@ -1,0 +1,85 @@
+"""The command ``teleop``."""
+
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from robofleet.gateways.place import is_over, run_of
+from robofleet.processes.commands import OPERATOR, ArenaName
+from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, need_extra
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
+
+app = typer.Typer()
+_JOINS_WITHIN_S = 3.0
+
+
+@app.command(rich_help_panel=OPERATOR)
+def teleop(
+    arena: ArenaName = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+    ] = None,
+    group: Annotated[str | None, typer.Option(metavar="NAME", help="Which group, if several are driven so.")] = None,
+    device: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="/dev/input/event*; default: the only gamepad.")
+    ] = None,
+) -> None:
+    """Drive a robot by a gamepad of this computer: the first robot of a group with behaviour teleop.
+
+    $ robofleet teleop
+
+    Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. Ctrl-C ends this, and
+    not the run.
+    """
+    from robofleet.clock import WallClock  # noqa: PLC0415
+    from robofleet.comms.joining import joined  # noqa: PLC0415
+    from robofleet.gateways.gamepad import driving, pads  # noqa: PLC0415
+
+    with bad_input():
+        need_extra("teleop", "evdev")
+        need_extra("lab", *LAB_MODULES)
+        tree, place = run_of(arena or None, config)
+        chosen = _group(tree, group)
+        try:
+            pad = pads.opened(device)
+        except pads.PadError as error:
+            raise RefusedError(str(error)) from error
+    clock = WallClock()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        bus = joined(tree.arena.name, place.endpoint, place.role, clock, _JOINS_WITHIN_S, credentials=place.credentials)
+    except TimeoutError as error:
+        print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
+        raise typer.Exit(1) from error
+    robot = next(one for one in tree.groups if one.title == chosen).robots[0]
+    print(
+        f"{pad.name} drives {robot} while a shoulder button is held: Ctrl-C ends this, and not the run", file=sys.stderr
+    )
+    try:
+        with suppress(KeyboardInterrupt):
+            driving.drive(pad, tree, bus, clock, chosen, lambda: is_over(tree, place))
+    except OSError as error:
+        print(f"{pad.name} is gone ({error.strerror}): {robot} stands", file=sys.stderr)
+        raise typer.Exit(1) from error
+    finally:
+        bus.close()
+
+
+def _group(config: "Config", named: str | None) -> str:
+    """Return the group that is driven; RefusedError where there is none, or several and none was named."""
+    from robofleet.processes.hand import driven  # noqa: PLC0415
+
+    found = driven(config)
+    if not found:
+        raise RefusedError(f"no group of {config.arena.name} has the behaviour teleop: give one to a group")
+    if named is None and len(found) > 1:
+        raise RefusedError(f"several groups are driven by hand: name one with --group: {', '.join(found)}")
+    if named is not None and named not in found:
+        raise RefusedError(f"--group {named}: it is not driven by hand: name one of {', '.join(found)}")
+    return named or found[0]

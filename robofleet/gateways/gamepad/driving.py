@@ -1,0 +1,36 @@
+"""From a gamepad to a run: the stick's newest state by the newest tick, while the dead-man's button is held."""
+
+import select
+from collections.abc import Callable
+
+from robofleet.clock import MS, Clock, S
+from robofleet.comms.bus import Bus
+from robofleet.comms.ticks import TickFollower
+from robofleet.config.tree import Config
+from robofleet.gateways.gamepad.pads import Pad
+from robofleet.processes.hand import Hand
+
+_AGAIN_NS = 20 * MS  # a command that stays as it is
+_SILENT_NS = 3 * S  # of the controller
+
+
+def drive(pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool]) -> None:
+    """Drive a group until the run is over; OSError where the gamepad is gone. Then, too, the robots stand."""
+    hand = Hand(bus, config, group)
+    ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
+    stick = pad.read()
+    newest, heard_ns = 0, clock.now_ns()
+    try:
+        while True:
+            readable, _, _ = select.select([pad], [], [], _AGAIN_NS / S)
+            if readable:
+                stick = pad.read()
+            ticks.update()
+            hand.drive(stick, ticks.newest)
+            now_ns = clock.now_ns()
+            if ticks.newest != newest:
+                newest, heard_ns = ticks.newest, now_ns
+            elif now_ns - heard_ns > _SILENT_NS and over():
+                return
+    finally:
+        hand.let_go()

@@ -1,0 +1,46 @@
+"""The run that a gateway serves: of this computer, or of another one's arena that this one has joined."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from robofleet.processes.refusal import RefusedError
+
+if TYPE_CHECKING:
+    from robofleet.comms.credentials import Credentials
+    from robofleet.config.tree import Config
+
+
+class Place(NamedTuple):
+    """Where a run is."""
+
+    endpoint: str | tuple[str, ...]
+    credentials: "Credentials | None"  # None: a run of this computer
+    role: str  # in which this user meets it
+    folder: Path | None = None  # of the run, where it is this computer's
+
+
+def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
+    """Return the run that is meant; ``copy``: of its configuration, where it is elsewhere. RefusedError."""
+    from robofleet.comms.permissions import OPERATOR  # noqa: PLC0415
+    from robofleet.config.load import load_config  # noqa: PLC0415
+    from robofleet.processes.elsewhere import joined_arena  # noqa: PLC0415
+    from robofleet.processes.operator import NoArenaError, chosen  # noqa: PLC0415
+
+    try:
+        there = joined_arena(arena)
+        if there is None:
+            run = chosen(arena)
+            folder = Path(run.folder)
+            return load_config(folder / "config.yaml"), Place(run.endpoint, None, OPERATOR, folder)
+    except NoArenaError as error:
+        raise RefusedError(str(error)) from error
+    if copy is None:
+        raise RefusedError(f"{there.arena} is another computer's: name a copy of its configuration in --config")
+    return load_config(copy), Place(there.router, there.credentials, there.role)
+
+
+def is_over(config: "Config", place: Place) -> bool:
+    """Return whether a run has ended whose supervisor is silent."""
+    from robofleet.processes.arena_file import running  # noqa: PLC0415
+
+    return place.credentials is not None or all(run.arena != config.arena.name for run in running())

@@ -1,0 +1,104 @@
+"""The camera's pictures, which the tracker shows while somebody looks, and what is known of its lens and place."""
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from robofleet.clock import S
+from robofleet.comms.bus import Bus, Inbox, Wake
+from robofleet.comms.keys import PICTURE, SAFE_REQUEST
+from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.config.calibrated import CameraModel
+from robofleet.config.tree import Config
+from robofleet.gateways.ros2 import topics
+from robofleet.gateways.ros2.graph import Graph, wanted
+from robofleet.gateways.ros2.robots import Robots
+from robofleet.processes.pictures import REQUESTED
+from robofleet.tracking.pictures import picture_size
+
+_AGAIN_NS = S  # a request holds for two seconds
+_PLUMB_BOB = 5  # coefficients at most, of sensor_msgs' plumb_bob
+
+
+class Camera:
+    """One camera, as its ``tracker`` has it; ``robots`` knows when its images were exposed."""
+
+    def __init__(self, graph: Graph, tracker: str, view: Config, robots: Robots, bus: Bus, wake: Wake) -> None:
+        self._graph, self._robots, self._bus, self._tracker = graph, robots, bus, tracker
+        self._name = view.camera.name
+        self._image, self._compressed, self._lens = (
+            graph.publisher(topic, topics.ros_name(self._name))
+            for topic in (topics.IMAGE, topics.COMPRESSED, topics.CAMERA_INFO)
+        )
+        self._frame = topics.optical_frame(topics.ros_name(self._name))
+        self._info = camera_info(view.camera.model, self._frame)
+        self._pictures = Inbox(bus.newest(PICTURE, self._name, wake), PICTURE_LAYOUT.decode)
+        self._asked_ns: int | None = None
+
+    def step(self, now_ns: int) -> None:
+        """Ask for pictures while somebody looks, and say what came."""
+        looked_at = any(map(wanted, (self._image, self._compressed, self._lens)))
+        if looked_at and (self._asked_ns is None or now_ns - self._asked_ns >= _AGAIN_NS):
+            self._bus.ask(SAFE_REQUEST, self._tracker, REQUESTED)
+            self._asked_ns = now_ns
+        picture = self._pictures.take()
+        if picture is not None and looked_at:
+            self._say(self._graph.stamp(self._robots.exposed_ns(self._name, picture.exposure_ns)), picture.jpeg)
+
+    def _say(self, stamp: Any, jpeg: bytes) -> None:
+        self._info.header.stamp = stamp
+        self._lens.publish(self._info)
+        if wanted(self._compressed):
+            said = CompressedImage(format="mono8; jpeg compressed ", data=jpeg)
+            said.header.stamp, said.header.frame_id = stamp, self._frame
+            self._compressed.publish(said)
+        if wanted(self._image):
+            pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+            if pixels is not None:
+                height, width = pixels.shape
+                plain = Image(height=height, width=width, encoding="mono8", step=width, data=pixels.tobytes())
+                plain.header.stamp, plain.header.frame_id = stamp, self._frame
+                self._image.publish(plain)
+
+
+def camera_info(model: CameraModel, frame: str) -> CameraInfo:
+    """Return what is known of the lens, for pictures that may be smaller than the camera's images."""
+    width, height = picture_size(model.width, model.height)
+    part = -(-model.width // width)  # pixels' centres are at whole numbers
+    f_x, f_y = (focal / part for focal in model.focal_px)
+    c_x, c_y = ((centre + 0.5) / part - 0.5 for centre in model.centre_px)
+    known = list(model.distortion)
+    if model.lens == "fisheye":
+        kind, coefficients = "equidistant", known
+    elif len(known) <= _PLUMB_BOB:
+        kind, coefficients = "plumb_bob", known + [0.0] * (_PLUMB_BOB - len(known))
+    else:
+        kind, coefficients = "rational_polynomial", known
+    info = CameraInfo(
+        height=height, width=width, distortion_model=kind, d=coefficients,
+        k=[f_x, 0.0, c_x, 0.0, f_y, c_y, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[f_x, 0.0, c_x, 0.0, 0.0, f_y, c_y, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )  # fmt: skip
+    info.header.frame_id = frame
+    return info
+
+
+def place(model: CameraModel, stamp: Any, frame: str) -> TransformStamped | None:
+    """Return where the camera is in the map; None where nobody measured it."""
+    there = model.T_world_camera
+    if there is None:
+        return None
+    message = TransformStamped(child_frame_id=frame)
+    message.header.stamp, message.header.frame_id = stamp, topics.MAP
+    way, turn = message.transform.translation, message.transform.rotation
+    way.x, way.y, way.z = map(float, there.position_m)
+    axis = np.array(there.rotation_rad, dtype=np.float64)
+    angle = float(np.linalg.norm(axis))
+    turn.x, turn.y, turn.z = (axis * (math.sin(angle / 2.0) / angle if angle else 0.5)).tolist()
+    turn.w = math.cos(angle / 2.0)
+    return message

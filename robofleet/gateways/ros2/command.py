@@ -1,0 +1,143 @@
+"""The command ``ros2``."""
+
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from robofleet.clock import utc_now
+from robofleet.gateways.place import run_of
+from robofleet.gateways.ros2 import topics
+from robofleet.patterns import CONFIGURATIONS
+from robofleet.processes.commands import OPERATOR, running_names
+from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install, need_extra, new_folder
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
+    from robofleet.gateways.place import Place
+
+app = typer.Typer()
+SHARE = Path(__file__).parent / "share"  # the launch file, and RViz's configuration
+
+_PACKAGES = sorted({"rclpy", *(kind.split("/")[0] for row in topics.TOPICS for kind in row.type.split(" or "))})
+_SLOWEST, _FASTEST = 0.01, 100.0  # simulated seconds a second
+_OPTIONAL = "tf2_msgs"  # which PyPI does not have
+
+
+@app.command(rich_help_panel=OPERATOR)
+def ros2(
+    arena: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="ARENA|CONFIG",
+            help="Whose run; leave it out if only one arena has a run. With --lockstep a configuration.",
+            autocompletion=running_names,
+            show_default=False,
+        ),
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="A run of CONFIG on a simulated clock, which /clock tells.")
+    ] = False,
+    speed: Annotated[float, typer.Option(metavar="X", help="Simulated seconds a second, with --lockstep.")] = 1.0,
+    overrides: Annotated[
+        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key, with --lockstep. Repeatable.")
+    ] = [],  # noqa: B006 - typer copies it
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="With --lockstep; default: runs/<UTC time>-<config name>.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+    ] = None,
+    namespace: Annotated[str, typer.Option(metavar="NS", help="ROS namespace of the run's topics.")] = "",
+    share: Annotated[bool, typer.Option("--share", help="Print the folder of the launch and RViz files.")] = False,
+) -> None:
+    """Be a ROS 2 node: a run's poses, odometry, images and state for ROS 2; cmd_vel of groups with behaviour ros2.
+
+    $ robofleet ros2
+
+    $ robofleet ros2 lab --namespace lab
+
+    $ robofleet ros2 configs/ros2.yaml --lockstep
+
+    It needs your ROS 2 Jazzy, or newer. The run does not need it: start and end it at any time.
+    """
+    if share:
+        print(SHARE)
+        return
+    with bad_input():
+        _need_ros()
+        need_extra("lab", *LAB_MODULES)
+        if lockstep:
+            _simulate(arena, overrides, out, namespace, speed)
+            return
+        if overrides or out is not None or (arena and Path(arena).suffix in CONFIGURATIONS):
+            run = f"`robofleet run {arena or 'CONFIG'}`"
+            raise RefusedError(f"a run in real time is another process: start {run}, or write --lockstep")
+        tree, place = run_of(arena or None, config)
+        _check_names(tree)
+        _serve(tree, place, namespace)
+
+
+def _need_ros() -> None:
+    """Refuse where there is no rclpy, or one of another Python."""
+    missing = [package for package in _PACKAGES if package != _OPTIONAL and find_spec(package) is None]
+    broken = ""
+    if not missing:
+        try:
+            import_module("rclpy")
+        except ImportError as error:
+            missing, broken = ["rclpy"], f" ({error})"
+    if missing:
+        raise RefusedError(
+            f"this needs {', '.join(missing)} of ROS 2{' '.join(broken.split())}: source your ROS 2 where robofleet is "
+            f"installed for the same Python, or {how_to_install('ros2')}"
+        )
+
+
+def _check_names(config: "Config") -> None:
+    try:
+        topics.ros_names(robot.id for robot in config.robots)
+    except topics.NamesError as error:
+        raise RefusedError(str(error)) from error
+
+
+def _simulate(file: str | None, overrides: list[str], out: Path | None, namespace: str, speed: float) -> None:
+    """Be a run in lockstep, and its gateway."""
+    if file is None or Path(file).suffix not in CONFIGURATIONS:
+        raise RefusedError(f"--lockstep: {file or 'CONFIG'}: name a configuration, for example configs/ros2.yaml")
+    if not _SLOWEST <= speed <= _FASTEST:
+        raise RefusedError(f"--speed {speed:g}: must be {_SLOWEST:g} to {_FASTEST:g}")
+    from robofleet.gateways.ros2.simulated import Simulated  # noqa: PLC0415
+    from robofleet.processes.check import load_checked  # noqa: PLC0415
+    from robofleet.processes.script_link import FleetError  # noqa: PLC0415
+
+    tree = load_checked(Path(file), overrides, lockstep=True)
+    _check_names(tree)
+    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{Path(file).stem}"
+    new_folder(folder)
+    try:
+        summary = Simulated(tree, Path(file).stem, folder).serve(namespace, speed)
+    except FleetError as error:
+        print(error, file=sys.stderr)
+        raise typer.Exit(1) from error
+    print(folder / "report.html")
+    if summary["outcome"] == "fault":
+        print(summary["cause"], file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def _serve(config: "Config", place: "Place", namespace: str) -> None:
+    from rclpy.exceptions import InvalidNamespaceException  # noqa: PLC0415
+
+    from robofleet.gateways.ros2 import live  # noqa: PLC0415
+
+    try:
+        live.serve(config, place, namespace)
+    except TimeoutError as error:
+        print(f"the run of {config.arena.name}: {error}", file=sys.stderr)
+        raise typer.Exit(1) from error
+    except InvalidNamespaceException as error:
+        raise RefusedError(f"--namespace {namespace}: {' '.join(str(error).split())}") from error

@@ -1,0 +1,71 @@
+"""The gateway: all its parts on one node. ``live.py`` and ``simulated.py`` let time pass for it."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from rclpy.node import Node
+
+from robofleet.clock import Clock, S
+from robofleet.comms.bus import Bus
+from robofleet.comms.ticks import TickFollower
+from robofleet.config.tree import Config
+from robofleet.gateways.ros2 import camera, topics
+from robofleet.gateways.ros2.camera import Camera
+from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.robots import Robots
+from robofleet.gateways.ros2.run import Run, markers
+from robofleet.gateways.ros2.sensing import Sensing, places
+from robofleet.gateways.ros2.transforms import PACKAGE, Transforms, there
+from robofleet.gateways.ros2.velocities import Velocities
+
+NODE = "robofleet"
+
+
+class Part(Protocol):
+    """What tells something of a run, or takes something for it."""
+
+    def step(self, now_ns: int) -> None:
+        """Say what is new."""
+
+
+class Gateway:
+    """What a run says, on a ROS 2 graph; and what ROS 2 nodes wish."""
+
+    def __init__(self, node: Node, config: Config, bus: Bus, clock: Clock, epoch_ns: Callable[[], int]) -> None:
+        graph = self._graph = Graph(node, clock, epoch_ns)
+        came = node.create_guard_condition(self.step)
+
+        def wake(_at_ns: int) -> None:
+            came.trigger()
+
+        names = topics.ros_names(robot.id for robot in config.robots)
+        self._ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
+        robots = Robots(graph, config, names, bus, self._ticks, wake)
+        self.run = Run(graph, config, bus, wake)
+        self.velocities = Velocities(graph, config, names, bus, self._ticks)
+        self._parts: list[Part] = [self.velocities, robots, self.run, Sensing(graph, config, names, bus, wake)]
+        if config.tracker.source == "camera":
+            self._parts += [Camera(graph, name, view, robots, bus, wake) for name, view in config.trackers.items()]
+        self._markers = graph.publisher(topics.MARKERS)
+        self._markers.publish(markers(config, names))
+        self._say_places(graph, config, names)
+        if not there():
+            node.get_logger().warning(f"no /tf: the package {PACKAGE} is not installed here; every ROS 2 has it")
+
+    def step(self) -> None:
+        """Say what is new; it is called when something comes, too."""
+        now_ns = self._graph.clock.now_ns()
+        self._ticks.update()
+        for part in self._parts:
+            part.step(now_ns)
+
+    def _say_places(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
+        """Say where everything is that does not move."""
+        self._fixed = Transforms(graph, topics.FIXED)
+        stamp = graph.stamp(graph.clock.now_ns())
+        found = [frame for robot in config.robots for frame in places(robot, names[robot.id], stamp)]
+        for view in config.views if config.tracker.source == "camera" else ():
+            frame = topics.optical_frame(topics.ros_name(view.camera.name))
+            seen = camera.place(view.camera.model, stamp, frame)
+            found += [] if seen is None else [seen]
+        self._fixed.say(found)

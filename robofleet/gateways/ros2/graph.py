@@ -1,0 +1,61 @@
+"""The node, and what it says: the table's rows made real."""
+
+from collections.abc import Callable
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+from robofleet.clock import Clock, S, WallClock, epoch_ns
+from robofleet.gateways.ros2.topics import Quality, Topic, load
+
+_WALL = WallClock()
+
+
+class Graph:
+    """What a part of the gateway needs of ROS: publishers by the table, stamps, and a line in the log.
+
+    ``epoch_ns`` makes an instant of the run's clock a stamp: it is added. In simulated time nothing is.
+    """
+
+    def __init__(self, node: Node, clock: Clock, epoch_ns: Callable[[], int]) -> None:
+        self.node = node
+        self.clock, self._epoch_ns = clock, epoch_ns
+
+    def publisher(self, topic: Topic, name: str = "") -> Any:
+        """Return the publisher of a row, of a robot or camera."""
+        return self.node.create_publisher(load(topic.type), topic.name.format(name), profile(topic.quality))
+
+    def now_ns(self) -> int:
+        """Return the time that ROS has [ns]."""
+        return self.clock.now_ns() + self._epoch_ns()
+
+    def date_ns(self) -> int:
+        """Return the date of this computer [ns], also in simulated time."""
+        return _WALL.now_ns() + epoch_ns()
+
+    def stamp(self, instant_ns: int) -> Time:
+        """Return the stamp of an instant of the run's clock."""
+        return stamped(instant_ns + self._epoch_ns())
+
+
+def stamped(ros_ns: int) -> Time:
+    """Return a time of ROS [ns] as messages have it."""
+    return Time(sec=ros_ns // S, nanosec=ros_ns % S)
+
+
+def profile(quality: Quality) -> QoSProfile:
+    """Return a quality of service as rclpy takes it."""
+    reliability, durability = QoSReliabilityPolicy, QoSDurabilityPolicy
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=quality.depth,
+        reliability=reliability.RELIABLE if quality.reliable else reliability.BEST_EFFORT,
+        durability=durability.TRANSIENT_LOCAL if quality.latched else durability.VOLATILE,
+    )
+
+
+def wanted(publisher: Any) -> bool:
+    """Return whether somebody listens."""
+    return bool(publisher.get_subscription_count())

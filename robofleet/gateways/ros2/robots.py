@@ -1,0 +1,200 @@
+"""What is said of each robot: its pose as the tracker measures it, its odometry, its wheels, its battery."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TransformStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from numpy.typing import NDArray
+from sensor_msgs.msg import BatteryState, JointState
+
+from robofleet.clock import S
+from robofleet.comms.bus import Bus, Inbox, Wake
+from robofleet.comms.keys import POSES, STATUS
+from robofleet.comms.messages import FLEET_POSES, UNIT_STATUS, FleetPoses, TagPose
+from robofleet.comms.ticks import TickFollower
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.gateways.ros2 import topics
+from robofleet.gateways.ros2.graph import Graph, wanted
+from robofleet.gateways.ros2.odometry import Odometry
+from robofleet.gateways.ros2.transforms import Transforms
+from robofleet.tracking.measured import rows_of
+
+_WHEELS = "left_wheel_joint", "right_wheel_joint"
+_BATTERY_NS = S  # from one word of the batteries to the next
+_COVARIANCE = tuple(TagPose._fields[6:])
+_PLACES = 0, 1, 7, 5, 11, 35  # of xx, xy, yy, xpsi, ypsi, psipsi in ROS's 6 x 6: x, y, z, roll, pitch, yaw
+_MIRRORED = {1: 6, 5: 30, 11: 31}
+
+
+class Robots:
+    """All robots of a run."""
+
+    def __init__(
+        self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, ticks: TickFollower, wake: Wake
+    ) -> None:
+        self._graph, self._ticks = graph, ticks
+        transforms = Transforms(graph)
+        self._units = [
+            _Unit(graph, config, [(robot, names[robot]) for robot in robots], transforms, bus, unit, wake)
+            for unit, robots in config.units.items()
+        ]
+        self._images = {name: Inbox(bus.newest(POSES, name, wake), FLEET_POSES.view) for name in config.camera_names}
+        own = {robot: (unit, row) for unit in self._units for row, robot in enumerate(unit.robots)}
+        self._owners = [own[robot.id] for robot in config.bodies]
+        self._rows = rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
+        self._behind_ns = dict.fromkeys(self._images, 0)  # each tracker's clock, behind ours
+
+    def exposed_ns(self, camera: str, exposure_ns: int) -> int:
+        """Return an instant of a tracker's clock on ours, as its newest poses tell it."""
+        return exposure_ns + self._behind_ns[camera]
+
+    def step(self, now_ns: int) -> None:
+        """Say what is new."""
+        for unit in self._units:
+            unit.step(now_ns)
+        for camera, images in self._images.items():
+            image = images.take()
+            if image is not None and self._ticks.newest:
+                self._seen(camera, *image)
+
+    def _seen(self, camera: str, image: FleetPoses, poses: NDArray[Any]) -> None:
+        """Say where the robots are that an image shows; those that are only predicted are not measured."""
+        if not image.echo_tick:
+            return
+        exposure_ns = self._ticks.instant(image.echo_tick) + image.since_tick_ns
+        self._behind_ns[camera] = exposure_ns - image.exposure_ns
+        for one in poses[poses["coasted_ns"] == 0]:
+            row = int(self._rows[one["tag"]])
+            if row >= 0:
+                unit, place = self._owners[row]
+                unit.seen(place, exposure_ns + int(one["after_ns"]), one)
+
+
+class _Unit:
+    """The robots of one driver process, which tell together."""
+
+    def __init__(
+        self, graph: Graph, config: Config, robots: Sequence[tuple[str, str]], transforms: Transforms, bus: Bus,
+        unit: str, wake: Wake,
+    ) -> None:  # fmt: skip
+        self.robots = [robot for robot, _ in robots]
+        self._graph, self._transforms = graph, transforms
+        self._statuses = bus.newest(STATUS, unit, wake)
+        self._odometry = Odometry([slices.drive(config.robot(robot)) for robot in self.robots])
+        self._robots = [_Robot(graph, name) for _, name in robots]
+        self._battery_ns = 0
+
+    def step(self, now_ns: int) -> None:
+        payload = self._statuses.take()
+        said = None if payload is None else UNIT_STATUS.view(payload)
+        if said is None or len(said[1]) != len(self.robots):
+            return
+        status, items = said
+        at_ns = self._statuses.arrival_ns or now_ns
+        angles = np.column_stack([items["left_angle_rad"], items["right_angle_rad"]])
+        speeds = np.column_stack([items["left_rad_s"], items["right_rad_s"]])
+        odometry, stamp = self._odometry, self._graph.stamp(at_ns)
+        odometry.turned(at_ns, status.boot_id, angles, speeds)
+        moved = list[TransformStamped]()
+        tells = now_ns - self._battery_ns >= _BATTERY_NS
+        for row, robot in enumerate(self._robots):
+            pose = odometry.poses[row].tolist()
+            robot.say_odometry(stamp, pose, odometry.twists[row].tolist())
+            robot.say_wheels(stamp, angles[row].tolist(), speeds[row].tolist())
+            if tells:
+                robot.say_battery(stamp, float(items["battery"][row]))
+            if self._transforms.wanted:
+                place = odometry.corrections[row].tolist() if odometry.corrected[row] else None
+                moved += robot.transforms(stamp, place, pose)
+        if tells:
+            self._battery_ns = now_ns
+        self._transforms.say(moved)
+
+    def seen(self, row: int, at_ns: int, one: Any) -> None:
+        """Take where the tracker saw a robot, as TagPose."""
+        pose = np.array([one["x_m"], one["y_m"], one["psi_rad"]])
+        self._odometry.seen(row, at_ns, pose)
+        self._robots[row].say_pose(self._graph.stamp(at_ns), pose.tolist(), [float(one[name]) for name in _COVARIANCE])
+
+
+class _Robot:
+    """One robot's publishers, and the messages that it says again and again."""
+
+    def __init__(self, graph: Graph, name: str) -> None:
+        odom, base = topics.odom_frame(name), topics.base_frame(name)
+        self._pose = graph.publisher(topics.POSE, name)
+        self._odom = graph.publisher(topics.ODOM, name)
+        self._joints = graph.publisher(topics.JOINTS, name)
+        self._battery = graph.publisher(topics.BATTERY, name)
+        self._seen = PoseWithCovarianceStamped()
+        self._seen.header.frame_id = topics.MAP
+        self._moved = OdometryMessage(child_frame_id=base)
+        self._moved.header.frame_id = odom
+        self._turned = JointState(name=_WHEELS)
+        self._turned.header.frame_id = base
+        self._charged = BatteryState(
+            present=True, voltage=math.nan, current=math.nan, charge=math.nan, capacity=math.nan,
+            design_capacity=math.nan, temperature=math.nan,
+        )  # fmt: skip
+        self._charged.header.frame_id = base
+        self._from_map, self._from_odom = TransformStamped(child_frame_id=odom), TransformStamped(child_frame_id=base)
+        self._from_map.header.frame_id, self._from_odom.header.frame_id = topics.MAP, odom
+
+    def say_pose(self, stamp: Any, pose: Sequence[float], covariance: Sequence[float]) -> None:
+        said, whole = self._seen, np.zeros(36)
+        said.header.stamp = stamp
+        _place(said.pose.pose, pose)
+        for place, value in zip(_PLACES, covariance, strict=True):
+            whole[place] = whole[_MIRRORED.get(place, place)] = value
+        said.pose.covariance = whole
+        self._pose.publish(said)
+
+    def say_odometry(self, stamp: Any, pose: Sequence[float], twist: Sequence[float]) -> None:
+        if wanted(self._odom):
+            said = self._moved
+            said.header.stamp = stamp
+            _place(said.pose.pose, pose)
+            said.twist.twist.linear.x, said.twist.twist.angular.z = twist
+            self._odom.publish(said)
+
+    def say_wheels(self, stamp: Any, angles: Sequence[float], speeds: Sequence[float]) -> None:
+        if wanted(self._joints):
+            said = self._turned
+            said.header.stamp = stamp
+            said.position, said.velocity = angles, speeds
+            self._joints.publish(said)
+
+    def say_battery(self, stamp: Any, charge: float) -> None:
+        said = self._charged
+        said.header.stamp = stamp
+        said.percentage = math.nan if charge < 0.0 else charge
+        self._battery.publish(said)
+
+    def transforms(
+        self, stamp: Any, place: Sequence[float] | None, pose: Sequence[float]
+    ) -> tuple[TransformStamped, ...]:
+        """Return odom -> base_link, and where the tracker has seen the robot map -> odom."""
+        moved = _transform(self._from_odom, stamp, pose)
+        return (moved,) if place is None else (_transform(self._from_map, stamp, place), moved)
+
+
+def heading(psi: float) -> Quaternion:
+    """Return a turn about z [rad] as a quaternion."""
+    return Quaternion(z=math.sin(psi / 2.0), w=math.cos(psi / 2.0))
+
+
+def _place(message: Any, pose: Sequence[float]) -> None:
+    message.position.x, message.position.y, psi = pose
+    message.orientation.z, message.orientation.w = math.sin(psi / 2.0), math.cos(psi / 2.0)
+
+
+def _transform(message: TransformStamped, stamp: Any, pose: Sequence[float]) -> TransformStamped:
+    message.header.stamp = stamp
+    way, turn = message.transform.translation, message.transform.rotation
+    way.x, way.y, psi = pose
+    turn.z, turn.w = math.sin(psi / 2.0), math.cos(psi / 2.0)
+    return message

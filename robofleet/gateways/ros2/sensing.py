@@ -1,0 +1,136 @@
+"""What robots sense beside their wheels, of those that tell it (``robots[].sensors``)."""
+
+import math
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import Imu, MagneticField, Range
+
+from robofleet.comms import sensors
+from robofleet.comms.bus import Bus, Wake
+from robofleet.comms.keys import SENSORS
+from robofleet.config.robots import Robot
+from robofleet.config.sensors import SensorSettings
+from robofleet.config.tree import Config
+from robofleet.gateways.ros2 import topics
+from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.robots import heading
+from robofleet.vehicles.interface import SensorReading
+
+_NOT_MEASURED = -1.0  # in the first place of a covariance: sensor_msgs/Imu
+_UT = 1e-6  # [T]
+
+
+class Sensing:
+    """All robots that tell of their sensors."""
+
+    def __init__(self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, wake: Wake) -> None:
+        self._graph = graph
+        self._units = [
+            (
+                bus.newest(SENSORS, unit, wake),
+                {
+                    place: _Sensors(graph, names[robot], config.robot(robot))
+                    for place, robot in enumerate(config.units[unit])
+                    if config.robot(robot).sensors
+                },
+            )
+            for unit in config.sensing
+        ]
+
+    def step(self, now_ns: int) -> None:
+        """Say what is new."""
+        for said, robots in self._units:
+            payload = said.take()
+            message = None if payload is None else sensors.decoded(payload)
+            if message is not None:
+                stamp = self._graph.stamp(said.arrival_ns or now_ns)
+                for place, reading in message[1].items():
+                    if place in robots:
+                        robots[place].say(stamp, reading)
+
+
+class _Sensors:
+    """One robot's. What of it there is, its kind of robot says."""
+
+    def __init__(self, graph: Graph, name: str, robot: Robot) -> None:
+        kind = robot.vehicle.sensors
+        assert kind is not None
+        base = topics.base_frame(name)
+        self._imu = graph.publisher(topics.IMU, name) if kind.gyro or kind.accelerometer else None
+        self._magnetic = graph.publisher(topics.MAGNETIC, name) if kind.magnetometer else None
+        self._ranges = graph.publisher(topics.RANGES, name) if kind.distances else None
+        self._inertial, self._field, self._far = _imu(kind, base), _field(kind, base), _ranges(kind, name)
+
+    def say(self, stamp: Any, reading: SensorReading) -> None:
+        if self._imu is not None:
+            said = self._inertial
+            said.header.stamp = stamp
+            if reading.gyro is not None:
+                turning = said.angular_velocity
+                turning.x, turning.y, turning.z = reading.gyro
+            if reading.accelerometer is not None:
+                force = said.linear_acceleration
+                force.x, force.y, force.z = reading.accelerometer
+            self._imu.publish(said)
+        if self._magnetic is not None and reading.magnetometer is not None:
+            self._field.header.stamp, field = stamp, self._field.magnetic_field
+            field.x, field.y, field.z = reading.magnetometer
+            self._magnetic.publish(self._field)
+        if self._ranges is not None and reading.distances is not None:
+            for said, distance in zip(self._far, reading.distances, strict=False):
+                said.header.stamp = stamp
+                said.range = math.inf if math.isnan(distance) else distance  # REP 117: it sees nothing
+                self._ranges.publish(said)
+
+
+def _imu(kind: SensorSettings, frame: str) -> Imu:
+    message = Imu()
+    message.header.frame_id = frame
+    message.orientation_covariance[0] = _NOT_MEASURED
+    if kind.gyro is None:
+        message.angular_velocity_covariance[0] = _NOT_MEASURED
+    else:
+        message.angular_velocity_covariance[:] = np.diag(np.square(kind.gyro.noise_rad_s)).ravel()
+    if kind.accelerometer is None:
+        message.linear_acceleration_covariance[0] = _NOT_MEASURED
+    else:
+        message.linear_acceleration_covariance[:] = np.diag(np.square(kind.accelerometer.noise_m_s2)).ravel()
+    return message
+
+
+def _field(kind: SensorSettings, frame: str) -> MagneticField:
+    message = MagneticField()
+    message.header.frame_id = frame
+    if kind.magnetometer is not None:
+        noise_t = _UT * np.array(kind.magnetometer.noise_ut)
+        message.magnetic_field_covariance[:] = np.diag(np.square(noise_t)).ravel()
+    return message
+
+
+def _ranges(kind: SensorSettings, name: str) -> list[Range]:
+    """Return a message of each distance sensor: a ray."""
+    if kind.distances is None:
+        return []
+    found = []
+    for number in range(len(kind.distances.places)):
+        message = Range(radiation_type=Range.INFRARED, max_range=kind.distances.range_m)
+        message.header.frame_id = topics.range_frame(name, number)
+        found.append(message)
+    return found
+
+
+def places(robot: Robot, name: str, stamp: Any) -> list[TransformStamped]:
+    """Return where a robot's distance sensors are."""
+    kind = robot.vehicle.sensors
+    if kind is None or kind.distances is None or not robot.sensors:
+        return []
+    found = []
+    for number, at in enumerate(kind.distances.places):
+        message = TransformStamped(child_frame_id=topics.range_frame(name, number))
+        message.header.stamp, message.header.frame_id = stamp, topics.base_frame(name)
+        message.transform.translation.x, message.transform.translation.y = at.x_m, at.y_m
+        message.transform.rotation = heading(math.radians(at.heading_deg))
+        found.append(message)
+    return found

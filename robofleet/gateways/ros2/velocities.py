@@ -1,0 +1,152 @@
+"""``cmd_vel``: what ROS 2 nodes wish of the robots whose behaviour is ``ros2``, with its age.
+
+A command's age counts from its publication. DDS tells when that was, on the publisher's clock: see ``ages.py``. A
+stamp in the message's own header counts too: an old one is an old command.
+"""
+
+import secrets
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from robofleet.behaviours.interface import WishKind
+from robofleet.behaviours.ros2 import Ros2
+from robofleet.clock import S
+from robofleet.comms.bus import Bus
+from robofleet.comms.keys import WISH
+from robofleet.comms.messages import SCRIPT_WISH
+from robofleet.comms.ticks import TickFollower
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.gateways.ros2 import topics
+from robofleet.gateways.ros2.ages import Ages
+from robofleet.gateways.ros2.graph import Graph, profile
+from robofleet.gateways.ros2.topics import load
+
+_EPOCH_BITS = 30  # as of scripts
+_LOOK_NS = S // 4  # between two looks of which type a robot's commands are
+_SILENT_NS = S  # a publisher that says nothing for so long keeps no other one from its topic
+_BEYOND = 1e6  # [m/s, rad/s] as the controller refuses it
+_LONG_S = 1e5  # older than any command that is heard
+
+
+class Velocities:
+    """The commands of all groups whose behaviour is ``ros2``."""
+
+    def __init__(
+        self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, ticks: TickFollower
+    ) -> None:  # fmt: skip
+        titles, come = groups.wishing(config, Ros2), graph.node.create_guard_condition(self._say)
+        self._groups = [
+            _Group(graph, [names[robot] for robot in group.robots], bus, group.title, ticks, come.trigger)
+            for group in config.groups
+            if group.title in titles
+        ]
+        self._node, self._looked_ns = graph.node, -_LOOK_NS
+        self.step(graph.clock.now_ns())
+
+    def step(self, now_ns: int) -> None:
+        """Listen to each robot's commands by the type that their publisher has."""
+        if self._groups and now_ns - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now_ns
+            there = {name: set(kinds) for name, kinds in self._node.get_topic_names_and_types()}
+            for group in self._groups:
+                group.listen(there)
+
+    def stand(self) -> None:
+        """Say that nothing is wished any more."""
+        for group in self._groups:
+            group.say(WishKind.STAND)
+
+    def _say(self) -> None:
+        for group in self._groups:
+            if group.changed:
+                group.say(WishKind.BODY)
+
+
+class _Group:
+    """A group's commands: what came of each robot's node, and when."""
+
+    def __init__(
+        self, graph: Graph, robots: list[str], bus: Bus, group: str, ticks: TickFollower, wake: Callable[[], None]
+    ) -> None:
+        self._clock, self._ticks, self._wake = graph.clock, ticks, wake
+        self._publish = bus.publisher(WISH, group)
+        self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
+        self._told = np.zeros(len(robots), SCRIPT_WISH.item_dtype)
+        self._values = SCRIPT_WISH.floats(self._told)  # of the same memory (N, 3)
+        self._since_ns = np.zeros(len(robots), np.int64)  # when each command was published, on our clock
+        self._topics = [_Commands(graph, robot, partial(self._heard, row)) for row, robot in enumerate(robots)]
+        self.changed = False
+
+    def listen(self, there: dict[str, set[str]]) -> None:
+        for topic in self._topics:
+            topic.listen(there)
+
+    def _heard(self, row: int, v: float, omega: float, age_ns: int) -> None:
+        self._told["told"][row] = 1
+        self._values[row, :2] = v, omega
+        self._since_ns[row] = self._clock.now_ns() - age_ns
+        self.changed = True
+        self._wake()  # of several that came together one wish is made
+
+    def say(self, kind: WishKind) -> None:
+        """Wish what was commanded last; the ages count from the newest tick that is known."""
+        self.changed = False
+        self._ticks.update()
+        tick = self._ticks.newest
+        if tick:
+            age_s = (self._ticks.instant(tick) - self._since_ns) / S
+            self._values[:, 2] = np.where(self._told["told"], np.minimum(age_s, _LONG_S), 0.0)
+            self._seq += 1
+            self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._told))
+
+
+class _Commands:
+    """The subscription to one robot's commands."""
+
+    def __init__(self, graph: Graph, robot: str, heard: Any) -> None:
+        self._graph, self._node, self._heard = graph, graph.node, heard
+        self._name = graph.node.resolve_topic_name(topics.COMMAND.name.format(robot))
+        self._kinds = topics.COMMAND.type.split(" or ")
+        self._ages = Ages()
+        self._heard_ns = 0  # the date when something was heard last
+        self._kind = self._kinds[0]
+        self._subscription = self._subscribed()
+
+    def listen(self, there: dict[str, set[str]]) -> None:
+        """Take the other type where somebody publishes that one, and nobody is heard by this one.
+
+        DDS holds a node that was killed for alive for twenty seconds.
+        """
+        others = there.get(self._name, set()) & set(self._kinds) - {self._kind}
+        if not others:
+            return
+        kinds = {one.topic_type for one in self._node.get_publishers_info_by_topic(self._name)}
+        silent = self._graph.date_ns() - self._heard_ns > _SILENT_NS
+        if (self._kind not in kinds or silent) and (wanted := kinds & others):
+            self._node.destroy_subscription(self._subscription)
+            self._kind = wanted.pop()
+            self._subscription = self._subscribed()
+
+    def _subscribed(self) -> Any:
+        take = self._take_stamped if self._kind == self._kinds[0] else self._take
+        return self._node.create_subscription(load(self._kind), self._name, take, profile(topics.COMMAND.quality))
+
+    def _take_stamped(self, message: Any, told: dict[str, int]) -> None:
+        stamp = message.header.stamp
+        stamped_ns = stamp.sec * S + stamp.nanosec
+        self._take(message.twist, told, self._graph.now_ns() - stamped_ns if stamped_ns else 0)
+
+    def _take(self, twist: Any, told: dict[str, int], age_ns: int = 0) -> None:
+        v, omega = twist.linear.x, twist.angular.z
+        if not abs(v) < _BEYOND or not abs(omega) < _BEYOND:  # not so of NaN
+            self._node.get_logger().warning(
+                f"{self._name}: v {v:g} m/s, omega {omega:g} rad/s is no command: the robot stands",
+                throttle_duration_sec=1.0,
+            )
+            v = omega = 0.0
+        self._heard_ns = self._graph.date_ns()
+        self._heard(v, omega, max(age_ns, self._ages.age_ns(told["source_timestamp"], self._heard_ns)))

@@ -1,0 +1,198 @@
+"""What the supervisor hears of the cameras: their poses, and what their trackers tell."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.comms.bus import Bus, Inbox
+from robofleet.comms.keys import NEWS, POSES, key
+from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, TrackerNews
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.kernels import kernel
+from robofleet.safety.monitor import STALE_TICKS, TRACKER_SILENT_NS
+from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.view import NEVER, FleetView
+from robofleet.tracking.events import TrackerEvent
+
+_STREAM = 64  # news between two looks
+_MISSED = 3  # images without a tag: fewer may be one bad image after some that were lost on their way
+_TAGS = 1 << 16  # so many numbers can a message name
+_UNKNOWN = -1  # as a row: nobody's tag
+_NEVER_SEEN = -1  # as a time since
+
+_NEWS = {
+    TrackerEvent.CAMERA_STALLED: Event.CAMERA_STALLED,
+    TrackerEvent.CAMERA_FROZEN: Event.CAMERA_FROZEN,
+    TrackerEvent.CAMERA_UNPLUGGED: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_RESIZED: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_STRANGE: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_ENDED: Event.CAMERA_LOST,
+    TrackerEvent.CAMERA_MOVED: Event.CAMERA_MOVED,
+    TrackerEvent.CAMERA_DISAGREES: Event.CAMERA_MOVED,
+    TrackerEvent.POSES_SILENT: Event.POSES_SILENT,
+}
+_GOOD_NEWS = (
+    TrackerEvent.CAMERA_BACK, TrackerEvent.CAMERA_CORRECTED, TrackerEvent.CAMERA_AGREES, TrackerEvent.POSES_BACK,
+)  # fmt: skip
+_TAG_NEWS = {
+    TrackerEvent.TAG_TWICE: Event.TAG_TWICE,
+    TrackerEvent.TAG_JUMPED: Event.POSE_JUMPED,
+    TrackerEvent.TAG_CARRIED: Event.POSE_JUMPED,
+}
+
+
+class _Camera:
+    """What is known of one camera; its robots are in the bodies' order."""
+
+    def __init__(self, config: Config, bus: Bus, name: str, robots: int) -> None:
+        self.poses = Inbox(bus.newest(POSES, name), FLEET_POSES.arrays)
+        self.news = bus.stream(key(config.arena.name, NEWS, name), capacity=_STREAM)
+        self.heard_ns = NEVER
+        self.epoch = self.seq = self.build = self.tick = 0
+        self.exposure_ns = 0  # of the newest image
+        self.measured_ns = np.zeros(robots, np.int64)  # newest image of each tag, by the images' own stamps
+        self.missed = np.zeros(robots, np.int64)  # images since then that came
+        self.unseen_ns = np.full(robots, _NEVER_SEEN)  # from that image to the newest one
+        self.trouble: Event | None = None  # as its tracker told last
+
+    def newer(self, now_ns: int) -> NDArray[Any] | None:
+        """Return the poses (K,) of a new image; None where there is none."""
+        if (taken := self.poses.take()) is None:
+            return None
+        head, poses = taken
+        image = dict(zip(FLEET_POSES.head_dtype.names or (), head[0].item(), strict=True))
+        if image["epoch"] != self.epoch:  # its clock may be another one: what was unseen stays unseen
+            self.measured_ns += image["exposure_ns"] - self.exposure_ns
+        elif image["seq"] <= self.seq:
+            return None
+        self.exposure_ns, self.heard_ns, self.tick = image["exposure_ns"], now_ns, image["echo_tick"]
+        self.epoch, self.seq, self.build = image["epoch"], image["seq"], image["build"]
+        return poses
+
+    def out(self, now_ns: int, tick: int) -> Event | None:
+        """Return why it gives no poses that can be used; None where it does."""
+        if self.trouble is not None:
+            return self.trouble
+        stale = self.tick != 0 and tick - self.tick > STALE_TICKS
+        return Event.TRACKER_SILENT if now_ns - self.heard_ns > TRACKER_SILENT_NS or stale else None
+
+
+class CamerasHeard:
+    """Listens to the trackers. Of several cameras one that gives no poses is named, and costs what no other sees."""
+
+    def __init__(self, config: Config, bus: Bus) -> None:
+        robots = config.bodies
+        self._build = slices.build(config)
+        self._cameras = [_Camera(config, bus, name, len(robots)) for name in config.camera_names]
+        self._tags = np.full(_TAGS, _UNKNOWN)  # the row of each tag
+        self._tags[[robot.tag for robot in robots]] = range(len(robots))
+        self._looks = 0  # in which an image had come: the number of its images
+
+    def look(self, robots: NDArray[Any], before: FleetView, now_ns: int) -> tuple[FleetView, tuple[Happening, ...]]:
+        """Take what came, write it into the robots' rows; returns the view with it, and the trackers' news."""
+        news = self._heard_news()
+        if len(self._cameras) == 1:
+            return self._look_at_one(robots, before, now_ns), news
+        return self._look_at_all(robots, before, now_ns), news
+
+    def _look_at_one(self, robots: NDArray[Any], before: FleetView, now_ns: int) -> FleetView:
+        (camera,) = self._cameras
+        if (poses := camera.newer(now_ns)) is None:
+            return before
+        self._take(camera, robots, poses, camera.seq, now_ns)
+        seen = camera.unseen_ns != _NEVER_SEEN
+        robots["unseen_ns"][seen] = camera.unseen_ns[seen]
+        return before._replace(
+            tracker_ns=now_ns, tracker_epoch=camera.epoch, tracker_build=camera.build, image=camera.seq,
+            image_tick=camera.tick,
+        )  # fmt: skip
+
+    def _look_at_all(self, robots: NDArray[Any], before: FleetView, now_ns: int) -> FleetView:
+        came = [(camera, poses) for camera in self._cameras if (poses := camera.newer(now_ns)) is not None]
+        self._looks += bool(came)
+        for camera, poses in came:
+            if camera.trouble not in _DISTRUSTED:
+                self._take(camera, robots, poses, self._looks, now_ns)
+        reasons = [camera.out(now_ns, before.tick) for camera in self._cameras]
+        self._unseen(robots, [reason is None for reason in reasons], now_ns)
+        out = [Happening(reason, NOBODY, k) for k, reason in enumerate(reasons) if reason is not None]
+        none_left = len(out) == len(self._cameras)
+        if came:
+            ticks = min(camera.tick for camera, _ in came)
+            before = before._replace(tracker_ns=now_ns, image=self._looks, image_tick=ticks)
+        wrong = [camera.build for camera in self._cameras if camera.heard_ns and camera.build != self._build]
+        return before._replace(
+            tracker_build=wrong[0] if wrong else self._build,
+            tracker_epoch=1,
+            cameras_out=() if none_left else tuple(out),
+        )
+
+    def _take(self, camera: _Camera, robots: NDArray[Any], poses: NDArray[Any], image: int, now_ns: int) -> None:
+        _take_image(
+            robots, poses, self._tags, camera.measured_ns, camera.missed, camera.unseen_ns, camera.exposure_ns,
+            np.uint64(image), now_ns,
+        )  # fmt: skip
+
+    def _unseen(self, robots: NDArray[Any], believed: list[bool], now_ns: int) -> None:
+        """Write for how long no camera that gives poses has seen each robot."""
+        each = np.array([np.where(camera.unseen_ns < 0, _LONG, camera.unseen_ns) for camera in self._cameras])
+        each[~np.array(believed)] = _LONG
+        shortest, since = each.min(axis=0), now_ns - robots["seen_ns"]
+        known = robots["seen_ns"] != NEVER
+        robots["unseen_ns"][known] = np.where(shortest == _LONG, since, np.minimum(shortest, since))[known]
+
+    def _heard_news(self) -> tuple[Happening, ...]:
+        """Return what the trackers told, of the cameras and of our tags, in the run's own words."""
+        heard: list[Happening] = []
+        for k, camera in enumerate(self._cameras):
+            for _, _, payload in camera.news.drain():
+                if (news := TRACKER_NEWS.decode(payload)) is not None:
+                    heard += self._told(k, camera, news)
+        return tuple(heard)
+
+    def _told(self, number: int, camera: _Camera, news: TrackerNews) -> tuple[Happening, ...]:
+        row = int(self._tags[news.tag])
+        if news.event in _TAG_NEWS and row != _UNKNOWN:
+            return (Happening(_TAG_NEWS[TrackerEvent(news.event)], row, news.value),)
+        if news.event in _GOOD_NEWS:
+            camera.trouble = None
+        elif news.event in _NEWS:
+            camera.trouble = _NEWS[TrackerEvent(news.event)]
+            if all(its.trouble is not None for its in self._cameras):
+                return (Happening(camera.trouble, NOBODY, news.value),)
+        return ()
+
+
+_DISTRUSTED = (Event.CAMERA_MOVED,)  # its poses come, and are wrong
+_LONG = np.iinfo(np.int64).max
+
+
+@kernel
+def _take_image(  # type: ignore[no-untyped-def]
+    robots, poses, tags, measured_ns, missed, unseen_ns, exposure_ns, image, now_ns
+):
+    missed += 1
+    for pose in poses:
+        k = tags[pose.tag]
+        if k != _UNKNOWN:
+            measured_ns[k] = exposure_ns - pose.coasted_ns
+            missed[k] = _MISSED if pose.coasted_ns else 0  # a tracker that predicts knows how long
+            if pose.coasted_ns == 0:
+                r = robots[k]
+                r.seen_ns, r.image, r.x, r.y, r.psi = now_ns, image, pose.x_m, pose.y_m, pose.psi_rad
+                unseen_ns[k] = 0
+    for k in range(len(robots)):
+        if unseen_ns[k] != _NEVER_SEEN:
+            unseen_ns[k] = exposure_ns - measured_ns[k] if missed[k] >= _MISSED else 0
+
+
+KERNELS = (_take_image,)
+
+
+def compile_kernels(robots: NDArray[Any]) -> None:
+    """Compile, or load from the cache."""
+    none = np.zeros(0, np.int64)
+    poses = np.ndarray((0,), FLEET_POSES.item_dtype, b"0")
+    _take_image(robots, poses, np.full(1, _UNKNOWN), none, none, none, 0, np.uint64(0), 0)

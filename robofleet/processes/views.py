@@ -1,0 +1,55 @@
+"""What several cameras see together: views that nothing ties to one another measure in frames that may differ."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.config.camera import CameraSettings
+from robofleet.config.faults import Complaint
+from robofleet.config.tree import Config
+from robofleet.tracking.camera import CameraGeometry
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 60  # along each side of the arena
+
+
+def complaints(config: Config) -> Iterator[Complaint]:
+    """Yield the cameras that share neither a part of the floor nor a survey with those before them."""
+    cameras = config.camera_keys
+    if len(cameras) < 2 or any(camera.model.T_world_camera is None for _, camera in cameras):
+        return
+    floor = _of_floor(config)
+    seen = [_sees(camera, floor) for _, camera in cameras]
+    surveys = [_surveys(config, camera) for _, camera in cameras]
+    tied, more = set[int](), {0}
+    while more:
+        tied |= more
+        left = set(range(len(cameras))) - tied
+        more = {k for k in left if any(surveys[k] & surveys[j] or (seen[k] & seen[j]).any() for j in tied)}
+    for k, (path, camera) in enumerate(cameras):
+        if k not in tied:
+            yield (
+                f"{path}.model",
+                f"{camera.name} overlaps with none of the other cameras and shares no survey with them: place all "
+                "of them by one survey, with robofleet calibrate arena",
+            )
+
+
+def _of_floor(config: Config) -> Array:
+    """Return points (N, 3) all over the arena, at the height of the tags."""
+    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES) for side in config.arena.size_m)
+    return np.stack([*map(np.ravel, np.meshgrid(x, y)), np.full(_SAMPLES**2, config.tracker.tag_height_m)], axis=1)
+
+
+def _sees(camera: CameraSettings, points: Array) -> NDArray[np.bool_]:
+    return CameraGeometry.from_model(camera.model).sees(points, (camera.width, camera.height))
+
+
+def _surveys(config: Config, camera: CameraSettings) -> set[str]:
+    """Return the hashes of what a camera was placed by; ``floor tags`` where it sees some of ``tracker.floor_tags``."""
+    arena, tags = camera.model.arena, config.tracker.floor_tags
+    surveys = set() if arena is None else {digest for name, digest in arena.inputs.items() if name != "images"}
+    at = np.array([(tag.x_m, tag.y_m, tag.height_m) for tag in tags])
+    return surveys | ({"floor tags"} if tags and _sees(camera, at).any() else set())

@@ -1,0 +1,64 @@
+// A gamepad drives the first robot of a group whose behaviour is teleop, while its dead-man's button is held.
+//
+// Each command names the newest tick that came here, so that the controller knows how old it is. Nothing is sent without
+// the button but its release, once. A page in the background reads no gamepad: then the robots stand, too.
+
+const HOLD = [4, 5]; // the shoulder buttons, of the standard mapping
+const [SIDEWAYS, FORWARD] = [0, 1]; // axes of the left stick: to the right and to the person are positive
+const DEAD = 0.08; // of a stick that is let go
+const WORDS = {
+  none: () => "Press a button of a gamepad: then the page sees it.",
+  ready: (robot) => `Hold a shoulder button (L1 or R1) and drive ${robot} with the left stick. Let it go: ${robot} stands.`,
+  driving: (robot) => `${robot} is driven.`,
+};
+
+export class Gamepads {
+  #link;
+  #panel = document.getElementById("gamepad-panel");
+  #words = document.getElementById("gamepad-words");
+  #chosen = document.getElementById("gamepad-group");
+  #groups = []; // that a person can drive
+  #tick = 0; // the newest one that came
+  #driven = ""; // group
+  #watching = false;
+
+  constructor(link) {
+    this.#link = link;
+  }
+
+  begin({ groups }) {
+    const isViewer = document.body.dataset.role === "viewer";
+    this.#groups = isViewer ? [] : groups.filter((group) => group.by_hand);
+    this.#panel.hidden = this.#groups.length === 0;
+    this.#chosen.replaceChildren(...this.#groups.map(({ name }) => new Option(name)));
+    this.#chosen.hidden = this.#groups.length < 2;
+    if (this.#watching || !this.#groups.length) return;
+    this.#watching = true;
+    this.#watch();
+  }
+
+  heard({ tick }) {
+    this.#tick = tick;
+  }
+
+  #watch() {
+    requestAnimationFrame(() => this.#watch());
+    const group = this.#groups.find(({ name }) => name === this.#chosen.value) ?? this.#groups[0];
+    if (!group) return;
+    const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
+    const pad = pads.find(isHeld);
+    const driven = pad ? group.name : "";
+    if (this.#driven && this.#driven !== driven) this.#send(this.#driven, [0, 0, false]);
+    if (pad) this.#send(driven, [-beyond(pad.axes[FORWARD]), -beyond(pad.axes[SIDEWAYS]), true]);
+    this.#driven = driven;
+    const words = WORDS[pad ? "driving" : pads.length ? "ready" : "none"](group.robots[0]);
+    if (this.#words.textContent !== words) this.#words.textContent = words;
+  }
+
+  #send(group, stick) {
+    this.#link.send({ drive: group, stick, tick: this.#tick });
+  }
+}
+
+const isHeld = (pad) => HOLD.some((button) => pad.buttons[button]?.pressed);
+const beyond = (value) => (Math.abs(value ?? 0) < DEAD ? 0 : value);

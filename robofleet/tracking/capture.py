@@ -1,0 +1,205 @@
+"""Motion-capture systems through the library ``motioncapture``: who answers, and their frames as they come.
+
+The library waits for ever for a system that does not answer, and nothing else of the process runs meanwhile. So a
+process of its own asks first; only a system that answered it is opened here.
+"""
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from importlib.util import find_spec
+from typing import NamedTuple, Protocol
+
+from robofleet.clock import Clock
+from robofleet.comms.bus import Wake
+from robofleet.config.mocap import MocapSettings
+from robofleet.tracking.bodies import Body
+from robofleet.tracking.sources import CameraError
+
+LIBRARY = "motioncapture"
+_ANSWER_S = 5.0
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 2.0
+_ASK = """
+import json, sys
+import motioncapture
+capture = motioncapture.connect(*json.load(sys.stdin))
+names = set()
+for _ in range(10):
+    capture.waitForNextFrame()
+    names |= set(capture.rigidBodies)
+print(json.dumps(sorted(names)))
+"""
+
+
+class Quaternion(Protocol):
+    """A rotation."""
+
+    @property
+    def x(self) -> float: ...  # noqa: D102
+    @property
+    def y(self) -> float: ...  # noqa: D102
+    @property
+    def z(self) -> float: ...  # noqa: D102
+    @property
+    def w(self) -> float: ...  # noqa: D102
+
+
+class RigidBody(Protocol):
+    """A body of the newest frame."""
+
+    @property
+    def position(self) -> "Position":
+        """Its place (3,)."""
+
+    @property
+    def rotation(self) -> Quaternion:
+        """Its rotation."""
+
+
+class Position(Protocol):
+    """Three coordinates."""
+
+    def __getitem__(self, axis: int, /) -> float: ...
+
+
+class Capture(Protocol):
+    """A motion-capture system, as the library has it; the simulated one has the same."""
+
+    def waitForNextFrame(self) -> None:
+        """Wait for the next frame."""
+
+    @property
+    def rigidBodies(self) -> Mapping[str, RigidBody]:
+        """The bodies that are tracked in the newest frame."""
+
+
+class CaptureFrame(NamedTuple):
+    """One frame."""
+
+    bodies: dict[str, Body]
+    arrival_ns: int  # [this host's clock]
+
+
+def read(capture: Capture, clock: Clock) -> CaptureFrame:
+    """Return the next frame of a system, waiting for it."""
+    capture.waitForNextFrame()
+    arrival_ns = clock.now_ns()
+    bodies = {}
+    for name, body in capture.rigidBodies.items():
+        p, q = body.position, body.rotation
+        bodies[name] = Body(float(p[0]), float(p[1]), float(p[2]), q.x, q.y, q.z, q.w)
+    return CaptureFrame(bodies, arrival_ns)
+
+
+def bodies_there(settings: MocapSettings) -> list[str]:
+    """Return the names of the bodies that a system tracks now; CameraError where it does not answer."""
+    if find_spec(LIBRARY) is None:
+        raise CameraError(f"the library {LIBRARY} is missing: pip install 'robofleet[mocap]'")
+    given = json.dumps([settings.system, _options(settings)])
+    where = f"{settings.system} at {settings.host}"
+    try:
+        asked = subprocess.run(
+            [sys.executable, "-c", _ASK], input=given, capture_output=True, text=True, timeout=_ANSWER_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        mend = "start its streaming, and compare tracker.mocap.host with its address"
+        raise CameraError(f"{where} sends nothing within {_ANSWER_S:g} s: {mend}") from None
+    if asked.returncode:
+        why = (asked.stderr.strip().splitlines() or [f"exit code {asked.returncode}"])[-1]
+        raise CameraError(f"{where}: the library {LIBRARY} says: {why.partition(': ')[2] or why}: mend tracker.mocap")
+    names: list[str] = json.loads(asked.stdout.splitlines()[-1])
+    return names
+
+
+def open_capture(settings: MocapSettings) -> Capture:
+    """Open a system that answers; CameraError where none does."""
+    bodies_there(settings)
+    capture: Capture = import_module(LIBRARY).connect(settings.system, _options(settings))
+    return capture
+
+
+def _options(settings: MocapSettings) -> dict[str, str]:
+    return {"hostname": settings.host, **settings.options}
+
+
+class CaptureReader:
+    """Reads a system in a thread of its own. Of frames that nobody took the newest one is kept.
+
+    One that fails is opened again, ever more patiently. One that is silent is waited for: who takes the frames has
+    to notice.
+    """
+
+    def __init__(self, open_capture: Callable[[], Capture], clock: Clock, wake: Wake) -> None:
+        """Open it here and now: CameraError where that fails."""
+        self._open, self._clock, self._wake = open_capture, clock, wake
+        self._capture: Capture | None = open_capture()
+        self._newest: CaptureFrame | None = None
+        self._lock = threading.Lock()
+        self._closing = threading.Event()
+        self._pause_s = _FIRST_PAUSE_S
+        threading.Thread(target=self._run, daemon=True).start()  # it may wait for ever: nobody waits for it
+
+    def next_ns(self) -> int | None:
+        """Return None: a frame wakes the process."""
+        return None
+
+    def take(self, now_ns: int) -> CaptureFrame | None:
+        """Return the newest frame not taken yet."""
+        with self._lock:
+            newest, self._newest = self._newest, None
+        return newest
+
+    def close(self) -> None:
+        """Take no more frames."""
+        self._closing.set()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                if self._capture is None:
+                    self._capture = self._open()
+                frame = read(self._capture, self._clock)
+            except Exception as error:  # noqa: BLE001 - whatever a library raises, it gives no poses
+                self._fail(str(error) or type(error).__name__)
+                continue
+            self._pause_s = _FIRST_PAUSE_S
+            with self._lock:
+                self._newest = frame
+            self._wake(0)
+
+    def _fail(self, why: str) -> None:
+        if self._closing.is_set():
+            return
+        if self._pause_s == _FIRST_PAUSE_S:
+            print(f"motion capture: {why}", file=sys.stderr)
+        self._capture = None
+        self._closing.wait(self._pause_s)
+        self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+
+
+class CapturePoller:
+    """Reads a system that knows when its next frame will be there, between two steps: lockstep has no threads."""
+
+    def __init__(self, capture: "ScheduledCapture", clock: Clock) -> None:
+        self._capture, self._clock = capture, clock
+
+    def next_ns(self) -> int | None:
+        """Return when there will be a frame."""
+        return self._capture.ready_ns()
+
+    def take(self, now_ns: int) -> CaptureFrame | None:
+        """Return the frame that is there."""
+        return read(self._capture, self._clock) if self._capture.ready_ns() <= now_ns else None
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class ScheduledCapture(Capture, Protocol):
+    """A system that knows when its next frame will be there."""
+
+    def ready_ns(self) -> int:
+        """Return when ``waitForNextFrame`` will not wait [ns]."""

@@ -1,0 +1,13 @@
+"""How sure a planar pose is: the covariance of x, y [m; world] and psi [rad], as six numbers."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Covariance = tuple[float, float, float, float, float, float]  # xx, xy, yy [m^2], x psi, y psi [m rad], psi psi [rad^2]
+UNKNOWN: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def covariance(numbers: NDArray[np.float64]) -> Covariance:
+    """Return the six numbers of an array (6,)."""
+    xx, xy, yy, x_psi, y_psi, psi_psi = numbers.tolist()
+    return xx, xy, yy, x_psi, y_psi, psi_psi

@@ -1,0 +1,90 @@
+"""The images of several cameras, brought to the fleet filter in the order of their exposures.
+
+Two cameras that are triggered together expose at one instant, and each has its own delay: of two images of one tick one
+may come a tick later than the other. The filter takes nothing that is older than what it has taken. So it is brought
+back to where it was before its newest images, and takes those again, the late one among them.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.tracking.estimator import UNUSED, FleetFilter, Memory
+
+Array = NDArray[np.float64]
+Instants = NDArray[np.int64]
+
+TOGETHER_NS = 20_000_000  # between images of one instant: less than a tick
+_BATCHES = 5  # so many ticks may one camera be later than another
+_UNSEEN = np.iinfo(np.int64).max
+
+
+class Seen(NamedTuple):
+    """What one image says of all robots."""
+
+    camera: int
+    poses: Array  # (N, 3), or (N, 9) with covariances, NaN where a robot was not measured
+    instants_ns: Instants  # (N,) each robot's own mid-exposure; the image's where it was not measured
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which robots (N,) it shows."""
+        return np.isfinite(self.poses[:, 0])
+
+
+class Joined:
+    """Hands images to a filter; ``observe`` takes those that came since its last call."""
+
+    def __init__(self, fleet_filter: FleetFilter) -> None:
+        self._filter = fleet_filter
+        # The images that were taken last, those of one instant together, and the filter as it was before each.
+        self._batches: deque[tuple[Memory, list[Seen]]] = deque(maxlen=_BATCHES)
+
+    def observe(self, images: list[Seen]) -> NDArray[np.int64]:
+        """Use images; returns what ``FleetFilter.observe`` does, of all of them."""
+        anew = list(images)
+        while self._batches and any(map(self._late, images)):
+            before, batch = self._batches.pop()
+            self._filter.go_back(before)
+            anew += batch
+        used = np.full(len(self._filter.instants_ns), UNUSED)
+        for batch in _together(anew):
+            self._batches.append((self._filter.memory(), batch))
+            used = np.maximum(used, self._take(batch))
+        return used
+
+    def _late(self, seen: Seen) -> bool:
+        """Return whether the filter would not take all of an image any more."""
+        return bool((seen.measured & (seen.instants_ns <= self._filter.instants_ns)).any())
+
+    def _take(self, images: list[Seen]) -> NDArray[np.int64]:
+        """Let the filter take each robot's measurements one after the other, the oldest first."""
+        poses = np.stack([seen.poses for seen in images])
+        instants_ns = np.stack([seen.instants_ns for seen in images])
+        measured = np.isfinite(poses[:, :, 0])
+        order = np.argsort(np.where(measured, instants_ns, _UNSEEN), axis=0, kind="stable")
+        newest_ns = instants_ns.max(axis=0)
+        poses, measured = np.take_along_axis(poses, order[..., None], 0), np.take_along_axis(measured, order, 0)
+        instants_ns = np.take_along_axis(instants_ns, order, 0)
+        used, before_ns = np.full(len(newest_ns), UNUSED), np.zeros_like(newest_ns)
+        for k in range(max(1, int(measured.sum(axis=0).max()))):
+            # At one instant the second comes a nanosecond later; who is not seen at all is moved on.
+            at_ns = np.where(measured[k], np.maximum(instants_ns[k], before_ns + 1), 0 if k else newest_ns)
+            used = np.maximum(used, self._filter.observe(at_ns, poses[k]))
+            before_ns = at_ns
+        return used
+
+
+def _together(images: list[Seen]) -> Iterator[list[Seen]]:
+    """Yield images that were exposed at about one instant, the oldest first."""
+    batch: list[Seen] = []
+    for seen in sorted(images, key=lambda seen: int(seen.instants_ns.min())):
+        if batch and seen.instants_ns.min() - batch[0].instants_ns.min() > TOGETHER_NS:
+            yield batch
+            batch = []
+        batch.append(seen)
+    if batch:
+        yield batch

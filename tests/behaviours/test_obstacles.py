@@ -1,0 +1,12 @@
+"""A few seeds of ``tests.behaviours.obstacles``, whose command drives 200."""
+
+import pytest
+
+from tests.behaviours import obstacles
+
+
+@pytest.mark.parametrize(("behaviour", "seed"), [("go_to", 2), ("cyclic_pursuit", 1)])
+def test_robots_among_obstacles_arrive_and_keep_their_gap(behaviour: str, seed: int) -> None:
+    trial = obstacles.drive(behaviour, seed)
+    assert obstacles.arrived(behaviour, trial)
+    assert trial.gap_mm >= obstacles.LEAST_GAP_MM

@@ -1,0 +1,50 @@
+"""Commands of ROS 2 nodes: each robot does its own as long as that is fresh, and no longer."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robofleet.behaviours.interface import Situation, Wish, WishKind
+from robofleet.behaviours.ros2 import Ros2
+from robofleet.config import groups
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
+
+CONFIG = load_config(SHIPPED / "ros2.yaml")
+TEAM = groups.team(CONFIG, CONFIG.groups[0])
+N = len(TEAM)
+SITUATION = Situation(0.0, np.zeros((N, 3)), np.ones(N, np.bool_), np.zeros((N, 2)), np.empty((0, 3)))
+SILENT_S = 0.15
+
+
+def decided(age: float, own: list[float], told: list[bool], kind: WishKind = WishKind.BODY) -> np.ndarray:
+    values = np.column_stack([np.full(N, 0.1), np.full(N, 0.5), own])
+    wish = Wish(kind, np.where(np.array(told)[:, None], values, 0.0), np.array(told), 0, age, 1, 1)
+    decision = Ros2(Ros2.Settings(), TEAM).decide(SITUATION._replace(wish=wish))
+    assert decision.of == "body" and decision.hold is None
+    return np.asarray(decision.velocities)
+
+
+AGES = st.lists(st.floats(-TEAM.tick, 1.0), min_size=N, max_size=N)
+
+
+@given(st.floats(0.0, 0.5), AGES, st.lists(st.booleans(), min_size=N, max_size=N))
+def test_a_robot_does_what_is_fresh_and_stands_else(age: float, own: list[float], told: list[bool]) -> None:
+    for row, velocity in enumerate(decided(age, own, told)):
+        fresh = told[row] and age + own[row] <= SILENT_S
+        if abs(age + own[row] - SILENT_S) > 1e-6:
+            assert velocity == pytest.approx((0.1, 0.5) if fresh else (0.0, 0.0))
+
+
+def test_no_command_is_younger_than_a_sender_can_know() -> None:
+    assert not decided(SILENT_S + 2 * TEAM.tick, [-1e5] * N, [True] * N).any()
+
+
+@pytest.mark.parametrize("kind", [kind for kind in WishKind if kind is not WishKind.BODY])
+def test_whatever_else_is_wished_the_robots_stand(kind: WishKind) -> None:
+    assert not decided(0.0, [0.0] * N, [True] * N, kind).any()
+
+
+def test_the_robots_stand_while_nothing_was_commanded() -> None:
+    assert not np.any(Ros2(Ros2.Settings(), TEAM).decide(SITUATION).velocities)

@@ -1,0 +1,91 @@
+"""A person's commands: limited, as long as they are fresh; the others follow the way of the robot ahead."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robofleet.behaviours.interface import Situation, Wish, WishKind
+from robofleet.behaviours.teleop import Teleop
+from robofleet.config import groups
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
+from robofleet.processes.lockstep import Lockstep
+
+CONFIG = load_config(SHIPPED / "teleop.yaml")
+TEAM = groups.team(CONFIG, CONFIG.groups[0])
+SETTINGS = Teleop.Settings.model_validate(CONFIG.groups[0].settings)
+N, L = len(TEAM), TEAM.point_ahead
+SPEEDS = st.floats(-10.0, 10.0)
+
+
+def situation(poses: np.ndarray, wish: Wish | None = None) -> Situation:
+    return Situation(0.0, poses, np.ones(N, np.bool_), np.zeros((N, 2)), np.empty((0, 3)), wish)
+
+
+def wish(v: float, omega: float, age: float = 0.0, own: float = 0.0, kind: WishKind = WishKind.BODY) -> Wish:
+    values, told = np.zeros((N, 3)), np.arange(N) == 0
+    values[0] = v, omega, own
+    return Wish(kind, values, told, 0, age, 1, 1)
+
+
+def body(behaviour: Teleop, poses: np.ndarray, its: Wish | None) -> np.ndarray:
+    """Return v and omega of the first robot."""
+    x, y = behaviour.decide(situation(poses, its)).velocities[0]
+    cos, sin = np.cos(poses[0, 2]), np.sin(poses[0, 2])
+    return np.array([x * cos + y * sin, (y * cos - x * sin) / L])
+
+
+@given(SPEEDS, SPEEDS, st.floats(-np.pi, np.pi))
+def test_the_first_robot_does_what_is_commanded_up_to_its_limits(v: float, omega: float, psi: float) -> None:
+    poses = np.tile([0.0, 0.0, psi], (N, 1))
+    most = SETTINGS.max_speed_m_s, SETTINGS.max_turn_rad_s
+    done = body(Teleop(SETTINGS, TEAM), poses, wish(v, omega))
+    assert done == pytest.approx(np.clip([v, omega], np.negative(most), most), abs=1e-9)
+
+
+@given(st.floats(0.0, 0.5), st.floats(-TEAM.tick, 0.5))
+def test_a_command_that_is_too_old_counts_for_nothing(age: float, own: float) -> None:
+    done = body(Teleop(SETTINGS, TEAM), np.zeros((N, 3)), wish(0.05, 0.1, age, own))
+    if abs(age + own - SETTINGS.silent_s) > 1e-6:
+        assert done.any() == (age + own < SETTINGS.silent_s)
+
+
+@pytest.mark.parametrize("its", [None, *(wish(0.05, 0.1, kind=kind) for kind in WishKind if kind is not WishKind.BODY)])
+def test_without_a_command_it_stands(its: Wish | None) -> None:
+    assert not body(Teleop(SETTINGS, TEAM), np.zeros((N, 3)), its).any()
+
+
+def test_followers_take_the_way_of_the_robot_ahead_and_stop_behind_it() -> None:
+    """Points that do as they are told: the leader's drives a corner, and waits."""
+    behaviour, tick = Teleop(SETTINGS, TEAM), TEAM.tick
+    points = np.column_stack([-0.3 * np.arange(N), np.zeros(N)])
+    leads = [(0.1, 0.0)] * 300 + [(0.0, 0.1)] * 200 + [(0.0, 0.0)] * 300
+    errors, trails = [], []
+    for lead in leads:
+        poses = np.column_stack([points - [L, 0.0], np.zeros(N)])
+        told = behaviour.decide(situation(poses))
+        told.velocities[0] = lead
+        errors.append(told.figures["following_error"][1:])
+        trails.append(points.copy())
+        points = points + tick * told.velocities
+    gaps = np.hypot(*np.diff(points, axis=0).T)
+    assert errors[-1] == pytest.approx(0.0, abs=1e-3)
+    assert gaps[0] <= SETTINGS.spacing_m + 1e-6
+    corner = np.array([points[0][0], 0.0])
+    follower = np.array(trails)[:, 1]
+    nearest = np.hypot(*(follower - corner).T).min()
+    assert nearest < 0.08, "the follower came through the corner, and did not cut it"
+
+
+def test_a_follower_stands_while_the_robot_ahead_is_near() -> None:
+    behaviour = Teleop(SETTINGS, TEAM)
+    poses = np.zeros((N, 3))
+    poses[:, 0] = -0.8 * SETTINGS.spacing_m * np.arange(N)
+    assert not behaviour.decide(situation(poses)).velocities[1:].any()
+
+
+def test_in_a_run_nobody_moves_before_the_first_command() -> None:
+    config = load_config(SHIPPED / "teleop.yaml", ["run.duration_s=1", "tracker.source=truth"])
+    run = Lockstep(config)
+    assert run.run() == ("completed", None)

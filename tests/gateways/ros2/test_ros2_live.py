@@ -1,0 +1,154 @@
+"""A run on a real ROS 2 graph: nodes of a user, in processes of their own, see it, drive it, hold it, and die."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S
+from robofleet.gateways.asking import SERVICES
+from robofleet.gateways.ros2 import topics
+from robofleet.recording.reading import read
+from robofleet.recording.run import Run
+from tests.processes.realrun import CLOCK, RealRun, wait
+
+pytestmark = pytest.mark.skipif(
+    find_spec("rclpy") is None, reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own"
+)
+CONFIG = Path(__file__).parents[3] / "configs" / "ros2.yaml"
+WITHIN_S = 90.0
+STANDS_WITHIN_MS = 280  # after the last command of a node that was killed
+_TO_WHEELS_MS = 20  # from a tick to the wheels
+_FLUSHED_NS = S  # by then the recording has what was said
+
+
+class Stand(NamedTuple):
+    run: RealRun
+    environment: dict[str, str]
+
+    def node(self, *what: str) -> "subprocess.Popen[str]":
+        """Start a user's node."""
+        command = [sys.executable, "-m", "tests.gateways.ros2.user", *what]
+        return subprocess.Popen(
+            command, env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def said(self, *what: str) -> dict[str, Any]:
+        """Return what a user's node found."""
+        with self.node(*what) as node:
+            try:
+                out, err = node.communicate(timeout=WITHIN_S)
+            finally:
+                node.kill()
+        assert node.returncode == 0, err
+        return dict(json.loads(out))
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory, alone_for_a_module: None) -> Iterator[Stand]:
+    """Yield a run with a gateway beside it. The graph is this module's own."""
+    folder = tmp_path_factory.mktemp("ros2")
+    run = RealRun(folder, "--set", "robots.0.sensors=true", config=CONFIG)
+    environment = run.environment | {
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(folder / "log"),
+    }  # fmt: skip
+    gateway = None
+    try:
+        run.wait_until_running()
+        command = [sys.executable, "-m", "robofleet", "ros2", "ros2"]  # its packages warn
+        with (folder / "gateway").open("w") as said:
+            gateway = subprocess.Popen(command, env=environment, stderr=said)
+        yield Stand(run, environment)
+        run.launcher.kill()  # at once and without a report; all others end by themselves
+        assert wait(lambda: gateway.poll() is not None, WITHIN_S), "the run has ended"
+        assert gateway.returncode == 0, (folder / "gateway").read_text()
+    finally:
+        if gateway is not None:
+            gateway.kill()
+        run.clean_up()
+
+
+def rows_of(name: str) -> list[topics.Topic]:
+    """Return the table's rows of a topic."""
+    about = ("r1", "r2", "r3", "r4", "overhead")
+    return [row for row in topics.TOPICS if any(name in (full, f"/{full}") for full in map(row.name.format, about))]
+
+
+def test_the_graph_is_the_table(stand: Stand) -> None:
+    found = stand.said("listen", "3")
+    for name, seen in found["topics"].items():
+        (row,) = rows_of(name)
+        assert seen["type"] in row.type.split(" or ") and seen["flow"] == row.flow, name
+        assert seen["quality"] == str(row.quality).split(", ")[:2], name
+        if seen["flow"] == "out":
+            robot = name.split("/")[1]
+            assert seen["messages"] > 0, name
+            told = {"", *row.frame.format(*[robot] * row.frame.count("{}")).replace(",", " ").split()}
+            told |= {f"r{k}/base_link" for k in (1, 2, 3, 4)} if row is topics.MARKERS else set()
+            assert set(seen["frames"]) - {""} <= told or row is topics.RANGES, name
+    own = [row.name.format("r1") for row in topics.OF_ROBOTS]
+    assert {f"/{name}" for name in own} <= set(found["topics"]), "each robot has all of its own"
+    there = {row for name in found["topics"] for row in rows_of(name)}
+    silent = {topics.CLOCK, *([] if find_spec("tf2_msgs") else [topics.TRANSFORMS, topics.FIXED])}
+    assert there | silent == set(topics.TOPICS) | there & silent
+    for service in SERVICES:
+        assert found["services"][f"/{service}"] == topics.SERVICE
+
+
+def test_a_node_drives_a_robot_round_a_square_and_holds_it(stand: Stand) -> None:
+    said = stand.said("square")
+    corners = np.array(said["corners"])
+    sides = np.linalg.norm(np.diff(corners[:, :2], axis=0), axis=1)
+    assert sides == pytest.approx(0.1, abs=0.02)
+    assert corners[-1, :2] == pytest.approx(corners[0, :2], abs=0.03)
+    assert said["pose"][:2] == pytest.approx(said["first_pose"][:2], abs=0.05), "where the camera sees it, too"
+    assert said["told"] == {"hold": [True, "ok"], "resume": [True, "ok"]}
+    assert said["stood_m"] < 0.002, "held robots stand whatever is commanded"
+    assert said["old_m"] < 0.002 and said["nothing_m"] < 0.002, "an old stamp, and what is no number"
+    assert said["states"] == ["running", "hold", "running"]
+    assert said["odom_frames"] == ["r1/odom", "r1/base_link"]
+    assert said["stamps_rise"] and said["odom"] > 100 and said["map"] > 50
+
+
+class Killed(NamedTuple):
+    """A node that drove and was killed: instants of its commands [ns]."""
+
+    first: int
+    middle: int
+    last: int
+
+
+@pytest.fixture(scope="module")
+def killed(stand: Stand) -> tuple[dict[str, Killed], Run]:
+    """Return when nodes drove and were killed, and the recording until some time after that."""
+    found = {}
+    for kind in ("TwistStamped", "Twist"):
+        with stand.node("drive", kind) as node:
+            assert node.stdout is not None
+            lines = [node.stdout.readline() for _ in range(40)]
+            node.kill()
+            lines += node.stdout.read().splitlines()
+        found[kind] = Killed(int(lines[0]), int(lines[20]), int(lines[-1]))
+    over_ns = CLOCK.now_ns() + 2 * STANDS_WITHIN_MS * MS + _FLUSHED_NS
+    CLOCK.sleep_until(over_ns)
+    return found, Run(read(stand.run.folder))
+
+
+@pytest.mark.parametrize("kind", ["TwistStamped", "Twist"])
+def test_a_node_that_is_killed_lets_its_robot_stand(kind: str, killed: tuple[dict[str, Killed], Run]) -> None:
+    """What its wheels were told is in the recording; the run is not held."""
+    nodes, run = killed
+    node, stamps, wheels = nodes[kind], run.ticks["stamp_ns"], np.abs(run.items["right_rad_s"][:, 0])
+    assert wheels[(stamps > node.middle) & (stamps < node.last)].min() > 1.0, "it drove"
+    after = (stamps > node.middle) & (stamps < node.last + 2 * STANDS_WITHIN_MS * MS)
+    stands = stamps[after & (wheels == 0.0)]
+    assert stands[0] - node.last < (STANDS_WITHIN_MS - _TO_WHEELS_MS) * MS
+    assert (run.ticks["run_tick"][after] >= 0).all(), "nobody held the run"

@@ -1,0 +1,65 @@
+"""A run on a simulated clock with its gateway in one process: a user drives in the time that ``/clock`` tells."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from robofleet.cli import app
+from tests.processes.realrun import own_folders
+
+CONFIG = Path(__file__).parents[3] / "configs" / "ros2.yaml"
+WITHIN_S = 120.0
+
+needs_ros = pytest.mark.skipif(
+    find_spec("rclpy") is None, reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own"
+)
+
+
+@needs_ros
+def test_a_node_drives_in_simulated_time(tmp_path: Path) -> None:
+    environment = own_folders(tmp_path) | {
+        "ROS_DOMAIN_ID": str(101 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(tmp_path),
+    }  # fmt: skip
+    user = [sys.executable, "-m", "tests.gateways.ros2.user", "clock"]
+    gateway = [sys.executable, "-m", "robofleet", "ros2", str(CONFIG), "--lockstep", "--out", str(tmp_path / "run")]
+    with subprocess.Popen(
+        [*gateway, "--set", "tracker.source=truth"], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as run:
+        try:
+            node = subprocess.run(user, env=environment, capture_output=True, text=True, timeout=WITHIN_S, check=False)
+        finally:
+            run.terminate()
+            _, said = run.communicate(timeout=WITHIN_S)
+    assert node.returncode == 0, (node.stderr, said.decode())
+    heard = json.loads(node.stdout)
+    assert heard["moved_m"] == pytest.approx(2 * 0.12, abs=0.05), "less the motors' lag"
+    assert 0.0 < heard["clock_s"] < 1000.0 and heard["rises"], "a clock of its own"
+    assert abs(heard["odom_late_s"]) < 0.1
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["mode"], summary["outcome"]) == ("lockstep", "stopped")
+
+
+@needs_ros
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--lockstep"], "name a configuration"),
+        (["lab", "--lockstep"], "name a configuration"),
+        ([str(CONFIG)], "start `robofleet run"),
+        ([str(CONFIG), "--lockstep", "--speed", "0"], "--speed 0: must be"),
+        ([str(CONFIG), "--lockstep", "--set", "groups.0.settings.silent_s=no"], "silent_s"),
+        (["nowhere"], "robofleet run|has no run"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line(arguments: list[str], said: str) -> None:
+    done = CliRunner().invoke(app, ["ros2", *arguments])
+    assert done.exit_code == 2 and done.stdout == ""
+    assert re.search(said, done.stderr) and len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,222 @@
+"""What the messages say, against the truth of a lockstep run: frames that compose, poses, wheels, lens."""
+
+import copy
+import math
+import sys
+from collections import defaultdict
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own")
+
+from robofleet.behaviours.interface import WishKind
+from robofleet.clock import S
+from robofleet.comms.keys import WISH
+from robofleet.comms.messages import SCRIPT_WISH, UNIT_TRUTH
+from robofleet.comms.ticks import TickFollower
+from robofleet.config import groups
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
+from robofleet.config.tree import Config
+from robofleet.gateways.ros2 import camera, run, sensing, topics, transforms
+from robofleet.gateways.ros2.graph import stamped
+from robofleet.gateways.ros2.robots import Robots
+from robofleet.gateways.ros2.sensing import Sensing
+from robofleet.processes.lockstep import Lockstep
+from robofleet.safety.supervisor import Phase
+
+TRUTH = "tracker.source=truth", "tracker.truth.position_noise_m=0", "tracker.truth.heading_noise_rad=0"
+
+
+class Frames:
+    """tf2_msgs' message, which PyPI does not have."""
+
+    def __init__(self, transforms: list[Any]) -> None:
+        self.transforms = transforms
+
+
+class Heard:
+    """A publisher that somebody listens to; what it says is kept."""
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def get_subscription_count(self) -> int:
+        return 1
+
+    def publish(self, message: Any) -> None:
+        self.said.append(copy.deepcopy(message))  # the next one is the same object
+
+
+class Paper:
+    """A graph that keeps what is said."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, Heard] = defaultdict(Heard)
+
+    def publisher(self, topic: topics.Topic, name: str = "") -> Heard:
+        return self.topics[topic.name.format(name)]
+
+    def stamp(self, instant_ns: int) -> Any:
+        return stamped(instant_ns)
+
+
+def driven(config: Config, graph: Paper, seconds: float) -> list[tuple[int, Any]]:
+    """Drive r1 in an arc and tell it to a graph; returns r1's truth at its instants."""
+    lockstep = Lockstep(config)
+    bus, truths = lockstep.bus, list[tuple[int, Any]]()
+    ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
+    names = topics.ros_names(robot.id for robot in config.robots)
+    parts = [
+        Robots(graph, config, names, bus, ticks, lambda _: None),  # type: ignore[arg-type]
+        Sensing(graph, config, names, bus, lambda _: None),  # type: ignore[arg-type]
+    ]
+
+    def keep(said: tuple[str, bytes]) -> None:
+        if said[0].endswith("/truth") and (truth := UNIT_TRUTH.decode(said[1])) is not None:
+            truths.extend((truth.stamp_ns, one) for one in truth.robots if one.place == 0)
+
+    bus.tap(keep)
+    wish, items = (
+        bus.publisher(WISH, groups.wishing(config, groups.kind(config.groups[0]))[0]),
+        np.zeros(4, SCRIPT_WISH.item_dtype),
+    )
+    items["told"][0], SCRIPT_WISH.floats(items)[0, :2] = 1, (0.1, 0.5)
+    lockstep.request(b"start")
+    lockstep.advance(60.0, lambda: lockstep.status.phase is Phase.RUNNING)
+    begin_ns = lockstep.clock.now_ns()
+    for seq in range(1, round(seconds / 0.005)):
+        ticks.update()
+        if ticks.newest:
+            wish(SCRIPT_WISH.encode_array((7, seq, WishKind.BODY, 0, ticks.newest), items))
+        lockstep.advance(0.005)
+        for part in parts:
+            part.step(lockstep.clock.now_ns())
+    lockstep.close()
+    return [(at_ns, one) for at_ns, one in truths if at_ns >= begin_ns]
+
+
+def stamp_ns(message: Any) -> int:
+    return int(message.header.stamp.sec * S + message.header.stamp.nanosec)
+
+
+def matrix(message: Any) -> np.ndarray:
+    """Return a transform or a pose in the plane as a matrix."""
+    place = getattr(message, "translation", None) or message.position
+    turn = getattr(message, "rotation", None) or message.orientation
+    psi = 2.0 * math.atan2(turn.z, turn.w)
+    return np.array([[math.cos(psi), -math.sin(psi), place.x], [math.sin(psi), math.cos(psi), place.y], [0, 0, 1]])
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Paper:
+    package, messages = ModuleType("tf2_msgs"), ModuleType("tf2_msgs.msg")
+    messages.TFMessage = Frames  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "tf2_msgs", package)
+    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", messages)
+    monkeypatch.setattr(transforms, "there", lambda: True)
+    return Paper()
+
+
+def test_frames_compose_to_where_the_robot_is(graph: Paper) -> None:
+    """map -> odom -> base_link is the true pose, although the wheels slip: the tracker corrects odom's place."""
+    config = load_config(SHIPPED / "ros2.yaml", TRUTH)
+    truths = driven(config, graph, 4.0)
+    at_ns = np.array([at for at, _ in truths])
+    known = np.array([(one.x_m, one.y_m) for _, one in truths])
+    checked = 0
+    for message in graph.topics["/tf"].said:
+        frames = {(one.header.frame_id, one.child_frame_id): one for one in message.transforms}
+        if (outer := frames.get(("map", "r1/odom"))) is None:
+            continue
+        inner = frames["r1/odom", "r1/base_link"]
+        assert stamp_ns(outer) == stamp_ns(inner)
+        if at_ns[0] <= stamp_ns(inner) <= at_ns[-1]:
+            there = (matrix(outer.transform) @ matrix(inner.transform))[:2, 2]
+            true = [np.interp(stamp_ns(inner), at_ns, column) for column in known.T]
+            assert there == pytest.approx(true, abs=0.004)
+            checked += 1
+    assert checked > 100
+    assert np.ptp(known, axis=0).max() > 0.1, "it drove"
+
+
+def test_a_pose_is_said_at_the_instant_when_it_was_true(graph: Paper) -> None:
+    truths = driven(load_config(SHIPPED / "ros2.yaml", TRUTH), graph, 3.0)
+    at_ns = np.array([at for at, _ in truths])
+    known = np.array([(one.x_m, one.y_m) for _, one in truths])
+    said = [one for one in graph.topics["r1/pose"].said if at_ns[0] <= stamp_ns(one) <= at_ns[-1]]
+    assert len(said) > 50
+    for one in said:
+        true = [np.interp(stamp_ns(one), at_ns, column) for column in known.T]
+        assert matrix(one.pose.pose)[:2, 2] == pytest.approx(true, abs=0.001)
+        whole = np.array(one.pose.covariance).reshape(6, 6)
+        assert (whole == whole.T).all()
+    odom, joints = graph.topics["r1/odom"].said, graph.topics["r1/joint_states"].said
+    assert odom[-1].twist.twist.linear.x == pytest.approx(0.1, abs=0.02)
+    assert odom[-1].twist.twist.angular.z == pytest.approx(0.5, abs=0.1)
+    assert len(joints) == len(odom) and joints[-1].position[1] > joints[-1].position[0] > 0.0
+    assert 0.5 < graph.topics["r1/battery_state"].said[-1].percentage <= 1.0
+
+
+def test_sensors_are_said_in_their_frames(graph: Paper) -> None:
+    config = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"])
+    driven(config, graph, 2.0)
+    kind = config.robot("r1").vehicle.sensors
+    assert kind is not None and kind.distances is not None
+    turning = [one.angular_velocity.z for one in graph.topics["r1/imu/data_raw"].said]
+    assert turning[-1] == pytest.approx(0.5, abs=0.15)
+    assert graph.topics["r1/imu/data_raw"].said[-1].linear_acceleration.z == pytest.approx(9.8, abs=0.5)
+    ranges = graph.topics["r1/range"].said
+    frames = {one.header.frame_id for one in ranges}
+    fixed = {one.child_frame_id for one in sensing.places(config.robot("r1"), "r1", stamped(0))}
+    assert frames == fixed and len(frames) == len(kind.distances.places)
+    assert all(0.0 < one.range <= one.max_range or math.isinf(one.range) for one in ranges)
+    assert not sensing.places(config.robot("r2"), "r2", stamped(0))
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (2560, 1440), (3840, 2160)])
+def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int]) -> None:
+    """A point that the camera sees at a pixel is at the same place of the small picture, pixels' edges counted."""
+    model = load_config(SHIPPED / "ros2.yaml").camera.model
+    part = size[0] // 1280
+    centre = tuple((c + 0.5) * part - 0.5 for c in model.centre_px)
+    larger = model.model_copy(
+        update={
+            "width": size[0],
+            "height": size[1],
+            "focal_px": tuple(f * part for f in model.focal_px),
+            "centre_px": centre,
+        }
+    )
+    info = camera.camera_info(larger, "overhead_optical_frame")
+    assert (info.width, info.height) == (1280, 720)
+    rays = np.array([[0.1, -0.2, 1.0], [-0.3, 0.25, 1.0], [0.0, 0.0, 1.0]])
+    small, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(info.k).reshape(3, 3), np.array(info.d))
+    plain = np.array(
+        [[model.focal_px[0], 0, model.centre_px[0]], [0, model.focal_px[1], model.centre_px[1]], [0, 0, 1]]
+    )
+    known, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), plain, np.array(model.distortion))
+    assert small == pytest.approx(known, abs=1e-6)
+    assert np.array(info.p).reshape(3, 4)[:, :3] == pytest.approx(np.array(info.k).reshape(3, 3))
+
+
+def test_a_camera_hangs_where_it_was_measured() -> None:
+    model = load_config(SHIPPED / "ros2.yaml").camera.model
+    there = camera.place(model, stamped(0), "overhead_optical_frame")
+    assert there is not None and model.T_world_camera is not None
+    q, way = there.transform.rotation, there.transform.translation
+    assert (way.x, way.y, way.z) == pytest.approx(model.T_world_camera.position_m)
+    turned, _ = cv2.Rodrigues(np.array(model.T_world_camera.rotation_rad))
+    ahead = np.array([2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)])
+    assert ahead == pytest.approx(turned[:, 2]) and ahead[2] < -0.9, "it looks down"
+
+
+def test_markers_are_in_frames_that_are_said() -> None:
+    config = load_config(SHIPPED / "ros2.yaml")
+    drawn = run.markers(config, topics.ros_names(robot.id for robot in config.robots)).markers
+    assert {one.header.frame_id for one in drawn} == {"map", *(f"r{k}/base_link" for k in (1, 2, 3, 4))}
+    assert len({(one.ns, one.id) for one in drawn}) == len(drawn)

@@ -1,0 +1,227 @@
+"""Foxglove's protocol: a viewer gets every channel of the recording, and the operator's services ask for their key."""
+
+import asyncio
+import socket
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Future
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap.reader import make_reader
+from typer.testing import CliRunner
+
+from robofleet.cli import app
+from robofleet.comms.bus import Arrival
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.gateways.asking import SERVICES, Asked
+from robofleet.gateways.foxglove.address import DEFAULT, Address, completed
+from robofleet.gateways.foxglove.kept import Kept
+from robofleet.gateways.foxglove.live import Viewers
+from robofleet.gateways.foxglove.server import Server
+from robofleet.gateways.foxglove.services import services
+from robofleet.processes import refusal
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.refusal import RefusedError
+from robofleet.recording.channels import keys
+from robofleet.recording.log import RunLog
+from tests.gateways.foxglove_client import Message, Viewer, viewer
+
+PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+HERE = Address("127.0.0.1", 0)
+EPOCH_NS = 1_790_000_000 * 10**9
+KEY = "the operator's key"
+TOLD_ONCE = {"/arena", "/fleet", "/tf_static", "/camera/calibration", "/log"}
+
+
+class Heard:
+    """All that was said, once for each who asks."""
+
+    dropped = 0
+
+    def __init__(self, said: list[Arrival]) -> None:
+        self._said, self._taken = said, 0
+
+    def drain(self) -> list[Arrival]:
+        new = self._said[self._taken :]
+        self._taken = len(self._said)
+        return new
+
+
+class Seen(NamedTuple):
+    """What was told of a run in lockstep."""
+
+    recorded: list[Message]
+    early: Viewer  # it was there before the run
+    late: Viewer  # it came when the run was over
+
+
+async def looked_at(folder: Path) -> Seen:
+    config = load_config(PLATOON, ["run.duration_s=1"])
+    run = Lockstep(config)
+    said: list[Arrival] = []
+    heard = set(keys(config))
+
+    def tap(message: tuple[str, bytes]) -> None:
+        if message[0] in heard:
+            said.append(Arrival(run.clock.now_ns(), *message))
+
+    run.bus.tap(tap)
+    with closing(Viewers(config, Heard(said), HERE, [], EPOCH_NS)) as viewers:
+
+        async def subscribed(of: Viewer, already: int) -> None:
+            await of.until(lambda: of.channels)
+            while viewers.subscriptions < already + len(of.channels):
+                await asyncio.sleep(0.01)
+            viewers.step(run.clock.now_ns())
+
+        url = f"ws://127.0.0.1:{viewers.port}"
+        async with viewer(url) as first, viewer(url) as second:
+            early, late = Viewer(first), Viewer(second)
+            await subscribed(early, 0)
+            assert run.run() == ("completed", None)
+            viewers.step(run.clock.now_ns())
+            viewers.rest()
+            recorded = recording_of(folder / "run.mcap", config, said)
+            await early.until(lambda: len(early.messages) >= len(recorded))
+            await subscribed(late, len(early.channels))
+            await late.until(lambda: set(late.counts) >= TOLD_ONCE)
+    return Seen(recorded, early, late)
+
+
+def recording_of(file: Path, config: Config, said: list[Arrival]) -> list[Message]:
+    with RunLog(file, config, epoch_ns=EPOCH_NS) as log:
+        for at_ns, full, payload in said:
+            log.add(full, payload, at_ns)
+    with file.open("rb") as stream:
+        messages = make_reader(stream).iter_messages(log_time_order=False)
+        return [Message(channel.topic, message.log_time, message.data) for _, channel, message in messages]
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    return asyncio.run(looked_at(tmp_path_factory.mktemp("foxglove")))
+
+
+def test_a_viewer_gets_what_the_recording_gets_message_by_message(seen: Seen) -> None:
+    assert seen.early.counts == Counter(message.topic for message in seen.recorded)
+    assert sorted(seen.early.messages) == sorted(seen.recorded), "the same bytes at the same instants"
+    drawn = [topic for topic in seen.early.counts if not topic.startswith("rf/")]
+    assert {"/tf", "/camera/image", "/robots/r1/tick"} <= set(drawn)
+
+
+def test_channels_are_described_as_in_the_recording(seen: Seen) -> None:
+    told = {channel["topic"]: channel for channel in seen.early.channels.values()}
+    assert told["/fleet"]["encoding"] == told["/fleet"]["schemaEncoding"] == "protobuf"
+    assert told["/fleet"]["schemaName"] == "foxglove.SceneUpdate"
+    assert told["/robots/r1/tick"]["schemaName"] == "robofleet.RobotTick"
+    assert told["rf/platoon/tick"]["schemaEncoding"] == "numpy"
+    assert set(told) >= set(seen.early.counts)
+
+
+def test_who_comes_late_sees_what_is_told_once_as_it_stands(seen: Seen) -> None:
+    assert set(seen.late.counts) == TOLD_ONCE
+    newest = {message.topic: SceneUpdate.FromString(message.data) for message in seen.late.messages
+              if message.topic in ("/arena", "/fleet")}  # fmt: skip
+    assert {entity.id for entity in newest["/fleet"].entities} == {"r1", "r2", "r3", "r4"}
+    looks = [message.data for message in seen.recorded if message.topic == "/fleet"]
+    last = {entity.id: entity for entity in SceneUpdate.FromString(looks[-1]).entities}
+    assert {entity.id: entity for entity in newest["/fleet"].entities} == last
+
+
+def test_a_mark_that_was_taken_away_is_not_shown_to_who_comes_late() -> None:
+    kept, one = Kept(), SceneEntity(id="group/mark")
+    kept.take("/arena", SceneUpdate(entities=[one, SceneEntity(id="edge")]).SerializeToString())
+    kept.take("/arena", SceneUpdate(deletions=[SceneEntityDeletion(id=one.id)]).SerializeToString())
+    left = kept.of("/arena")
+    assert left is not None
+    assert [entity.id for entity in SceneUpdate.FromString(left).entities] == ["edge"]
+
+
+@pytest.mark.parametrize("request_", [{}, {"key": "guess"}, {"key": 7}, [], "key", {"key": "é"}])
+def test_a_service_asks_nothing_of_the_run_without_the_operators_key(request_: object) -> None:
+    asked: list[str] = []
+    answers = answered(asked, [("hold", request_)])
+    assert [answer["success"] for answer in answers] == [False]
+    assert "operator's key" in answers[0]["message"]
+    assert asked == []
+
+
+def test_every_service_asks_the_run_what_it_is_called_and_returns_its_answer() -> None:
+    asked: list[str] = []
+    answers = answered(asked, [(what, {"key": KEY}) for what in SERVICES])
+    assert asked == list(SERVICES)
+    assert answers == [{"success": True, "message": f"ok {what}"} for what in SERVICES]
+
+
+def answered(asked: list[str], requests: Sequence[tuple[str, object]]) -> list[dict[str, Any]]:
+    """Call services of a server that has no run, and return their answers."""
+
+    def ask(what: str) -> "Future[Asked]":
+        asked.append(what)
+        future: Future[Asked] = Future()
+        future.set_result((True, f"ok {what}"))
+        return future
+
+    async def call(port: int) -> list[dict[str, Any]]:
+        async with viewer(f"ws://127.0.0.1:{port}") as socket:
+            one = Viewer(socket)
+            await one.until(lambda: len(one.services) == len(SERVICES))
+            return [await one.call(*request) for request in requests]
+
+    with closing(Server("nobody", HERE, None, [], services(ask, KEY))) as server:
+        return asyncio.run(call(server.port))
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        (["run", "--foxglove"], DEFAULT),
+        (["run", "--foxglove", "--quiet"], DEFAULT),
+        (["run", "--foxglove", "lab.yaml"], DEFAULT),
+        (["run", "--foxglove", "127.0.0.1:9000"], "127.0.0.1:9000"),
+    ],
+)
+def test_the_address_may_be_left_out(given: list[str], read: str) -> None:
+    words = completed(given)
+    assert words[words.index("--foxglove") + 1] == read
+    assert [word for word in given if word not in words] == []
+    assert completed([]) == [], "as a shell asks that completes the command line"
+
+
+@pytest.mark.parametrize("text", ["nonsense", "127.0.0.1", "127.0.0.1:x", "127.0.0.1:65536", ":8765", "a b:1"])
+def test_what_is_no_address_is_refused_in_a_line(text: str) -> None:
+    result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove", text])
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert DEFAULT in result.stderr
+
+
+def test_a_port_in_use_is_refused_in_a_line_before_anything_starts(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        at = f"127.0.0.1:{taken.getsockname()[1]}"
+        out = str(tmp_path / "run")
+        result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove", at, "--out", out])
+    assert (result.exit_code, result.stderr) == (
+        2, f"--foxglove {at}: Address already in use: name a port that is free, or 0 for any\n"
+    )  # fmt: skip
+    assert not (tmp_path / "run").exists()
+
+
+def test_without_the_library_a_line_says_what_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = refusal.find_spec
+    monkeypatch.setattr(refusal, "find_spec", lambda name: None if name == "foxglove" else there(name))
+    result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove"])
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert "this needs foxglove: " in result.stderr and "[foxglove]" in result.stderr
+
+
+def test_an_address_that_others_reach_needs_a_certificate() -> None:
+    with pytest.raises(RefusedError, match="robofleet keys"):
+        Address("192.0.2.7", 8765).check("nowhere")
+    assert Address("192.0.2.7", 8765).url(8765) == "wss://192.0.2.7:8765"

@@ -1,0 +1,120 @@
+"""Several cameras, as the supervisor hears them: one that gives no poses costs only what no other sees."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robofleet.clock import MS, S, SimulatedClock
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import NEWS, POSES
+from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
+from robofleet.config import slices
+from robofleet.config.load import load_config
+from robofleet.processes.cameras_heard import CamerasHeard
+from robofleet.safety import monitor
+from robofleet.safety.rows import ROBOT
+from robofleet.safety.supervisor import NOBODY, Event, Happening
+from robofleet.safety.view import FleetView, RobotView
+from robofleet.tracking.events import NO_TAG, TrackerEvent
+
+EXAMPLE = Path(__file__).parents[3] / "configs" / "two-cameras.yaml"
+LEFT, RIGHT = "left", "right"
+
+
+class Hall:
+    """Two cameras: the left one sees r1 and r2, the right one r2 and r3."""
+
+    def __init__(self) -> None:
+        self.config = load_config(EXAMPLE)
+        self.clock = SimulatedClock()
+        self.clock.advance_to(10 * S)
+        self.bus = MemoryBus(self.config.arena.name, self.clock, 0)
+        self.heard = CamerasHeard(self.config, self.bus)
+        self.robots = np.zeros(len(self.config.bodies), ROBOT)
+        self.view, self.news = FleetView(0, ()), ()
+        self.sees = {LEFT: (1, 2), RIGHT: (2, 3)}
+        self.silent: set[str] = set()
+        self.seq = 0
+
+    def run(self, ns: int) -> None:
+        build = slices.build(self.config)
+        for _ in range(ns // (40 * MS)):
+            self.clock.advance_to(self.clock.now_ns() + 40 * MS)
+            now_ns, self.seq = self.clock.now_ns(), self.seq + 1
+            for camera in {LEFT, RIGHT} - self.silent:
+                poses = tuple(TagPose(tag, 0, 0, 0.1 * tag, 0.0, 0.0) for tag in self.sees[camera])
+                said = FleetPoses(7, self.seq, build, now_ns, now_ns, 0, 0, 0, 0, poses)
+                self.bus.publisher(POSES, camera)(FLEET_POSES.encode(said))
+            self.view, self.news = self.heard.look(self.robots, self.view, now_ns)
+
+    def tell(self, camera: str, event: TrackerEvent) -> None:
+        self.bus.publisher(NEWS, camera)(TRACKER_NEWS.encode(TrackerNews(1, self.seq, 0, event, NO_TAG, 0.0)))
+
+    def unseen_ms(self) -> list[int]:
+        return [int(ns) // MS for ns in self.robots["unseen_ns"][:3]]
+
+
+@pytest.fixture
+def hall() -> Hall:
+    made = Hall()
+    made.run(200 * MS)
+    assert made.view.cameras_out == ()
+    assert made.unseen_ms() == [0, 0, 0]
+    return made
+
+
+def test_a_silent_camera_is_named_and_what_only_it_saw_is_unseen(hall: Hall) -> None:
+    hall.silent.add(RIGHT)
+    hall.run(3 * S)
+    assert hall.view.cameras_out == (Happening(Event.TRACKER_SILENT, NOBODY, 1),)
+    assert hall.unseen_ms() == [0, 0, 3000]
+    told = list(monitor._place(2, RobotView(seen_ns=1, unseen_ns=3 * S), _settings(hall), hall.view))
+    assert told == [Happening(Event.CAMERA_OUT, 2, 1)], "it stands, and the run goes on"
+    hall.silent.clear()
+    hall.run(80 * MS)
+    assert hall.view.cameras_out == ()
+    assert hall.unseen_ms() == [0, 0, 0]
+
+
+def test_without_a_camera_out_a_robot_that_nobody_sees_is_lost(hall: Hall) -> None:
+    hall.sees[RIGHT] = (2,)
+    hall.run(3 * S)
+    assert hall.unseen_ms()[2] >= 2900
+    told = list(monitor._place(2, RobotView(seen_ns=1, unseen_ns=3 * S), _settings(hall), hall.view))
+    assert told == [Happening(Event.TAG_LOST, 2)]
+
+
+def test_a_robot_that_passes_to_the_other_view_is_seen_all_the_time(hall: Hall) -> None:
+    hall.sees = {LEFT: (1,), RIGHT: (2, 3)}
+    hall.run(S)
+    assert hall.unseen_ms() == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("trouble", "event", "back"),
+    [
+        (TrackerEvent.CAMERA_UNPLUGGED, Event.CAMERA_LOST, TrackerEvent.CAMERA_BACK),
+        (TrackerEvent.CAMERA_DISAGREES, Event.CAMERA_MOVED, TrackerEvent.CAMERA_AGREES),
+    ],
+)
+def test_trouble_of_one_ends_no_run_and_of_all_it_does(
+    hall: Hall, trouble: TrackerEvent, event: Event, back: TrackerEvent
+) -> None:
+    hall.tell(RIGHT, trouble)
+    hall.run(40 * MS)
+    assert hall.news == ()
+    assert hall.view.cameras_out == (Happening(event, NOBODY, 1),)
+    hall.tell(LEFT, trouble)
+    hall.run(40 * MS)
+    assert [happening.event for happening in hall.news] == [event]
+    assert hall.view.cameras_out == (), "that is for one of several"
+    hall.tell(LEFT, back)
+    hall.tell(RIGHT, back)
+    hall.run(80 * MS)
+    assert hall.news == hall.view.cameras_out == ()
+
+
+def _settings(hall: Hall) -> monitor.MonitorSettings:
+    n = len(hall.config.bodies)
+    return monitor.MonitorSettings(1, (0.05,) * n, hall.config.arena.size_m, (0.2,) * n, attended=False)

@@ -1,0 +1,242 @@
+"""A gamepad's stick, on the page and at a computer: what is wished, by which tick, and what happens at the release."""
+
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from selenium.webdriver import Chrome
+
+from robofleet.behaviours.interface import WishKind
+from robofleet.comms.keys import STATUS, TICK, WISH, key
+from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, ScriptWish
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
+from robofleet.gateways.gamepad import driving
+from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_SOUTH, BTN_TR, EV_ABS, EV_KEY, Held
+from robofleet.processes.hand import Hand, Hands, Stick
+from robofleet.processes.lockstep import Lockstep
+from tests.processes.browser import chromium
+from tests.processes.openpage import Fleet, Seen, opened
+from tests.processes.realrun import CLOCK, wait
+from tests.processes.webstand import WebStand, web_stand
+
+TELEOP = SHIPPED / "teleop.yaml"
+GROUP, MOST_V, MOST_OMEGA = "teleop", 0.1, 1.2
+STUB = """
+  window.pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
+  window.pads = [];
+  navigator.getGamepads = () => window.pads;
+"""
+WHEELS_WITHIN_S, STANDS_WITHIN_S = 0.060, 0.150
+
+
+class Wished:
+    """What was wished of the group, in order."""
+
+    def __init__(self, stand: WebStand) -> None:
+        self._stream = stand._bus.stream(key(stand.config.arena.name, WISH, GROUP), capacity=4096)
+        self.all: list[ScriptWish] = []
+
+    def newest(self) -> ScriptWish | None:
+        said = (SCRIPT_WISH.decode(payload) for *_, payload in self._stream.drain())
+        self.all += [wish for wish in said if wish is not None]
+        return self.all[-1] if self.all else None
+
+    def is_(self, kind: WishKind, v: float = 0.0, omega: float = 0.0) -> bool:
+        wish = self.newest()
+        return wish is not None and wish.kind == kind and wish.robots[0][1:3] == pytest.approx((v, omega), abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
+    with web_stand(tmp_path_factory.mktemp("run"), "tracker.source=truth", file=TELEOP) as stand:
+        yield stand
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Chrome]:
+    with chromium() as browser:
+        browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": STUB})
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
+    with opened(browser, stand) as page:
+        yield page
+
+
+def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen, stand: WebStand) -> None:
+    wished = Wished(stand)
+    page.becomes(lambda: "Press a button of a gamepad" in page.text("gamepad-words"))
+    page.run("pads = [pad]; pad.axes = [-0.5, -1, 0, 0]")
+    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+    assert wished.newest() is None, "without the button nothing is said"
+    page.run("pad.buttons[5].pressed = true")
+    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V, 0.5 * MOST_OMEGA))
+    assert page.text("gamepad-words") == "r1 is driven."
+    before = wished.all[-1].echo_tick
+    page.becomes(lambda: (wished.newest() or wished.all[-1]).echo_tick > before)
+    assert wished.all[-1].echo_tick <= stand._seq, "of a tick that it has seen"
+    assert [robot.told for robot in wished.all[-1].robots] == [1, 0, 0, 0]
+    page.run("pad.axes = [0.02, 0.03, 0, 0]")
+    page.becomes(lambda: wished.is_(WishKind.BODY))
+    page.run("pad.buttons[5].pressed = false")
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.run("pad.axes = [0, -1, 0, 0]")
+    count = len(wished.all)
+    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+    wished.newest()
+    assert len(wished.all) == count, "the release is said once, and nothing after it"
+
+
+def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
+    wished = Wished(stand)
+    drive = "pad.buttons[4].pressed = true; pad.axes = [0, -1, 0, 0]; pads = [pad]"
+    for ending in ("pads = []", "location.href = 'about:blank'"):
+        page.run(drive)
+        page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+        page.browser.execute_script(ending)
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"drive": "nobody", "stick": [0, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [math.nan, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [math.inf, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [0, 0, 1], "tick": 1},
+        {"drive": GROUP, "stick": [0, 0, True], "tick": -1},
+        {"drive": GROUP, "stick": [0, 0, True], "tick": 1 << 40},
+        {"drive": GROUP, "stick": [0, 0, True]},
+    ],
+)
+def test_what_no_gamepad_says_drives_nothing_and_closes_the_page(stand: WebStand, message: dict[str, object]) -> None:
+    wished = Wished(stand)
+    with stand.page() as page:
+        page.say(**message)
+        assert wait(lambda: page.socket.close_code is not None or _closed(page.socket.recv), 3.0)
+    assert wished.newest() is None
+
+
+def _closed(receive: Callable[[float], object]) -> bool:
+    try:
+        receive(0.1)
+    except TimeoutError:
+        return False
+    except Exception:  # noqa: BLE001 - whatever says that it is closed
+        return True
+    return False
+
+
+class Pipe:
+    """A gamepad whose events come through a pipe: /dev/uinput is not everywhere. What reads them is the real one."""
+
+    name = "a pipe"
+
+    def __init__(self) -> None:
+        self._reading, self._writing = os.pipe()
+        self._held = Held({ABS_X: (0, 255), ABS_Y: (-32768, 32767)})
+        self._events: list[tuple[int, int, int]] = []
+
+    def fileno(self) -> int:
+        return self._reading
+
+    def read(self) -> Stick:
+        if self._events:
+            os.read(self._reading, 4096)
+        events, self._events = self._events, []
+        return self._held.take(events)
+
+    def happens(self, *events: tuple[int, int, int]) -> None:
+        self._events += events
+        os.write(self._writing, b".")
+
+
+def test_a_sticks_range_is_its_devices_own_and_only_shoulder_buttons_hold() -> None:
+    held = Held({ABS_X: (0, 255), ABS_Y: (-32768, 32767)})
+    assert held.take([(EV_ABS, ABS_X, 255), (EV_ABS, ABS_Y, -32768)]) == Stick(1.0, -1.0, False)
+    assert held.take([(EV_ABS, ABS_X, 128), (EV_ABS, ABS_Y, 600)]) == Stick(0.0, 0.0, False)
+    assert not held.take([(EV_KEY, BTN_SOUTH, 1)]).held
+    assert held.take([(EV_KEY, BTN_TR, 1)]).held
+    assert not held.take([(EV_KEY, BTN_TR, 0)]).held
+
+
+def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
+    wished, pad, over = Wished(stand), Pipe(), threading.Event()
+    config, bus = stand.config, stand._bus
+
+    def drive() -> None:
+        driving.drive(pad, config, bus, CLOCK, GROUP, over.is_set)
+
+    thread = threading.Thread(target=drive)
+    with Fleet(stand).alive() as fleet:
+        thread.start()
+        pad.happens((EV_ABS, ABS_Y, -32768), (EV_ABS, ABS_X, 0))
+        pad.happens((EV_KEY, BTN_TR, 1))
+        assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
+        pad.happens((EV_KEY, BTN_TR, 0))
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+        pad.happens((EV_KEY, BTN_TR, 1))
+        assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
+        over.set()
+        fleet.controlled = False
+        thread.join(10.0)
+    assert not thread.is_alive()
+    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+
+def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
+    """Return what the first robot's gate lets through in a run in lockstep: instants [s], left, right [rad/s].
+
+    ``said``: what a person does at a tick of the run; None: the link is dead.
+    """
+    config = load_config(TELEOP, ["run.duration_s=1.5", "tracker.source=truth", "drivers.robots_per_process=1"])
+    run = Lockstep(config)
+    hand = Hand(run.bus, config, GROUP)
+    tick, status = key(config.arena.name, TICK), key(config.arena.name, STATUS, "r1")
+    found: list[tuple[float, float, float]] = []
+
+    def tap(message: tuple[str, bytes]) -> None:
+        full, payload = message
+        now_s = run.clock.now_ns() / 1e9
+        if full == tick and (record := TICK_RECORD.decode(payload)) is not None and record.run_tick >= 0:
+            started.append(now_s) if not started else None
+            if (stick := said(record.run_tick)) is not None:
+                hand.drive(stick, record.tick)
+        elif full == status and started and (its := UNIT_STATUS.decode(payload)) is not None:
+            found.append((now_s - started[0], its.robots[0].left_output_rad_s, its.robots[0].right_output_rad_s))
+
+    started: list[float] = []
+    run.bus.tap(tap)
+    run.run()
+    return np.array(found)
+
+
+HELD, LET_GO, TICK_S = Stick(1.0, 0.0, True), Stick(1.0, 0.0, False), 0.033
+
+
+@pytest.mark.parametrize("end", [LET_GO, None], ids=["let go", "link dead"])
+def test_wheels_follow_the_stick_and_stand_soon_after_its_end(end: Stick | None) -> None:
+    begin_tick, end_tick = 10, 30
+    wheels = driven(lambda tick: LET_GO if tick < begin_tick else HELD if tick < end_tick else end)
+    times, turning = wheels[:, 0], np.abs(wheels[:, 1:]).max(axis=1) > 0.0
+    first, last = times[turning].min(), times[turning].max()
+    assert begin_tick * TICK_S < first <= begin_tick * TICK_S + WHEELS_WITHIN_S + 0.02, "and a status is 20 ms apart"
+    newest = (end_tick if end is not None else end_tick - 1) * TICK_S
+    allowed = 0.040 if end is not None else STANDS_WITHIN_S + TICK_S
+    assert newest < last <= newest + allowed + 0.02
+
+
+def test_without_the_button_nothing_is_driven() -> None:
+    assert not driven(lambda _: LET_GO)[:, 1:].any()
+
+
+def test_a_group_that_nobody_drives_by_hand_has_no_hand() -> None:
+    config = load_config(SHIPPED / "platoon.yaml")
+    hands = Hands(Lockstep(config).bus, config)
+    assert not hands.drive("platoon", HELD, 1)

@@ -1,0 +1,67 @@
+"""Every source of poses that is shipped keeps one contract, and so does one of a user's own."""
+
+import json
+import socket
+import sys
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+
+import pytest
+
+from robofleet.plugins import PluginError, load
+from tests.tracking.poses_contract import MOCAP, PosesBench, PosesContract
+
+TAGS = tuple(f"robots.{row}.tag={row + 1}" for row in range(4))
+
+
+class TestTruth(PosesContract):
+    source = "truth"
+    keys = ("tracker.truth={position_noise_m: 0.0003, heading_noise_rad: 0.004, delay_s: 0.01}",)
+
+
+class TestCamera(PosesContract):
+    source = "camera"
+    keys = TAGS
+
+
+class TestMocap(PosesContract):
+    source = "mocap"
+
+
+class TestMocapThatLiesTurned(PosesContract):
+    source = "mocap"
+    keys = (
+        "tracker.mocap.up=y",
+        "tracker.mocap.unit_m=0.001",
+        "tracker.mocap.origin={x_m: 0.5, y_m: -0.3, heading_deg: 100}",
+        "camera.simulated.tag_offsets=[{robot: r2, forward_m: 0.02, left_m: -0.01, heading_deg: 30}]",
+        "robots.1.calibration={robot: r2, tag_offset: {forward_m: 0.02, left_m: -0.01, heading_deg: 30}}",
+    )
+
+
+class TestUdp(PosesContract):
+    """The shipped example of a source of one's own."""
+
+    source = "myposes:UdpPoses"
+    threaded = True
+
+    @pytest.fixture(autouse=True)
+    def found(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+        monkeypatch.setattr(sys, "path", [*sys.path, str(MOCAP.parent)])
+        monkeypatch.delenv("PYTHONPATH", raising=False)
+        yield
+        sys.modules.pop("myposes", None)
+
+    def measure(self, bench: PosesBench) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(json.dumps(bench.poses()).encode(), ("127.0.0.1", sys.modules["myposes"].PORT))
+
+
+def test_every_source_that_is_shipped_has_its_contract() -> None:
+    tried = {kind.source for kind in PosesContract.__subclasses__()}
+    assert {point.name for point in entry_points(group="robofleet.poses")} <= tried
+
+
+def test_an_unknown_source_says_which_there_are() -> None:
+    with pytest.raises(PluginError, match=r"there is no source of poses 'mocup': did you mean 'mocap'\?"):
+        load("robofleet.poses", "mocup")
