@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.comms.messages import UNIT_TRUTH
 from robofleet.kernels import kernel
 from robofleet.vehicles import differential_drive
 
@@ -34,6 +35,7 @@ class TruthHistory:
         self.moving(np.zeros(robots, np.int64), 1)  # compiles, or loads
         self.poses_at(np.zeros(robots, np.int64))
         self.told_at(0)
+        self.take(np.zeros(0, np.intp), 0, np.frombuffer(b"", UNIT_TRUTH.item_dtype))
 
     def add(self, row: int, stamp_ns: int, sample: tuple[float, float, float, float, float]) -> None:
         """Add a robot's x, y [m], psi [rad] in the world, v [m/s], omega [rad/s]; ignored if not its newest."""

@@ -105,6 +105,9 @@ class TagTracker:
         self._images = 0
         self._news = News()
         self._refused = 0
+        none = np.zeros(0, np.int64)
+        centre, psi, _ = self._predicted(none, 0)  # compiles, or loads
+        self._measure(none, self._fit.fit(np.zeros((4, 4), np.uint8), none, centre, psi), 0)
 
     @property
     def geometry(self) -> CameraGeometry:
