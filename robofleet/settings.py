@@ -12,19 +12,35 @@ from robofleet.patterns import NAME_PATTERN
 
 
 class Family(NamedTuple):
-    """A family of AprilTags."""
+    """A family of AprilTags. The side of a tag, wherever one is given, is that of its square.
 
-    cells: int  # along a side, black rim included
+    All rings of cells around the square have the same greys in each of its tags, or hold bits.
+    """
+
+    cells: int  # along the whole print
+    square: int  # along the square that is black in white, or white in black
+    white: bool  # the square's rim: white in black
     ids: int
     distance: int  # bits by which any two tags differ
     alike: float  # least correlation of a tag that is followed: above that of any two
 
+    @property
+    def whole(self) -> float:
+        """The side of the whole print [sides]."""
+        return self.cells / self.square
 
-FamilyName = Literal["36h11", "25h9", "16h5"]
+    @property
+    def named(self) -> str:
+        """What a user measures the side of."""
+        return "white square in the black one" if self.white else "black square"
+
+
+FamilyName = Literal["36h11", "25h9", "16h5", "Standard41h12"]
 FAMILIES: dict[str, Family] = {
-    "36h11": Family(8, 587, 11, 0.8),
-    "25h9": Family(7, 35, 9, 0.8),
-    "16h5": Family(6, 30, 5, 0.87),
+    "36h11": Family(8, 8, False, 587, 11, 0.8),
+    "25h9": Family(7, 7, False, 35, 9, 0.8),
+    "16h5": Family(6, 6, False, 30, 5, 0.87),
+    "Standard41h12": Family(9, 5, True, 2115, 12, 0.85),
 }
 
 
@@ -33,7 +49,7 @@ def is_family(name: str) -> TypeGuard[FamilyName]:
     return name in FAMILIES
 
 
-LAST_TAG = FAMILIES["36h11"].ids - 1  # of the largest family
+LAST_TAG = max(family.ids for family in FAMILIES.values()) - 1  # of the largest family
 TAGS = LAST_TAG + 1  # so many robots can a camera tell apart
 CAMERAS = 16  # of an arena
 ROBOTS = 2048  # of a fleet

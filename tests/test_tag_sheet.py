@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import cv2
 import matplotlib as mpl
 import numpy as np
+import pyapriltags
 import pytest
 import yaml
 from numpy.typing import NDArray
@@ -115,6 +116,23 @@ def test_tags_are_where_and_as_large_as_they_say(
             across, down = np.floor(where * PX_PER_MM).astype(int).T
             assert np.array_equal(image[np.ix_(down, across)], family.generateImageMarker(tag, 8))
     assert sorted(seen) == [1, 2, 3, 4, 586]
+
+
+def test_tags_with_bits_around_are_as_large_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, family = tmp_path / "tags.svg", "Standard41h12"
+    assert run(monkeypatch, "tags", "--ids", "3,2114", "--side-mm", "50", "--family", family, "--out", str(file)) == 0
+    size, named = shapes(file)
+    tags = {name: loops for name, loops in named.items() if name.startswith("tag-")}
+    image = picture(size, [loop for loops in tags.values() for loop in loops])
+    found = pyapriltags.Detector(families=f"tag{family}", quad_decimate=1.0).detect(image)
+    assert sorted(tag.tag_id for tag in found) == [3, 2114]
+    for tag in found:
+        top_right, top_left, _, bottom_right = tag.corners / PX_PER_MM  # half a turn from that library's images
+        assert top_right - top_left == pytest.approx([50.0, 0.0], abs=0.25)
+        assert bottom_right - top_right == pytest.approx([0.0, 50.0], abs=0.25)
+        arrow = extent(named[f"forward-{tag.tag_id}"])
+        assert arrow[0] > top_right[0] + 3 * 10.0  # two cells of bits, and a white one
+        assert arrow[1] + arrow[3] / 2 == pytest.approx((top_right[1] + bottom_right[1]) / 2, abs=0.25)
 
 
 def test_cells_lie_on_their_grid() -> None:

@@ -18,7 +18,7 @@ from robofleet.calibration.frames import MIRRORED, Named
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import Survey
 from robofleet.settings import FAMILIES, FamilyName
-from robofleet.tracking.photometric import dictionary
+from robofleet.tracking.families import finder, pattern
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -39,7 +39,7 @@ class Seen(NamedTuple):
     """One print in one image [px]."""
 
     centre: Array  # (2,)
-    ahead: Array  # (2,) of the black square's right edge, in the middle
+    ahead: Array  # (2,) of the square's right edge, in the middle
     sigma: float  # standard deviation of a coordinate, by what of the greys the print does not explain
 
 
@@ -81,31 +81,32 @@ class TagFinder:
     """Finds every tag of a family in an image."""
 
     def __init__(self, family: FamilyName) -> None:
-        self._family = dictionary(family)
-        self._cells = FAMILIES[family].cells
+        self._name, self._family = family, FAMILIES[family]
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
-        self._detector = cv2.aruco.ArucoDetector(self._family, parameters)
+        self._finder = finder(family, range(self._family.ids), parameters)
 
     def find(self, image: Image) -> dict[int, list[Seen]]:
         """Return the prints of each id in an image (H, W)."""
-        corners, ids, _ = self._detector.detectMarkers(image)
+        squares = self._finder.find(image)
         found: dict[int, list[Seen]] = {}
-        for quad, tag in zip(corners, [] if ids is None else map(int, ids.ravel()), strict=True):
-            seen = self._laid_over(image, tag, quad[0].astype(np.float64))
+        for corners, tag in zip(squares.corners, squares.which.tolist(), strict=True):
+            seen = self._laid_over(image, tag, corners)
             if seen is not None:
                 found.setdefault(tag, []).append(seen)
         return found
 
     def _laid_over(self, image: Image, tag: int, corners: Array) -> Seen | None:
         """Return the print that has its corners near (4, 2) [px]; None if none there looks like the tag."""
-        cell = max(2.0, float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()) / self._cells)
+        side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+        cell = max(2.0, side / self._family.square)
         template, middle = self._template(tag, cell)
-        rim = cell * self._cells / 2.0
+        rim = cell * self._family.square / 2.0
+        beyond = cell * (2.0 + (self._family.cells - self._family.square) / 2.0)
         drawn = middle + rim * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         # The patch keeps the warp's numbers small, which are single precision.
-        left, top = (int(corner) for corner in np.maximum(corners.min(0) - 2.0 * cell, 0.0))
-        right, bottom = (int(corner) for corner in corners.max(0) + 2.0 * cell + 1.0)
+        left, top = (int(corner) for corner in np.maximum(corners.min(0) - beyond, 0.0))
+        right, bottom = (int(corner) for corner in corners.max(0) + beyond + 1.0)
         patch = image[top:bottom, left:right].astype(np.float32)
         onto = (corners - [left, top]).astype(np.float32)
         warp = cv2.getPerspectiveTransform(drawn.astype(np.float32), onto).astype(np.float32)
@@ -125,11 +126,11 @@ class TagFinder:
 
     def _template(self, tag: int, cell: float) -> tuple[NDArray[np.float32], float]:
         """Return the print as a camera shows it with ``cell`` pixels a cell, and its middle's coordinate."""
-        print_ = np.pad(self._family.generateImageMarker(tag, self._cells), 1, constant_values=255)
-        drawn = np.kron(print_, np.ones((_FINE, _FINE), np.uint8)).astype(np.float32)
+        white = np.pad(pattern(tag, self._name), 1, constant_values=True)
+        drawn = np.kron(255.0 * white, np.ones((_FINE, _FINE))).astype(np.float32)
         scale = _FINE / cell
         blurred = cv2.GaussianBlur(drawn, (0, 0), _BLUR_PX * scale)
-        size = math.ceil((self._cells + 2.0 * _MARGIN) * cell)
+        size = math.ceil((self._family.cells + 2.0 * _MARGIN) * cell)
         middle = (size - 1) / 2.0
         shift = (len(drawn) - 1) / 2.0 - scale * middle
         at = np.array([[scale, 0.0, shift], [0.0, scale, shift]])

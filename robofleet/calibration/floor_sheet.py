@@ -194,10 +194,10 @@ def _checks(page: Page, floor: Floor, top: float) -> float:
 
 def _steps(page: Page, floor: Floor, top: float) -> None:
     lines = [
-        "1. Check the rulers of each sheet. Measure a black square: that is side_m.",
+        f"1. Check the rulers of each sheet. Measure a {FAMILIES[floor.family].named}: that is side_m.",
         "2. Mark the middle of the arena, 0, 0. The x axis runs along the long side, the y axis to its left.",
         "3. Tape the tags flat where the plan shows them, arrow along x. Near is enough: what you measure counts.",
-        "4. Measure the middle of each black square, x and y, to half a millimetre: no pose becomes better than that.",
+        "4. Measure the middle of each tag, x and y, to half a millimetre: no pose becomes better than that.",
         "5. Compare the distances above with those of your numbers. 2 mm between them: measure again.",
         "6. Write survey.yaml: " + " ".join(line.strip() for line in floor.survey()[:2]) + " and so on, then",
         "    robofleet calibrate arena CAMERA survey.yaml --live CONFIG",

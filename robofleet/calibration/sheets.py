@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robofleet.calibration.store import CalibrationError
 from robofleet.figures import INK, QUIET
 from robofleet.settings import FAMILIES, FamilyName
-from robofleet.tracking.photometric import dictionary
+from robofleet.tracking.families import pattern
 
 # Width and height, upright [mm].
 PAPERS: dict[str, tuple[float, float]] = {
@@ -105,28 +105,27 @@ def outline(black: NDArray[Any]) -> Outline:
 
 
 def piece_side(side: float, family: FamilyName = "36h11") -> float:
-    """Return the side of a tag's piece of paper whose black square has that side [mm]."""
-    return side * (1.0 + 2.0 / FAMILIES[family].cells) + 2.0 * RIM
+    """Return the side of the piece of paper of a tag with that side [mm]."""
+    return side * (FAMILIES[family].cells + 2) / FAMILIES[family].square + 2.0 * RIM
 
 
 def tag_pages(ids: Sequence[int], side: float, paper: str, command: str, family: FamilyName = "36h11") -> list[Page]:
-    """Return sheets of tags whose black square has that side [mm]."""
-    tags, cells, piece = dictionary(family), FAMILIES[family].cells, piece_side(side, family)
+    """Return sheets of tags whose square has that side [mm]."""
+    square, piece = FAMILIES[family].square, piece_side(side, family)
     size, columns, rows = _grid(piece, paper)
     if columns * rows == 0:
         raise CalibrationError(f"--side-mm {side:g}: with its white rim {piece:.4g} mm wide, too large for {paper}")
     pages = []
     for start in range(0, len(ids), columns * rows):
         page = Page(size)
-        foot(page, command, f"AprilTag {family}, black square {side:g} mm")
+        foot(page, command, f"AprilTag {family}, {FAMILIES[family].named} {side:g} mm")
         left = (page.width + LEFT - MARGIN - columns * piece) / 2.0
         top = page.height - MARGIN
         for k, tag in enumerate(ids[start : start + columns * rows]):
             x, y = left + k % columns * piece, top - (k // columns + 1) * piece
             _piece(page, x, y, piece, tag, f"id {tag}   {side:g} mm")
-            black = tags.generateImageMarker(tag, cells) == 0
-            inset = (piece - side) / 2.0
-            page.fill(outline(black), x + inset, y + inset, side / cells, f"tag-{tag}")
+            inset = (piece - side * FAMILIES[family].whole) / 2.0
+            page.fill(outline(~pattern(tag, family)), x + inset, y + inset, side / square, f"tag-{tag}")
         pages.append(page)
     return pages
 

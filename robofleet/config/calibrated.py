@@ -82,7 +82,7 @@ class FloorTag(Model):
     tag: Annotated[int, Field(ge=0, le=LAST_TAG)]
     """Id of the tag, of the family ``tracker.family``."""
     side_m: Length
-    """Side of its black square."""
+    """Side of its square, as ``tracker.tag_side_m``."""
     x_m: Coordinate
     """Position of its centre along x, in the world frame."""
     y_m: Coordinate

@@ -109,7 +109,8 @@ def _tag_sizes(config: Config, own: str, camera: CameraSettings) -> Iterator[Com
         return
     eye_m, least_px = model.T_world_camera.position_m[2], min(model.width, model.height)
     tags = [("tracker.tag_height_m", tracker.tag_side_m, tracker.tag_height_m)]
-    largest_m = least_px * (eye_m - tracker.tag_height_m) / max(model.focal_px)
+    family = FAMILIES[tracker.family]
+    largest_m = least_px * (eye_m - tracker.tag_height_m) / max(model.focal_px) / family.whole
     if hint := units.meant(tracker.tag_side_m, largest_m, "tag_side_m"):
         yield "tracker.tag_side_m", f"a tag of {tracker.tag_side_m:g} m fills the image{hint}: mend it"
         return
@@ -118,9 +119,8 @@ def _tag_sizes(config: Config, own: str, camera: CameraSettings) -> Iterator[Com
             tags.append((f"robots.{i}.tag_height_m", tracker.tag_side_m, robot.tag_height_m))
     at = ("tracker.", own)
     tags += [(path, tag.side_m, tag.height_m) for path, tag in _lying(config) if path.startswith(at)]
-    family = FAMILIES[tracker.family]
     for path, side_m, height_m in tags if tracker.source == "camera" else ():
-        cell_px = min(model.focal_px) * side_m / family.cells / max(eye_m - height_m, 1e-9)
+        cell_px = min(model.focal_px) * side_m / family.square / max(eye_m - height_m, 1e-9)
         if 0.0 < cell_px < LEAST_CELL_PX:
             least_m = side_m * LEAST_CELL_PX / cell_px
             yield (
@@ -129,7 +129,7 @@ def _tag_sizes(config: Config, own: str, camera: CameraSettings) -> Iterator[Com
                 f"print it {least_m:.2g} m large, hang the camera lower, or take a family with fewer cells",
             )
     for path, side_m, height_m in tags:
-        if max(model.focal_px) * side_m >= least_px * (eye_m - height_m):
+        if max(model.focal_px) * side_m * family.whole >= least_px * (eye_m - height_m):
             tag = f"a tag of {side_m:g} m at {height_m:g} m"
             yield path, f"{tag} fills the image of a camera that hangs at {eye_m:g} m: mend one"
 

@@ -124,10 +124,11 @@ class TrackerSettings(Model):
     detector finds the tags in the camera's images. ``mocap``: a motion-capture system measures the robots' bodies.
     ``truth``: all robots are simulated and publish their true poses."""
     family: FamilyName = "36h11"
-    """AprilTag family of all tags. 36h11 has 587 ids, 25h9 has 35, 16h5 has 30. Fewer ids have larger cells in a tag of
-    the same side."""
+    """AprilTag family of all tags. 36h11 has 587 ids, 25h9 has 35, 16h5 has 30, and fewer ids have larger cells in a
+    print of the same size. Standard41h12 has 2115 ids; its bits lie inside and around a white square in a black one."""
     tag_side_m: Length
-    """Side of the black square of a robot's tag."""
+    """Side of the black square of a robot's tag; of Standard41h12, of the white square in the black one: 5 of the
+    print's 9 cells."""
     tag_height_m: Height
     """Height of the robots' tags above the floor."""
     floor_tags: Annotated[tuple[FloorTag, ...], Field(max_length=TAGS, strict=False)] = ()

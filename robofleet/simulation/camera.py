@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Boxes = NDArray[np.int64]
 
-_BODY_RADIUS = 0.8  # [tag sides]
+_BODY_RADIUS = 0.8  # [sides of the tag's print]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
 _IMAGES = 7  # that are drawn one after the other; with _STRIPS, which has no factor in common, see ``render``
 _STRIPS = 12
@@ -73,13 +73,13 @@ class SceneRenderer:
         """
         self._size, self._robots, self._prints, self._shutter = image_size, tuple(robots), tuple(prints), tuple(shutter)
         self._offsets = np.zeros((len(robots), 3)) if offsets is None else offsets
-        self._side, self._rng = robots[0].side, rng
+        self._whole, self._rng = robots[0].whole, rng
         self._height = max(target.height for target in robots)
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
         self._even = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
         self._gain = np.float32(light) * self._even
-        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._side, BLUR_PX, rng, obstacles)
+        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._whole, BLUR_PX, rng, obstacles)
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
         self._quiet_bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
@@ -129,11 +129,11 @@ class SceneRenderer:
         self._ground = np.minimum(np.rint(self._floor_grays * self._gain), 255).astype(np.uint8)
         self._boxes[:] = 0
         quiet = np.full_like(self._ground, self._offset)
-        for k, ((tag, side, tag_height, _, family, _), x, y, psi) in enumerate(self._prints):
-            lying, height = np.array([[x, y, psi]]), np.array([tag_height])
+        for k, (target, x, y, psi) in enumerate(self._prints):
+            lying, height, look = np.array([[x, y, psi]]), np.array([target.height]), cells(target.tag, target.family)
             still, further = np.zeros((1, 3)), self._further_by(height)
             boxes = self._boxes[0, len(self._robots) + k :][:1]
-            self._draw(self._ground, quiet, cells(tag, family)[None], side, height, further, lying, still, still, boxes)
+            self._draw(self._ground, quiet, look[None], target.whole, height, further, lying, still, still, boxes)
         self._boxes[1:] = self._boxes[0]
         self._unseen = _IMAGES  # images of another place
 
@@ -162,7 +162,7 @@ class SceneRenderer:
         renew(image, self._ground, noise, self._offset, boxes)
         moving = np.zeros_like(poses) if velocities is None else velocities
         self._draw(
-            image, noise, self._looks[self.looks], self._side, self._heights, self._further, poses, moving,
+            image, noise, self._looks[self.looks], self._whole, self._heights, self._further, poses, moving,
             self._offsets, boxes[:n], bodies=True,
         )  # fmt: skip
         return image

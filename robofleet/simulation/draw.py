@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import image_kernel, infinite_kernel
 from robofleet.simulation.floor import BLACK, WHITE
-from robofleet.tracking.photometric import pattern
+from robofleet.tracking.families import pattern
 from robofleet.tracking.projection import project
 
 Array32 = NDArray[np.float32]

@@ -10,7 +10,6 @@ Of the cells that are seen one may be wrong, as a cover's edge may lie on it; no
 them nearly as well.
 """
 
-import functools
 import math
 from collections.abc import Sequence
 
@@ -18,9 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.settings import FAMILIES, Family
-from robofleet.tracking.photometric import Found, PhotometricFit, pattern, side_px
-from robofleet.tracking.tags import CORNERS, Findings, Region, Squares
+from robofleet.settings import FAMILIES
+from robofleet.tracking.families import Squares, dark_squares, patterns, same
+from robofleet.tracking.photometric import Found, PhotometricFit, side_px
+from robofleet.tracking.tags import CORNERS, Findings, Region
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -35,8 +35,8 @@ _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step 
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
 _SAME = 0.12  # places closer than this are of one square [sides]
-_RIM = 0.53  # of the black rim that must be seen
-_PAPER = 0.53  # of the white paper around it, one cell wide
+_RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
+_PAPER = 0.53  # of those that are white: the paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
 _HIDDEN = 0.04  # what a cell costs a cover that hides it; a cell as grey as its level costs one that does not 1
 _HIDES = 0.6  # of the rim, or of the paper, that a cover hides and that does not look as if it were seen
@@ -53,12 +53,12 @@ class DeepSearch:
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._sizes_px = min(sizes), max(sizes)
         self._kinds = sorted({(target.side, target.height) for target in targets})
-        family = FAMILIES[fit.family]
-        self._cells_across, n = family.cells, family.cells + 2
-        self._grid, self._covers = _grid(n, family.cells), _covers(family)
-        depth = np.minimum.outer(*2 * (np.minimum(np.arange(n), np.arange(n)[::-1]),))  # 0: paper, 1: rim
-        self._paper, self._rim = depth == 0, depth == 1
-        self._white = np.stack([pattern(target.tag, fit.family) for target in targets]).astype(np.float32)
+        self._family = FAMILIES[fit.family]
+        self._grid, self._covers = _grid(self._family.cells + 2, self._family.square), _covers(fit.family)
+        self._paper, self._rim = same(fit.family)
+        self._free = ~(self._paper | self._rim)[1:-1, 1:-1]
+        self._all = patterns(fit.family).astype(np.float32)
+        self._white = self._all[[target.tag for target in targets]]
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
 
     def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
@@ -72,7 +72,7 @@ class DeepSearch:
         """Return what may be a target in an image (H, W), or in a region of it."""
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
         part = _smooth(image[top:bottom, left:right])
-        begins, ends = self._edges(part)
+        begins, ends = self._edges(dark_squares(part, self._family))
         corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds if len(begins) else ():
@@ -89,7 +89,7 @@ class DeepSearch:
     def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
         """Return what squares of an image are; see ``detect``."""
         tags: list[Found] = []
-        for corners, target in zip(squares.corners, squares.found.tolist(), strict=True):
+        for corners, target in zip(squares.corners, squares.which.tolist(), strict=True):
             x_y = self._fit.geometry.to_plane(corners, float(self._fit.heights[target]))
             at = x_y[:, 0] + 1j * x_y[:, 1]
             centre = complex(at.mean())
@@ -135,7 +135,7 @@ class DeepSearch:
     def _edges(self, image: Image) -> tuple[Array, Array]:
         """Return begins and ends (E, 2) [px] of straight lines with black on their left and about a side long."""
         small, large = self._sizes_px
-        reach = max(1, round(_NEARBY * small / self._cells_across))
+        reach = max(1, round(_NEARBY * small / self._family.square))
         box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
         below = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
@@ -230,10 +230,14 @@ class DeepSearch:
 
     def _is_like_another(self, cells: Array, target: int, wrong: int) -> bool:
         """Return whether another tag of the family explains cells nearly as well, who leaves so many wrong."""
-        bits = np.stack([np.rot90(cells[1:-1, 1:-1] > 0.5, turns) for turns in range(4)]).astype(np.float32)
-        others = self._wrong(bits, _family(self._fit.family))
-        others[0, self._targets[target].tag] = np.inf
-        return bool(others.min() < wrong + _APART)
+        most = self._family.distance - _APART  # bits that a cover hides
+        for turns in range(4):
+            bits = np.rot90(cells[1:-1, 1:-1] > 0.5, turns)
+            others = (self._all != bits)[:, self._free].sum(1) < wrong + _APART + most
+            others[self._targets[target].tag] &= turns > 0
+            if others.any() and self._wrong(bits[None].astype(np.float32), self._all[others]).min() < wrong + _APART:
+                return True
+        return False
 
     def _hides(self, cells: Array, cover: NDArray[np.bool_]) -> bool:
         """Return whether a cover hides anything: else this may be another print, of which some bits are ours."""
@@ -243,15 +247,9 @@ class DeepSearch:
         return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
 
 
-@functools.cache
-def _family(name: str) -> NDArray[np.float32]:
-    """Return the patterns (N, C, C) of all tags of a family."""
-    return np.stack([pattern(tag, name) for tag in range(FAMILIES[name].ids)]).astype(np.float32)
-
-
-def _grid(count: int, cells: int) -> Complex:
+def _grid(count: int, square: int) -> Complex:
     """Return the middles (count * count,) of the cells of a print and its paper, row by row [sides]."""
-    at = (np.arange(count) - (count - 1) / 2.0) / cells
+    at = (np.arange(count) - (count - 1) / 2.0) / square
     return (at - 1j * at[:, None]).ravel()
 
 
@@ -269,9 +267,10 @@ def _levels(image: Image, pixels: Array) -> Array:
     return np.asarray(greys, np.float64).reshape(pixels.shape[:2])
 
 
-def _covers(family: Family) -> NDArray[np.bool_]:
+def _covers(family: str) -> NDArray[np.bool_]:
     """Return what covers may hide of a print and its paper (K, C + 2, C + 2): nothing, a quarter, all beyond a line."""
-    n = family.cells + 2
+    white, black = same(family)
+    n = len(white)
     at = np.arange(n) - (n - 1) / 2.0
     covers = [np.zeros((n, n), np.bool_)]
     for size in (n // 2 - 1, n // 2):
@@ -280,5 +279,5 @@ def _covers(family: Family) -> NDArray[np.bool_]:
     for angle in np.arange(16) * math.tau / 16.0:
         depth = math.cos(angle) * at + math.sin(angle) * at[:, None]
         covers += [depth > edge for edge in np.arange(depth.max() - 1.0, 0.0, -0.5)]
-    bits = np.array([cover[2:-2, 2:-2].sum() for cover in covers])
-    return np.unique(np.stack(covers)[bits <= family.distance - _APART], axis=0)
+    bits = np.array([(cover & ~white & ~black).sum() for cover in covers])
+    return np.unique(np.stack(covers)[bits <= FAMILIES[family].distance - _APART], axis=0)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.photometric import pattern
+from robofleet.tracking.families import pattern
 from robofleet.tracking.targets import Target
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class TagLight:
         points = []
         for tag, x, y, psi in places:
             target, cells = self._cells[tag]
-            z = complex(x, y) + target.side * np.exp(1j * psi) * cells
+            z = complex(x, y) + target.whole * np.exp(1j * psi) * cells
             points.append(np.stack([z.real, z.imag, np.full(len(z), target.height)], axis=1))
         if not points:
             middle, gray = np.percentile(image[::_EVERY, ::_EVERY], (50.0, _LIGHT_GRAY)).tolist()
@@ -64,7 +64,7 @@ class TagLight:
 
 
 def _chosen(target: Target) -> Complex:
-    """Return the centres (2 K,) of K white cells, then K black ones, in the tag's frame, forward + i left [sides]."""
+    """Return the centres (2 K,) of K white cells, then K black ones, in the tag's frame, forward + i left [prints]."""
     white = pattern(target.tag, target.family)
     count = len(white)
     at = (np.arange(count) + 0.5) / count - 0.5

@@ -5,13 +5,13 @@ model: lens, tilt, height, and under a rolling shutter the way that the tag cove
 compares each pixel with the pattern. The correlation with the pattern says whether it is this tag: another id of the
 family reaches 0.65.
 
-Points of the plane are complex numbers, x + iy; in the tag's own frame, forward + i left [sides].
+Points of the plane are complex numbers, x + iy; in the tag's own frame, forward + i left, and a side is that of
+the whole print.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +19,7 @@ from robofleet.settings import FAMILIES
 from robofleet.tracking import pixels
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.covariance import Covariance, covariance
+from robofleet.tracking.families import pattern
 from robofleet.tracking.targets import Target
 
 Array = NDArray[np.float64]
@@ -67,7 +68,7 @@ class PhotometricFit:
         self.geometry = geometry
         self._line_time = line_time
         self.family = targets[0].family
-        self._sides = np.array([target.side for target in targets])
+        self._wholes = np.array([target.whole for target in targets])
         self.heights = np.array([target.height for target in targets])
         self._prints = np.stack([pixels.vertices(pattern(target.tag, self.family)) for target in targets])
         self._blur, self._noise = np.full(len(targets), _BLUR_PX), np.zeros(len(targets))
@@ -97,7 +98,7 @@ class PhotometricFit:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
         pixels.fit_tags(
-            image, self.geometry.flat, self._line_time, self._sides, self.heights, self._prints,
+            image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
             self._blur, self._noise, self._room, *fit,
         )  # fmt: skip
@@ -112,13 +113,3 @@ class PhotometricFit:
 def side_px(geometry: CameraGeometry, target: Target) -> float:
     """Return a tag's side straight below the camera [px]."""
     return float(geometry.K[0, 0]) * target.side / (float(geometry.position[2]) - target.height)
-
-
-def dictionary(family: str) -> cv2.aruco.Dictionary:
-    """Return all tags of a family."""
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
-
-
-def pattern(tag: int, family: str) -> NDArray[np.bool_]:
-    """Return the tag's cells (C, C), black rim included, true where white, row 0 at the top as OpenCV prints it."""
-    return np.asarray(dictionary(family).generateImageMarker(tag, FAMILIES[family].cells) > 0)

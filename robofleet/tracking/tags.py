@@ -1,8 +1,8 @@
 """Finds a fleet's AprilTags in an image, or in a region of it, with no memory of other images.
 
 A tag lies flat at a known height. With the pattern upright as OpenCV prints it (``cv2.aruco.generateImageMarker``),
-the print's right is its forward x, its top its left y. OpenCV finds and identifies the squares, with corners good to
-half a pixel; the photometric fit places them, and says whether they look like what they read.
+the print's right is its forward x, its top its left y. ``families.py`` finds and identifies the squares, with corners
+good to half a pixel; the photometric fit places them, and says whether they look like what they read.
 """
 
 import math
@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.photometric import Found, PhotometricFit, dictionary, side_px
+from robofleet.tracking.families import Squares, finder
+from robofleet.tracking.photometric import Found, PhotometricFit, side_px
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
@@ -47,13 +48,6 @@ class Findings(NamedTuple):
     refused: int  # squares that read as a target and cannot be it: a wrong size, shape or look
 
 
-class Squares(NamedTuple):
-    """What reads as a target."""
-
-    corners: NDArray[np.float64]  # (M, 4, 2) [px]
-    found: NDArray[np.int64]  # (M,) targets
-
-
 class TagDetector:
     """Finds targets; other ids of the family are not in its dictionary."""
 
@@ -62,11 +56,8 @@ class TagDetector:
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._perimeter_px = (0.5 * 4.0 * min(sizes), 2.0 * 4.0 * max(sizes))
-        family = dictionary(fit.family)
-        ids = [target.tag for target in targets]
-        fleet = cv2.aruco.Dictionary(family.bytesList[ids], family.markerSize, family.maxCorrectionBits)
         self._parameters = _parameters()
-        self._detector = cv2.aruco.ArucoDetector(fleet, self._parameters)
+        self._finder = finder(fit.family, [target.tag for target in targets], self._parameters)
 
     def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
         """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
@@ -106,11 +97,7 @@ class TagDetector:
         # smaller: half of the length remains.
         self._parameters.minMarkerPerimeterRate = self._perimeter_px[0] / longer
         self._parameters.maxMarkerPerimeterRate = self._perimeter_px[1] / longer
-        self._detector.setDetectorParameters(self._parameters)
-        corners, found, _ = self._detector.detectMarkers(image)
-        if found is None or len(found) == 0:
-            return Squares(np.empty((0, 4, 2)), np.empty(0, np.int64))
-        return Squares(np.concatenate(corners, axis=0).astype(np.float64), found[:, 0].astype(np.int64))
+        return self._finder.find(image)
 
     def _place(
         self, pixels: NDArray[np.float64], index: NDArray[np.int64]

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from robofleet.config.tree import Config
+from robofleet.settings import FAMILIES
 
 _ANY_S = 1e9
 
@@ -11,11 +12,16 @@ class Target(NamedTuple):
     """A tag to follow."""
 
     tag: int
-    side: float  # of its black square [m]
+    side: float  # of its square [m]
     height: float  # above the floor [m]
     max_speed: float  # 0 for a tag that lies still [m/s]
     family: str = "36h11"  # one for all of a tracker
     drives_on_s: float = 0.75  # for so long it may drive though this camera does not see it: then it is stopped
+
+    @property
+    def whole(self) -> float:
+        """The side of the whole print [m]."""
+        return self.side * FAMILIES[self.family].whole
 
 
 def robot_targets(config: Config) -> list[Target]:

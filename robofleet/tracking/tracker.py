@@ -44,7 +44,7 @@ _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once ma
 _DEEP_SEARCHES = 1  # of these
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
-_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
+_MARGIN = 0.6  # of a region around what a tag can have reached [sides of the print]
 
 
 class TagSighting(NamedTuple):
@@ -99,7 +99,7 @@ class TagTracker:
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
-        overlap = 1.5 * max(side_px(geometry, target) for target in targets)
+        overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
         self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
         self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
         self._images = 0
@@ -230,7 +230,7 @@ class TagTracker:
     def _region(self, i: int, exposure_ns: int) -> Region:
         """Return the pixels where a hidden tag may be."""
         (u, v) = self._fit.pixels(np.array([i]), self._centre[[i]])[0]
-        half = (self._reach(i, exposure_ns) + _MARGIN * self._sides[i] * math.sqrt(2.0)) * self._pixels_per_m
+        half = (self._reach(i, exposure_ns) + _MARGIN * self._targets[i].whole * math.sqrt(2.0)) * self._pixels_per_m
         width, height = self._size
         u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
         return Region(

@@ -25,7 +25,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting, Sighting
 from tests.tracking.raycamera import RayCamera
-from tests.tracking.raycast import Cable, Print, RayCaster, along, clutter
+from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
 
 Array = NDArray[np.float64]
 
@@ -69,6 +69,11 @@ SCENES = {
     "rolling shutter, 20 ms": Scene(3.5, line_time=0.02 / SIZE[1], steady=True),
     "fisheye": Scene(3.5, fisheye=True),
 }
+
+
+def cell_wide(family: str) -> float:
+    """Return the side of a family's tags whose cells are as large as those of 36h11 [m]."""
+    return SIDE / SQUARES["36h11"][1] * SQUARES[family][1]
 
 
 class Frame(NamedTuple):

@@ -1,12 +1,13 @@
 """How surely tags are acquired, ours and the peers', on ray-cast frames where the truth is known.
 
-    python -m tests.tracking.acquisition [--json] [--trials N] [--only NAMES] [--scenes NAME]   (in the project's root)
+    python -m tests.tracking.acquisition [--json] [--trials N] [--only NAMES] [--scenes NAME] [--family NAME]
 
-The camera and the tags are those of ``accuracy.py``; in each trial 8 tags stand somewhere else, and 10 images differ
-by their noise (3.5 grey levels). Contrast: white paper minus black, in the image, around a grey of 120; the rest of
-the image keeps its light. Covers are straight: what lies beyond a line is hidden behind something black, grey or white.
-Columns: how many tags were placed in one of the ten images, and in how many of all images; what was said that is wrong:
-of no such tag, or of a tag over 5 mm away; the position's rms and largest error [mm]; the median time of an image [ms].
+The camera and the tags are those of ``accuracy.py``, or tags of another family with cells as large; in each trial 8
+tags stand somewhere else, and 10 images differ by their noise (3.5 grey levels). Contrast: white paper minus black, in
+the image, around a grey of 120; the rest of the image keeps its light. Covers are straight: what lies beyond a line is
+hidden behind something black, grey or white. Columns: how many tags were placed in one of the ten images, and in how
+many of all images; what was said that is wrong: of no such tag, or of a tag over 5 mm away; the position's rms and
+largest error [mm]; the median time of an image [ms].
 """
 
 import argparse
@@ -21,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import stopwatch_ns
+from robofleet.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
-from tests.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera
+from tests.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide
 from tests.tracking.accuracy import Scene as Quality
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
-from tests.tracking.raycast import BLACK, WHITE, Cable, Print, RayCaster, clutter
+from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaster, clutter
 
 IMAGES = 10  # a trial
 TAGS = 8
@@ -36,12 +38,18 @@ class Scene(NamedTuple):
     """What the frames are like."""
 
     contrast: float = 0.0  # [grey levels]; 0: that of a print in full light
-    covered: float = 0.0  # share of the black square
+    covered: float = 0.0  # share of the print
     along: float | None = 0.0  # which way the cover's edge runs to the print's [rad]; None: any
     darkness: float = 1.0
     defocus: float = 0.7  # [px]
     focal: float = 1.0  # times accuracy.py's: the tags are so much larger
     noise: float = 3.5
+    family: str = "36h11"
+
+    @property
+    def side(self) -> float:
+        """The side of the tags [m]."""
+        return cell_wide(self.family)
 
 
 SCENES = {
@@ -76,9 +84,9 @@ def trials(scene: Scene, count: int, seed: int = 3) -> Iterator[Trial]:
         eye = replace(eye, K=eye.K * [[scene.focal, 1, 1], [1, scene.focal, 1], [1, 1, 1]])
         caster = RayCaster(eye, clutter(SIZE, rng), rng)
         geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera)
-        tags = rng.choice(587, TAGS, replace=False).tolist()
+        tags = rng.choice(FAMILIES[scene.family].ids, TAGS, replace=False).tolist()
         prints = tuple(_print(scene, caster, tag, *place) for tag, place in zip(tags, _places(rng), strict=True))
-        setting = Setting(geometry, SIZE, [Target(tag, SIDE, HEIGHT, 0.3) for tag in tags], 0.0)
+        setting = Setting(geometry, SIZE, [Target(tag, scene.side, HEIGHT, 0.3, scene.family) for tag in tags], 0.0)
         there = () if scene.covered == 1.0 else prints
         light = caster.light(there) * np.float32(scene.darkness)
         yield Trial(setting, there, [caster.exposed(light, scene.noise) for _ in range(IMAGES)])
@@ -140,7 +148,7 @@ def _print(scene: Scene, caster: RayCaster, tag: int, x: float, y: float, psi: f
         greys = ((120.0 - scene.contrast / 2.0) / lamp, (120.0 + scene.contrast / 2.0) / lamp)
     rng = np.random.default_rng(tag)
     cover = _cover(scene, rng) if 0.0 < scene.covered < 1.0 else None
-    return Print(tag, SIDE, HEIGHT, (x, y, psi), cable=cover, greys=greys)
+    return Print(tag, scene.side, HEIGHT, (x, y, psi), cable=cover, greys=greys, family=scene.family)
 
 
 def _cover(scene: Scene, rng: np.random.Generator) -> Cable:
@@ -149,10 +157,11 @@ def _cover(scene: Scene, rng: np.random.Generator) -> Cable:
     grid = (np.arange(200) + 0.5) / 200 - 0.5
     normal = np.array([-math.sin(along), math.cos(along)])
     depth = normal[0] * grid[:, None] + normal[1] * grid
-    begins = float(np.quantile(depth, 1.0 - scene.covered)) * SIDE
-    forward, left = normal * (begins + SIDE)
+    whole = SIDE * FAMILIES[scene.family].cells / 8.0
+    begins = float(np.quantile(depth, 1.0 - scene.covered)) * whole
+    forward, left = normal * (begins + whole)
     grey = rng.choice([20.0, 110.0, 210.0]).item()
-    return Cable(float(forward), float(left), along, 2.0 * SIDE, 0.001, grey)
+    return Cable(float(forward), float(left), along, 2.0 * whole, 0.001, grey)
 
 
 def main() -> None:
@@ -162,10 +171,13 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=10, help="of 8 tags and 10 images, a scene")
     parser.add_argument("--only", default="", help="candidates whose name has one of these, separated by |, in it")
     parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
+    parser.add_argument("--family", default="36h11", choices=SQUARES, help="of the tags")
     arguments = parser.parse_args()
     wanted = arguments.only.split("|")
     names = [name for name in CANDIDATES if name != UNTIMED and any(part in name for part in wanted)]
-    scenes = {title: scene for title, scene in SCENES.items() if arguments.scenes in title}
+    names = [name for name in names if arguments.family == "36h11" or "OpenCV" not in name]  # it knows none but that
+    chosen = {title: scene for title, scene in SCENES.items() if arguments.scenes in title}
+    scenes = {title: scene._replace(family=arguments.family) for title, scene in chosen.items()}
     if not names:
         parser.error(f"--only {arguments.only}: of {', '.join(CANDIDATES)}")
     if not scenes:

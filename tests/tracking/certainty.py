@@ -1,12 +1,13 @@
 """How well tags are placed and how sure that is, on ray-cast frames where the truth is known.
 
-    python -m tests.tracking.certainty [--poses N] [--scenes NAME] [--angles]     (from the project's root)
+    python -m tests.tracking.certainty [--poses N] [--scenes NAME] [--family NAME] [--angles]     (from the root)
 
-Each image shows tags of 70 mm, 8 cm high, somewhere else, moving at up to 0.2 m/s and 2 rad/s; a tag's guess is off by
-0.3 px and 0.5 degrees. Columns: position's rms and largest error, and rms of what the covariances say [mm]; mean of the
-squared errors by their covariances, which is 1 a degree of freedom if they are true (x and y; heading); the largest
-error by its covariance [sigma]; how many tags looked like themselves. Without --angles the last table is left out: the
-mean error of 400 poses at one angle to the pixel rows [px], with cells of 3 px, and the rms of the worst phase [mm].
+Each image shows tags of 70 mm, or tags of another family with cells as large, 8 cm high, somewhere else, moving at up
+to 0.2 m/s and 2 rad/s; a tag's guess is off by 0.3 px and 0.5 degrees. Columns: position's rms and largest error, and
+rms of what the covariances say [mm]; mean of the squared errors by their covariances, which is 1 a degree of freedom if
+they are true (x and y; heading); the largest error by its covariance [sigma]; how many tags looked like themselves.
+Without --angles the last table is left out: the mean error of 400 poses at one angle to the pixel rows [px], with cells
+of 3 px, and the rms of the worst phase [mm].
 """
 
 import argparse
@@ -24,11 +25,11 @@ from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.photometric import Fit, PhotometricFit
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import CLEAR
-from tests.tracking.accuracy import HEIGHT, SIDE
+from tests.tracking.accuracy import HEIGHT, SIDE, cell_wide
 from tests.tracking.accuracy import Scene as Quality
 from tests.tracking.accuracy import camera as full_camera
 from tests.tracking.raycamera import RayCamera
-from tests.tracking.raycast import Cable, Print, RayCaster, clutter
+from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, clutter
 
 Array = NDArray[np.float64]
 
@@ -41,9 +42,10 @@ class Scene(NamedTuple):
     light: float = 0.7
     defocus: float = 0.7  # [px]
     noise: float = 3.5  # [grey levels]
-    covered: float = 0.0  # share of the black square behind a straight edge
+    covered: float = 0.0  # share of the print behind a straight edge
     cable_px: float = 0.0
     moving: bool = True
+    family: str = "36h11"
 
 
 SCENES = {
@@ -84,17 +86,20 @@ def placed(scene: Scene, poses: int, seed: int = 1) -> Iterator[Placed]:
     eye = camera(scene)
     caster = RayCaster(eye, clutter(eye.size, rng), rng)
     geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera)
-    ids = rng.choice(587, scene.tags, replace=False).tolist()
-    fit = PhotometricFit(geometry, [Target(tag, SIDE, HEIGHT, 0.3) for tag in ids])
-    deep = DeepSearch(fit, [Target(tag, SIDE, HEIGHT, 0.3) for tag in ids])
+    ids = rng.choice(FAMILIES[scene.family].ids, scene.tags, replace=False).tolist()
+    targets = [Target(tag, cell_wide(scene.family), HEIGHT, 0.3, scene.family) for tag in ids]
+    fit = PhotometricFit(geometry, targets)
+    deep = DeepSearch(fit, targets)
     pixel = (2.5 - HEIGHT) / float(eye.K[0, 0])
     for k in range(-2, math.ceil(poses / scene.tags)):
         true = _poses(scene.tags, rng)
         speed = rng.uniform(-1.0, 1.0, (scene.tags, 2)) * [0.2, 2.0] * scene.moving
         clear = scene if k >= 0 else scene._replace(covered=0.0, cable_px=0.0)
         prints = [
-            Print(tag, SIDE, HEIGHT, (x, y, psi), (v, 0.0, omega), _cover(clear, pixel, rng))
-            for tag, (x, y, psi), (v, omega) in zip(ids, true.tolist(), speed.tolist(), strict=True)
+            Print(
+                target.tag, target.side, HEIGHT, pose, (v, 0.0, omega), _cover(clear, pixel, rng), family=scene.family
+            )
+            for target, pose, (v, omega) in zip(targets, map(tuple, true.tolist()), speed.tolist(), strict=True)
         ]
         image = caster.image(prints, scene.light, scene.noise)
         off = rng.normal(0.0, 0.3 * pixel / math.sqrt(2.0), (scene.tags, 2)) @ [1.0, 1j]
@@ -119,7 +124,7 @@ def certainty(scene: Scene, poses: int) -> dict[str, float]:
     error = np.concatenate([image.error for image in images])
     spread = np.concatenate([image.fit.covariance for image in images])
     alike = np.concatenate([image.fit.alike for image in images])
-    there = alike > FAMILIES["36h11"].alike
+    there = alike > FAMILIES[scene.family].alike
     error, spread = error[there], spread[there]
     xx, xy, yy = spread[:, :3].T
     x, y = error[:, :2].T
@@ -186,9 +191,10 @@ def _cover(scene: Scene, pixel: float, rng: np.random.Generator) -> Cable | None
     grid = (np.arange(100) + 0.5) / 100 - 0.5
     normal = np.array([-math.sin(run), math.cos(run)])
     depth = normal[0] * grid[:, None] + normal[1] * grid
-    begins = float(np.quantile(depth, 1.0 - scene.covered)) * SIDE
-    forward, left = (normal * (begins + SIDE)).tolist()
-    return Cable(forward, left, run, 2.0 * SIDE, 0.001, grey)
+    whole = SIDE * FAMILIES[scene.family].cells / 8.0
+    begins = float(np.quantile(depth, 1.0 - scene.covered)) * whole
+    forward, left = (normal * (begins + whole)).tolist()
+    return Cable(forward, left, run, 2.0 * whole, 0.001, grey)
 
 
 def main() -> None:
@@ -197,11 +203,12 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=2000, help="of each scene")
     parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
     parser.add_argument("--angles", action="store_true", help="the table by angles, too")
+    parser.add_argument("--family", default="36h11", choices=SQUARES, help="of the tags; not in the last table")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     for number, (title, scene) in enumerate(SCENES.items()):
         if arguments.scenes in title:
-            row = certainty(scene, arguments.poses)
+            row = certainty(scene._replace(family=arguments.family), arguments.poses)
             if not number:
                 print(f"{'':<32}" + "".join(f"{column:>12}" for column in row))
             print(f"{title:<32}" + "".join(f"{value:>12.4g}" for value in row.values()), flush=True)

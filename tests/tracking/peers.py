@@ -93,7 +93,7 @@ def apriltag(make: Any, decimate: float) -> Callable[[Setting], Candidate]:
     """Detect the family's tags with a wrapper of the AprilTag library."""
 
     def candidate(setting: Setting) -> Candidate:
-        detector = make(families="tag36h11", nthreads=1, quad_decimate=decimate)
+        detector = make(families=f"tag{setting.targets[0].family}", nthreads=1, quad_decimate=decimate)
 
         def see(image: Image, exposure_ns: int) -> list[Sighting]:
             found = detector.detect(image)

@@ -10,6 +10,7 @@ A print's forward is its right and its left its top, with the pattern upright as
 instant at which the image's middle row is in mid-exposure. Grey levels are linear in the light.
 """
 
+import functools
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -19,14 +20,14 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import ArrayLike, NDArray
 
+from tests.tracking.library import drawn
 from tests.tracking.raycamera import RayCamera
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 BLACK, WHITE = 25.0, 215.0  # of the print under full light
-CELLS = 10  # along the paper: the pattern's 8, and a white one on each side
-
+SQUARES = {"36h11": (8, 8), "Standard41h12": (9, 5)}  # cells along the print, and along the square that has its side
 _SUB = 6  # sub-samples along a pixel
 _NODES = 8  # along a patch: between them, where rays meet a plane is a polynomial to better than a nanometre
 _INSTANT_PX = 0.25  # motion that a sub-sample averages with one instant drawn from it
@@ -44,15 +45,26 @@ class Cable(NamedTuple):
 
 
 class Print(NamedTuple):
-    """A tag (36h11) that moves with a constant twist."""
+    """A tag that moves with a constant twist."""
 
     tag: int
-    side: float  # of its black square [m]
+    side: float  # of its square [m]
     height: float  # above the floor [m]
     pose: tuple[float, float, float]  # x, y [m], psi [rad; CCW +] of its centre at time 0, world
     twist: tuple[float, float, float] = (0.0, 0.0, 0.0)  # forward, left [m/s], turn [rad/s; CCW +]
     cable: Cable | None = None
     greys: tuple[float, float] = (BLACK, WHITE)
+    family: str = "36h11"
+
+    @property
+    def cell(self) -> float:
+        """The side of a cell [m]."""
+        return self.side / SQUARES[self.family][1]
+
+    @property
+    def cells(self) -> int:
+        """Cells along the paper: the print's, and a white one on each side."""
+        return SQUARES[self.family][0] + 2
 
 
 class Patch(NamedTuple):
@@ -90,8 +102,6 @@ class RayCaster:
         self.camera, self.floor, self._rng = camera, floor, rng
         self.lamps = _lamps(camera.size)
         self._gather = _gather(camera.defocus)
-        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-        self._looks = [np.pad(family.generateImageMarker(i, 8) > 0, 1, constant_values=True) for i in range(587)]
 
     def image(self, prints: Iterable[Print], level: float, noise: float) -> NDArray[np.uint8]:
         """Return a picture (H, W) under ``level`` of the full light.
@@ -120,7 +130,7 @@ class RayCaster:
         """Cast the rays around one print."""
         camera = self.camera
         x, y, psi = along(tag.pose, tag.twist, instant(camera, tag))
-        rim = 0.5 * CELLS / 8.0 * tag.side * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+        rim = 0.5 * tag.cells * tag.cell * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
         c, s = math.cos(psi), math.sin(psi)
         corners = camera.project(np.column_stack([rim @ [[c, s], [-s, c]] + [x, y], np.full(4, tag.height)]))
         middle = corners.mean(0)
@@ -129,7 +139,7 @@ class RayCaster:
         )
         pixel = math.sqrt(abs(ahead[0, 0] * ahead[2, 1] - ahead[0, 1] * ahead[2, 0]))  # on the print's plane [m]
         # Of its quickest point [px/s].
-        speed = (math.hypot(*tag.twist[:2]) + 0.9 * tag.side * abs(tag.twist[2])) / pixel
+        speed = (math.hypot(*tag.twist[:2]) + 0.72 * tag.cells * tag.cell * abs(tag.twist[2])) / pixel
         smear = speed * (camera.exposure + 2.0 * np.ptp(corners[:, 1]) * camera.line_time)
         first = np.floor(corners.min(0) - smear - 2.0).astype(int).clip(0, camera.size)
         last = np.ceil(corners.max(0) + smear + 3.0).astype(int).clip(0, camera.size)
@@ -165,11 +175,14 @@ class RayCaster:
         """Return how much of each sub-sample's footprint is paper, and its grey, averaged over a square."""
         at_x, at_y, psi = along((0.0, 0.0, tag.pose[2]), tag.twist, t)
         c, s, d_x, d_y = np.cos(psi), np.sin(psi), x - at_x, y - at_y
-        cell, half = tag.side / 8.0, 0.5 * CELLS
+        cell, half = tag.cell, 0.5 * tag.cells
         column, row = half + (c * d_x + s * d_y) / cell, half - (c * d_y - s * d_x) / cell
-        right, to_right, on_x = _edges(column, footprint / cell)
-        below, to_below, on_y = _edges(row, footprint / cell)
-        look = np.pad(np.where(self._looks[tag.tag], tag.greys[1], tag.greys[0]), 1, mode="edge").astype(np.float32)
+        right, to_right, on_x = _edges(column, footprint / cell, tag.cells)
+        below, to_below, on_y = _edges(row, footprint / cell, tag.cells)
+        look = np.pad(
+            np.where(_white(tag.tag, tag.family), tag.greys[1], tag.greys[0]), 2, constant_values=tag.greys[1]
+        )
+        look = look.astype(np.float32)
         here, wide = look.ravel(), look.shape[1]
         at = below * wide + right
         above = here[at] + to_right * (here[at + 1] - here[at])
@@ -214,6 +227,16 @@ class RayCaster:
         return pixels
 
 
+@functools.cache
+def _white(tag: int, family: str) -> NDArray[np.bool_]:
+    """Return the white cells of a print: as OpenCV draws it, or as the AprilTag library does, half a turn further."""
+    cells = SQUARES[family][0]
+    if hasattr(cv2.aruco, f"DICT_APRILTAG_{family}"):
+        known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
+        return np.asarray(known.generateImageMarker(tag, cells) > 0)
+    return np.rot90(drawn(tag, family), 2)
+
+
 def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
     """Return a floor (H, W): mottled, with lines, tape, and squares that are no tags."""
     width, height = size
@@ -238,11 +261,11 @@ def _lamps(size: tuple[int, int]) -> Floats:
     return np.float32(1.0) - np.float32(0.4) * (u * u + v * v)
 
 
-def _edges(at: Floats, width: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+def _edges(at: Floats, width: float, cells: int) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Return the cell before the nearest border of cells, how far beyond it, and how much lies on the paper."""
-    border = np.rint(at).clip(0, CELLS)
+    border = np.rint(at).clip(0, cells)
     beyond = np.clip((at - border) / width + 0.5, 0.0, 1.0)
-    paper = np.clip(np.minimum(at, CELLS - at) / width + 0.5, 0.0, 1.0)
+    paper = np.clip(np.minimum(at, cells - at) / width + 0.5, 0.0, 1.0)
     return border.astype(np.int64), beyond, paper
 
 

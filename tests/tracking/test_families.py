@@ -3,13 +3,21 @@
 from pathlib import Path
 
 import numpy as np
+import pyapriltags
 import pytest
 
+from robofleet.calibration.fiducials import TagFinder
 from robofleet.config.load import ConfigError, load_config
-from robofleet.settings import FAMILIES
+from robofleet.settings import FAMILIES, FamilyName
 from robofleet.simulation.camera import SceneRenderer
+from robofleet.tracking.families import pattern
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagTracker
+from tests.tracking.acquisition import SCENES, evaluate
+from tests.tracking.certainty import Scene as Certainty
+from tests.tracking.certainty import certainty
+from tests.tracking.library import drawn
+from tests.tracking.peers import OURS, Setting, apriltag
 from tests.tracking.test_tracker import (
     GEOMETRY,
     HEIGHT_M,
@@ -29,6 +37,52 @@ PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 
 def targets(family: str) -> list[Target]:
     return [Target(tag, SIDE_M, HEIGHT_M, MAX_SPEED, family) for tag in IDS]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_each_tag_looks_as_the_apriltag_library_draws_it_half_a_turn_further(family: str) -> None:
+    cells = FAMILIES[family].cells
+    for tag in range(FAMILIES[family].ids):
+        known = np.rot90(drawn(tag, family), 2)
+        paper = (len(known) - cells) // 2
+        assert np.array_equal(pattern(tag, family), known[paper : paper + cells, paper : paper + cells])
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_apriltag_library_sees_rendered_tags_where_they_are(family: str) -> None:
+    renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))
+    see = apriltag(pyapriltags.Detector, 1.0)(Setting(GEOMETRY, SIZE, targets(family), 0.0))
+    seen = see(renderer.render(np.array(STANDING)), 0)  # of 16h5 also tags that are not there
+    for tag, (x, y, psi) in zip(IDS, STANDING, strict=True):
+        (there,) = [each for each in seen if each.tag == tag and abs(complex(each.x - x, each.y - y)) < 1e-3]
+        assert np.exp(1j * there.psi) == pytest.approx(np.exp(1j * psi), abs=0.02)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_surveyed_tags_of_a_family_are_found_in_an_image(family: FamilyName) -> None:
+    renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))
+    found = TagFinder(family).find(renderer.render(np.array(STANDING)))
+    assert found.keys() == set(IDS)
+    for tag, (x, y, psi) in zip(IDS, STANDING, strict=True):
+        (seen,) = found[tag]
+        edge = complex(x, y) + SIDE_M / 2.0 * np.exp(1j * psi)
+        there = GEOMETRY.project(np.array([[x, y, HEIGHT_M], [edge.real, edge.imag, HEIGHT_M]]))
+        assert seen.centre == pytest.approx(there[0], abs=0.05)
+        assert seen.ahead == pytest.approx(there[1], abs=0.1)
+
+
+@pytest.mark.parametrize(("title", "least"), [("contrast 60", 1.0), ("contrast 20", 0.93), ("tags of 22 px", 1.0)])
+def test_faint_and_small_tags_with_bits_around_are_acquired(title: str, least: float) -> None:
+    row = evaluate(SCENES[title]._replace(family="Standard41h12"), [OURS], 2)[OURS]
+    assert row["wrong"] == 0
+    assert row["acquired"] >= least
+
+
+def test_tags_with_bits_around_are_placed_as_well_as_their_covariances_say() -> None:
+    row = certainty(Certainty(family="Standard41h12"), 200)
+    assert row["alike"] == 1.0
+    assert row["rms_mm"] < 0.0105
+    assert 0.75 < row["chi2_xy"] < 1.35
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -54,6 +108,15 @@ def test_tags_of_a_family_are_followed_and_those_of_others_are_not_there(family:
             ["tracker.family=25h9", "tracker.floor_tags=[{tag: 35, side_m: 0.1, x_m: 0, y_m: 0}]"],
             "tracker.floor_tags.0.tag: 35: the family 25h9 has the ids 0 to 34: give it",
         ),
+        (
+            ["tracker.family=Standard41h12", "robots.2.tag=2115"],
+            "robots.2.tag: 2115: the family Standard41h12 has the ids 0 to 2114: give it",
+        ),
+        (
+            ["tracker.family=Standard41h12", "tracker.tag_side_m=0.02"],
+            "a cell of a Standard41h12 tag of 0.02 m has 1.4 px, 1.5 are needed: print it 0.022 m",
+        ),
+        (["tracker.family=Standard41h12", "tracker.tag_side_m=1.2"], "a tag of 1.2 m fills the image"),
         (["tracker.tag_side_m=0.03"], "a cell of a 36h11 tag of 0.03 m has 1.3 px, 1.5 are needed: print it 0.035 m"),
     ],
 )

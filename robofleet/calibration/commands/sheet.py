@@ -27,6 +27,7 @@ from robofleet.settings import FAMILIES, LAST_TAG, FamilyName, is_family
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 
 PaperName = Annotated[str, typer.Option("--paper", help=", ".join(PAPERS))]
+_SIDE = "Side of the black square; of Standard41h12, of the white square in the black one"
 OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.pdf or FILE.svg")]
 
 
@@ -34,7 +35,7 @@ OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.pdf o
 def tags(
     ids: Annotated[str, typer.Option("--ids", help="As 1-4,10")],
     out: OutFile,
-    side_mm: Annotated[float, typer.Option("--side-mm", help="Side of the black square")] = 70.0,
+    side_mm: Annotated[float, typer.Option("--side-mm", help=_SIDE)] = 70.0,
     paper: PaperName = "a4",
     family: Annotated[str, typer.Option("--family", help=f"{', '.join(FAMILIES)}: as tracker.family")] = "36h11",
 ) -> None:
@@ -62,7 +63,7 @@ def floor(
     out: OutFile,
     overrides: Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG.")] = [],  # noqa: B006 - typer copies it
     count: Annotated[int, typer.Option("--count", help="Number of tags, 4 to 8")] = floor_sheet.MOST,
-    side_mm: Annotated[float, typer.Option("--side-mm", help="Side of the black square")] = 100.0,
+    side_mm: Annotated[float, typer.Option("--side-mm", help=_SIDE)] = 100.0,
     first_id: Annotated[
         int, typer.Option("--first-id", min=0, max=LAST_TAG, help="First id; robots' ids are left out")
     ] = 500,
