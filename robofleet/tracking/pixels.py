@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from robofleet.kernels import image_kernel
 from robofleet.tracking.projection import project
 
-REACH = 0.56  # half the fitted square [sides of the print]: half of the white cell beyond it
+REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 SLOTS, CHUNK = 17, 512  # numbers of a pixel; pixels that are computed at once
 _P = 8  # parameters
 _NODE = 0.6  # half the square whose map to pixels is computed [sides]
