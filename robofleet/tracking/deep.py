@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robofleet.settings import FAMILIES
 from robofleet.tracking.families import Squares, dark_squares, patterns, same
-from robofleet.tracking.photometric import Found, PhotometricFit, side_px
+from robofleet.tracking.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags import CORNERS, Findings, Region
 from robofleet.tracking.targets import Target
 
@@ -27,7 +27,7 @@ Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_ALIKE = 0.9  # least correlation of what is seen of a tag with its pattern
+_LIKELY = 0.7  # least correlation of a tag of which each cell is right: light that overflows makes its white larger
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
 _LEAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
@@ -38,6 +38,7 @@ _SAME = 0.12  # places closer than this are of one square [sides]
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
+_SHARPER = 0.25  # of what a cell differs from each of its neighbours: blur took it away
 _HIDDEN = 0.04  # what a cell costs a cover that hides it; a cell as grey as its level costs one that does not 1
 _HIDES = 0.6  # of the rim, or of the paper, that a cover hides and that does not look as if it were seen
 _APART = 2  # bits by which another tag must be worse
@@ -109,8 +110,8 @@ class DeepSearch:
 
         followed: it was there in the image before, so that no other tag of the family can be there.
         """
-        whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
-        if whole.alike[0] > _ALIKE:
+        whole = self._fit.find(image, np.array([target]), np.array([centre]), np.array([psi]))
+        if whole.alike[0] > ALIKE or (whole.alike[0] > _LIKELY and self._is_right(image, whole, target)):
             return whole.found(0, target)
         for may_be_wrong in (_ROUGHLY, _AT_LAST):
             cells = self._cells(image, target, centre, psi)
@@ -120,8 +121,8 @@ class DeepSearch:
             if wrong > may_be_wrong or not cover.any():
                 return None
             guess = np.array([target]), np.array([centre]), np.array([psi])
-            fit = self._fit.fit(image, *guess, hidden=cover[1:-1, 1:-1])
-            if fit.alike[0] <= _ALIKE:
+            fit = self._fit.find(image, *guess, hidden=cover[1:-1, 1:-1])
+            if fit.alike[0] <= ALIKE:
                 return None
             centre, psi = complex(fit.centre[0]), float(fit.psi[0])
             if may_be_wrong == _AT_LAST and not (
@@ -181,7 +182,7 @@ class DeepSearch:
 
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return which squares (M,) by their cells (M, C + 2, C + 2) may be which of the targets, turned how often."""
-        inner = cells[:, 1:-1, 1:-1]
+        inner = _sharp(cells)
         white, black = np.median(cells[:, self._paper], axis=1), np.median(cells[:, self._rim], axis=1)
         half = ((white + black) / 2.0)[:, None]
         good = white - black > _LEAST
@@ -222,6 +223,14 @@ class DeepSearch:
         low, high = np.median(cells[~white]), np.median(cells[white])
         return None if high - low < _LEAST else (cells - low) / (high - low)
 
+    def _is_right(self, image: Image, fit: Fit, target: int) -> bool:
+        """Return whether each cell of a print has the grey that it should have, and paper is around it."""
+        cells = self._cells(image, target, complex(fit.centre[0]), float(fit.psi[0]))
+        if cells is None:
+            return False
+        right = bool(((_sharp(cells[None])[0] > 0.5) == (self._white[target] > 0.5)).all())
+        return right and bool((cells[self._paper] > 0.5).mean() >= _PAPER)
+
     def _cover(self, cells: Array, target: int) -> tuple[NDArray[np.bool_], int]:
         """Return the cells (C + 2, C + 2) that are hidden, as far as that explains, and how many others are wrong."""
         off = np.abs(cells[1:-1, 1:-1] - self._white[target]).ravel().clip(0.0, 1.0)
@@ -245,6 +254,13 @@ class DeepSearch:
             return False
         rim, paper = cells[cover & self._rim], cells[cover & self._paper]
         return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
+
+
+def _sharp(cells: Array) -> Array:
+    """Return the inner cells (M, C, C) of prints and their paper (M, C + 2, C + 2), as if they were less blurred."""
+    inner = cells[:, 1:-1, 1:-1]
+    beside = cells[:, :-2, 1:-1] + cells[:, 2:, 1:-1] + cells[:, 1:-1, :-2] + cells[:, 1:-1, 2:]
+    return inner + _SHARPER * (4.0 * inner - beside)
 
 
 def _grid(count: int, square: int) -> Complex:

@@ -27,6 +27,8 @@ Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _BLUR_PX = 0.9  # expected of a tag that was never fitted: a pixel, and a disc of defocus with a radius of 0.7 px
+_WIDE_PX = 2.2  # of one that is out of focus, or moves
+ALIKE, _MAYBE = 0.9, 0.6  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _NONE = np.zeros((0, 0), np.bool_)
 
 
@@ -102,6 +104,22 @@ class PhotometricFit:
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
             self._blur, self._noise, self._room, *fit,
         )  # fmt: skip
+        return fit
+
+    def find(
+        self, image: NDArray[np.uint8], index: Indices, centre: Complex, psi: Array, hidden: NDArray[np.bool_] = _NONE
+    ) -> Fit:
+        """Return the same of targets that were not followed; what may be one out of focus is fitted with more blur."""
+        fit = self.fit(image, index, centre, psi, hidden=hidden)
+        unlike = np.flatnonzero((fit.alike > _MAYBE) & (fit.alike <= ALIKE))
+        if len(unlike):
+            which, known = index[unlike], (self._blur.copy(), self._noise.copy())
+            self._blur[which], self._noise[which] = _WIDE_PX, 0.0
+            wider = self.fit(image, which, centre[unlike], psi[unlike], hidden=hidden)
+            better = wider.alike > np.maximum(fit.alike[unlike], ALIKE)
+            for one, other in zip(fit, wider, strict=True):
+                one[unlike[better]] = other[better]
+            self._blur[which[~better]], self._noise[which[~better]] = known[0][which[~better]], known[1][which[~better]]
         return fit
 
     def pixels(self, index: Indices, centre: Complex) -> Array:

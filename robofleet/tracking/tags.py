@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.tracking.families import Squares, finder
-from robofleet.tracking.photometric import Found, PhotometricFit, side_px
+from robofleet.tracking.photometric import ALIKE, Found, PhotometricFit, side_px
 from robofleet.tracking.targets import Target
 
 Image = NDArray[np.uint8]
 Complex = NDArray[np.complex128]
 
-_ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _SIZE = (0.8, 1.25)  # of a square on the plane, over the true one
 _SKEW = 0.1  # its corners' largest distance from a true square's [sides]
 _DARK = 110  # an image whose brightest parts are darker than this is brightened first [grey]
@@ -75,8 +74,8 @@ class TagDetector:
         if known is not None:
             new = ~(np.abs(centre - known[found]) < 0.5 * self._sides[found])
             found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
-        fit = self._fit.fit(image, found, centre, psi)
-        good = plausible & (fit.alike > _ALIKE)
+        fit = self._fit.find(image, found, centre, psi)
+        good = plausible & (fit.alike > ALIKE)
         there = fit.of(np.flatnonzero(good))
         tags = (there.found(k, target) for k, target in enumerate(found[good].tolist()))
         return Findings(tuple(tags), len(found) - int(good.sum()))
