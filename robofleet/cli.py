@@ -16,11 +16,11 @@ from robofleet.calibration.commands import entry as laboratory
 from robofleet.clock import utc_now
 from robofleet.doctor import command as doctoring
 from robofleet.experiments import trials
-from robofleet.gateways.foxglove import address as viewers
-from robofleet.gateways.foxglove import command as foxglove_command
 from robofleet.gateways.gamepad import command as gamepad
 from robofleet.gateways.robotarium import command as gateway
 from robofleet.gateways.ros2 import command as ros2
+from robofleet.gateways.viewers import address as viewers
+from robofleet.gateways.viewers import command as viewers_command
 from robofleet.processes import commands, going, join_command, keys_commands, run_commands, usage
 from robofleet.processes.ending import Ending
 from robofleet.processes.log_lines import never_raise
@@ -65,7 +65,7 @@ app.add_typer(trials.app)
 app.add_typer(studies.app)
 app.add_typer(gateway.app)
 app.add_typer(ros2.app)
-app.add_typer(foxglove_command.app)
+app.add_typer(viewers_command.app)
 app.add_typer(gamepad.app)
 app.add_typer(run_commands.app)
 app.add_typer(commands.app)
@@ -88,10 +88,10 @@ Overrides = Annotated[
 
 
 class _RunCommand(TyperCommand):
-    """``run``, whose option --foxglove may stand without a value."""
+    """``run``, whose options --foxglove and --rerun may stand without a value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Add the value that was left out."""
+        """Add the values that were left out."""
         return super().parse_args(ctx, viewers.completed(args))
 
 
@@ -121,7 +121,14 @@ def run(
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
     foxglove: Annotated[
         str | None,
-        typer.Option(metavar="[HOST:PORT]", help=f"Show it in Foxglove or Lichtblick; default: {viewers.DEFAULT}."),
+        typer.Option(
+            metavar="[HOST:PORT]",
+            help=f"Show it in Foxglove or Lichtblick; default: {viewers.DEFAULTS[viewers.FOXGLOVE]}.",
+        ),
+    ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:PORT]", help=f"Show it in rerun; default: {viewers.DEFAULTS[viewers.RERUN]}."),
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit 1 also where a bound of run.bounds is not met.")
@@ -152,8 +159,9 @@ def run(
             tree = _checked(config, changes, faults, lockstep=lockstep)
             if page is not None:
                 page_keys(tree.arena.name, page.host, "--web-host")
-            if foxglove is not None:
-                _refuse_viewers(foxglove, tree, lockstep=lockstep)
+            served = {viewers.FOXGLOVE: foxglove, viewers.RERUN: rerun}
+            shown = {viewer: at for viewer, at in served.items() if at is not None}
+            _refuse_viewers(shown, tree, lockstep=lockstep)
             if strict and not tree.run.bounds.model_dump(exclude_none=True):
                 raise RefusedError(f"--strict: {config} has no bounds: write run.bounds, or leave --strict out")
             if junit is not None:
@@ -164,7 +172,7 @@ def run(
                 tree = _settled(tree)
                 held.enter_context(_claimed(tree, folder))
             new_folder(folder)
-        how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "foxglove": foxglove}
+        how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         with bad_input():
             summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     ending = Ending(tree, folder, summary, as_json=as_json)
@@ -325,12 +333,14 @@ def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> "Pag
     return PageWanted(host or LOOPBACK, browser)
 
 
-def _refuse_viewers(at: str, tree: "Config", *, lockstep: bool) -> None:
+def _refuse_viewers(shown: dict[str, str], tree: "Config", *, lockstep: bool) -> None:
     """Refuse viewers that could not see the run."""
-    if lockstep:
-        raise RefusedError(f"{viewers.OPTION}: a lockstep run ends too soon for viewers: open its run.mcap in one")
-    foxglove_command.need()
-    viewers.Address.read(at).check(tree.arena.name)
+    for viewer, at in shown.items():
+        option = viewers.option(viewer)
+        if lockstep:
+            raise RefusedError(f"{option}: a lockstep run ends too soon for viewers: open its run.mcap in one")
+        viewers_command.need(viewer)
+        viewers.Address.read(viewer, at, option).check(tree.arena.name, option)
 
 
 def _refuse_unattended(tree: "Config") -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer.testing
 from xdist.scheduler import LoadFileScheduling
 
 from tests.compiled_once import compiled_once
@@ -22,6 +23,8 @@ from tests.compiled_once import compiled_once
 # Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# Else each command that a test runs is made anew, of all the others.
+typer.testing._get_command = cache(typer.testing._get_command)
 
 _SAME_PLANT = {
     "tests/control/test_flow_any_plant.py": "double integrator",
@@ -77,11 +80,11 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def _own_modules() -> Iterator[None]:
     """Forget the modules beside configurations that a file of tests loaded: the next has others of that name."""
-    paths, given = list(sys.path), os.environ.get("PYTHONPATH")
+    paths, known, given = list(sys.path), set(sys.modules), os.environ.get("PYTHONPATH")
     yield
     added = {Path(path).resolve() for path in sys.path if path not in paths}
-    for name, module in list(sys.modules.items()):
-        file = getattr(module, "__file__", None)
+    for name in sys.modules.keys() - known if added else ():
+        file = getattr(sys.modules[name], "__file__", None)
         if file and not added.isdisjoint(Path(file).resolve().parents):
             del sys.modules[name]
     sys.path[:] = paths

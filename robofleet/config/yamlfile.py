@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import yaml
@@ -122,22 +123,28 @@ def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Mistake]
 
 def parse_yaml(text: str, source: Source) -> tuple[Node | None, list[Mistake]]:
     """Parse one document: its tree (None when there is none) and its faults."""
+    node, faults = _parsed(text, source)
+    return node, [*faults]
+
+
+@lru_cache(maxsize=64)  # vehicles and paths are named by many configurations, and nobody changes a tree
+def _parsed(text: str, source: Source) -> tuple[Node | None, tuple[Mistake, ...]]:
     try:
         root = _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
-        return None, [_syntax_fault(error, source, text)]
+        return None, (_syntax_fault(error, source, text),)
     except yaml.reader.ReaderError as error:
         message = f"the character {error.character!r} may not stand in YAML"
-        return None, [Mistake(_place_of(source, text[: error.position]), message)]
+        return None, (Mistake(_place_of(source, text[: error.position]), message),)
     except RecursionError:
-        return None, [Mistake(Place(source, 1, 1, source.key), "is nested too deeply")]
+        return None, (Mistake(Place(source, 1, 1, source.key), "is nested too deeply"),)
     except (ValueError, OverflowError) as error:  # an escape beyond Unicode
-        return None, [Mistake(Place(source, 1, 1, source.key), f"is not YAML: {error}")]
+        return None, (Mistake(Place(source, 1, 1, source.key), f"is not YAML: {error}"),)
     if root is None:
-        return None, [Mistake(Place(source, 1, 1, source.key), "is empty: copy configs/platoon.yaml, and change it")]
+        return None, (Mistake(Place(source, 1, 1, source.key), "is empty: copy configs/platoon.yaml, and change it"),)
     walk = _Walk(source)
     node = walk.node(root, source.key, None)
-    return node, walk.faults
+    return node, tuple(walk.faults)
 
 
 def _place_of(source: Source, before: str) -> Place:

@@ -1,5 +1,6 @@
 """Runs a platoon in real time: starts the processes, arms, runs, stops, and leaves nothing behind."""
 
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from robofleet.processes.machine import Silence
 from robofleet.processes.page_process import PageProcess, PageWanted
 from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
-from robofleet.processes.viewers_process import COMMAND as VIEWERS
 from robofleet.processes.viewers_process import ViewersProcess
 from robofleet.recording import busy_machine
 from robofleet.recording.run import Recording, Watch
@@ -69,8 +69,8 @@ class Launcher:
     """One run in real time. ``run`` returns (outcome, cause); ``recording`` has the newest messages, a file all.
 
     ``reset`` clears the latches that an earlier run left; ``take_over`` takes the robots from a controller that still
-    has them, if they stand; ``web`` opens the operator's page, and ``foxglove`` (HOST:PORT) serves viewers: the run
-    needs neither.
+    has them, if they stand; ``web`` opens the operator's page, and ``viewers`` says where each command serves
+    its viewers (HOST:PORT): the run needs neither.
     """
 
     def __init__(
@@ -83,10 +83,10 @@ class Launcher:
         reset: bool = False,
         take_over: bool = False,
         web: PageWanted | None = None,
-        foxglove: str | None = None,
+        viewers: Mapping[str, str] | None = None,
     ) -> None:
         self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
-        self._reset, self._take_over, self._web, self._foxglove = reset, take_over, web, foxglove
+        self._reset, self._take_over, self._web, self._served = reset, take_over, web, viewers or {}
         self._clock = WallClock()
         self.recording = Recording(config)
         self.began = False  # every process was ready: there is something to read and to judge
@@ -105,7 +105,7 @@ class Launcher:
         self._answer: Answer | None = None  # to what a key asked
         self._counted = Interrupts()
         self._page: PageProcess | None = None
-        self._viewers: ViewersProcess | None = None
+        self._viewers: list[ViewersProcess] = []
 
     def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
@@ -122,14 +122,14 @@ class Launcher:
             finally:
                 if self._page is not None:
                     self._page.end()
-                if self._viewers is not None:
-                    self._viewers.end()
+                for viewers in self._viewers:
+                    viewers.end()
                 fleet.reap(self._clock, but=len(self._first))
                 fleet.reap(self._clock, last_word=self.recording.ending())
                 if self._page is not None:
                     self._page.leave(self._clock)
-                if self._viewers is not None:
-                    self._viewers.leave()
+                for viewers in self._viewers:
+                    viewers.leave()
                 for robot in self._config.twins:  # one that was killed has left its port
                     twin_port(self._arena, robot.id).unlink(missing_ok=True)
 
@@ -148,9 +148,9 @@ class Launcher:
         if self._web is not None:
             page = fleet.started(table.PAGE.name, (table.PAGE.name, "--host", self._web.host))
             self._page = PageProcess(page, self._web, self._terminal)
-        if self._foxglove is not None:
-            viewers = fleet.started(VIEWERS, (VIEWERS, "--at", self._foxglove))
-            self._viewers = ViewersProcess(viewers, self._terminal)
+        for command, at in self._served.items():
+            viewers = fleet.started(command, (command, "--at", at))
+            self._viewers.append(ViewersProcess(viewers, self._terminal))
 
         def wait() -> None:
             self._listen()
@@ -341,8 +341,8 @@ class Launcher:
         self._fleet.check(spare=self._trackers)
         if self._page is not None:
             self._page.look()
-        if self._viewers is not None:
-            self._viewers.look()
+        for viewers in self._viewers:
+            viewers.look()
         self._hear_of_silence()
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)

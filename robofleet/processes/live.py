@@ -55,7 +55,8 @@ class LiveView:
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._next_ns = 0
-        self._phase = self._page = self._viewers = self._code = ""
+        self._phase = self._page = self._code = ""
+        self._viewers: dict[str, str] = {}
         self._reached_s = 0.0
         self._overruns_before: int | None = None
         self._shown: tuple[str, bool] = ("", False)  # the phase, and whether it goes on by itself
@@ -81,9 +82,11 @@ class LiveView:
         now_ns = self._clock.now_ns()
         if self._terminal.page != self._page and (self._quiet or self._live is None):
             print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
-        if self._terminal.viewers != self._viewers and (self._quiet or self._live is None):
-            print(self._terminal.viewers, file=sys.stderr)
-        self._page, self._viewers = self._terminal.page, self._terminal.viewers
+        viewers = dict(self._terminal.viewers)
+        for viewer, line in viewers.items():
+            if line != self._viewers.get(viewer) and (self._quiet or self._live is None):
+                print(line, file=sys.stderr)
+        self._page, self._viewers = self._terminal.page, viewers
         self._show_code()
         if phase == "compiling" != self._phase and (self._quiet or self._live is None):
             print(self._terminal.compiling[0].words(), file=sys.stderr)  # also for who wants no live view: it lasts

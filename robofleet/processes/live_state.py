@@ -84,8 +84,8 @@ def keys(terminal: Terminal, phase: str) -> Text:
     text = Text()
     if terminal.page:
         text.append(f"\n{terminal.page}\n", "cyan")
-    if terminal.viewers:
-        text.append(f"\n{terminal.viewers}\n", "cyan")
+    for line in [*terminal.viewers.values()]:  # a thread may add one
+        text.append(f"\n{line}\n", "cyan")
     if terminal.present:
         text.append("\n")
         for key, does in _FIRST_KEYS if phase in WAITING else _KEYS:

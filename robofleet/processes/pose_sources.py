@@ -52,10 +52,10 @@ def compiling(config: Config, say: Say) -> AbstractContextManager[None]:
     if config.tracker.source != "camera":
         return told("truth", arena.KERNELS, say)
     from robofleet.simulation import draw  # noqa: PLC0415 - these load OpenCV
-    from robofleet.tracking import motion, pixels  # noqa: PLC0415
+    from robofleet.tracking import motion, tag_fit  # noqa: PLC0415
 
     simulated = draw.KERNELS if config.camera.source == "simulated" else ()
-    return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *pixels.KERNELS), say)
+    return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *tag_fit.KERNELS), say)
 
 
 class CameraPoses:

@@ -1,6 +1,7 @@
 """A run as the operator sees it: the live view, the terminal's keys, and the summary in the end."""
 
 import sys
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,13 +66,13 @@ def _first(raised: BaseException) -> str:
 
 def in_real_time(
     config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None,
-    foxglove: str | None = None,
+    viewers: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Run with real processes and return the summary."""
     began = _now()
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
         run = Launcher(
-            config, folder, view, terminal, reset=reset, take_over=take_over, web=web, foxglove=foxglove
+            config, folder, view, terminal, reset=reset, take_over=take_over, web=web, viewers=viewers
         )  # fmt: skip
         outcome, cause = run.run()
     recording = _recorded(config, folder) if run.began or outcome != "stopped" else Recording(config)

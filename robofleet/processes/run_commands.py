@@ -16,7 +16,7 @@ import typer
 from robofleet.clock import S, stopwatch_ns
 from robofleet.config.yamlfile import printable
 from robofleet.files import write_bytes
-from robofleet.processes.refusal import RefusedError, bad_input, new_file, new_place
+from robofleet.processes.refusal import RefusedError, bad_input, how_to_install, new_file, new_place
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
@@ -169,7 +169,7 @@ def layout(
         except ModuleNotFoundError as error:
             if not (error.name or "").startswith("rerun"):
                 raise
-            raise RefusedError("rerun: its package is missing, or too old: pip install 'rerun-sdk>=0.37'") from error
+            raise RefusedError(f"rerun: its package is missing, or too old: {how_to_install('rerun')}") from error
         place = out or file.with_name(chosen.file)
         try:
             write_bytes(place, written)

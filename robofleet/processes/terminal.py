@@ -34,7 +34,7 @@ class Terminal:
         self.note = ""  # what the operator should read
         self.compiling: tuple[Progress, ...] = ()  # what each process compiles, before the run begins
         self.page = ""  # where the operator's page is, or that it is gone
-        self.viewers = ""  # where viewers find the run, or that they find it no more
+        self.viewers: dict[str, str] = {}  # where viewers of each kind find the run, or that they find it no more
         self.code = ""  # its address, where a phone can use it: shown once as a QR code
         self.emergency: Callable[[], object] = lambda: None  # called at once, by the thread that hears the keys
         self._before: list[Any] | None = None

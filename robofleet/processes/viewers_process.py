@@ -8,10 +8,9 @@ from contextlib import suppress
 from robofleet.processes.children import Child
 from robofleet.processes.terminal import Terminal
 
-COMMAND = "foxglove"
 _LEAVE_WITHIN_S = 1.2
 _LONGEST_WORD = 1024  # [bytes]
-_GONE = "viewers see nothing more, the run goes on: `robofleet foxglove` serves them again; see {}"
+_GONE = "{0} sees nothing more, the run goes on: `robofleet {0}` serves it again; see {1}"
 
 
 class ViewersProcess:
@@ -25,7 +24,7 @@ class ViewersProcess:
     def look(self) -> None:
         """See whether it is there still."""
         if self._child.died:
-            self._terminal.viewers = _GONE.format(self._child.log)
+            self._terminal.viewers[self._child.name] = _GONE.format(self._child.name, self._child.log)
 
     def end(self) -> None:
         """Say that the run is over."""
@@ -44,4 +43,6 @@ class ViewersProcess:
 
     def _hear(self) -> None:
         with suppress(OSError):
-            self._terminal.viewers = self._child.lifeline.recv(_LONGEST_WORD).decode(errors="replace").strip()
+            said = self._child.lifeline.recv(_LONGEST_WORD).decode(errors="replace").strip()
+            if said:
+                self._terminal.viewers[self._child.name] = said

@@ -12,7 +12,7 @@ from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, schema
 from robofleet.recording.robot_ticks import BATCH, RobotTicks
 from robofleet.recording.scene import Scene
 
-_PROTOBUF = "protobuf"
+PROTOBUF = "protobuf"
 
 Told = Sequence[tuple[str, int, bytes]]  # topic, log time [ns], message
 
@@ -58,6 +58,6 @@ class Drawn:
 
     def _described(self) -> Iterator[Channel]:
         for topic, name, descriptor in self._scene.channels:
-            yield Channel(topic, _PROTOBUF, name, _PROTOBUF, descriptor)
+            yield Channel(topic, PROTOBUF, name, PROTOBUF, descriptor)
         for topic, message in self._ticks.channels:
-            yield Channel(topic, _PROTOBUF, message.name, _PROTOBUF, message.descriptor)
+            yield Channel(topic, PROTOBUF, message.name, PROTOBUF, message.descriptor)

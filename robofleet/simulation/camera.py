@@ -99,14 +99,14 @@ class SceneRenderer:
         """Look from another place from now on."""
         self._geometry = geometry
         plane = self._plane_at(geometry, self._height)
-        plane_x, plane_y = (np.ascontiguousarray(plane[..., axis], dtype=np.float32) for axis in (0, 1))
-        self._plane = plane_x, plane_y
-        near = np.maximum(*np.moveaxis(np.abs(plane - geometry.position[:2]), 2, 0)) < WIDEST * geometry.position[2]
+        self._plane = plane[0].astype(np.float32), plane[1].astype(np.float32)
+        away = plane - geometry.position[:2, None, None]
+        near = np.maximum(*np.abs(away)) < WIDEST * geometry.position[2]
         self._blurs = BLUR_PX * _scales(plane, near)
         self._further = self._further_by(self._heights)
-        self._floor_grays = self._floor.grays(
-            plane + (plane - geometry.position[:2]) * self._further_by(np.zeros(1))[0, 0]
-        )
+        away *= self._further_by(np.zeros(1))[0, 0]
+        plane += away
+        self._floor_grays = self._floor.grays(plane)
         self._light_ground()
 
     def expose(self, exposure_s: float, light: float, noise: float) -> None:
@@ -187,12 +187,20 @@ class SceneRenderer:
         return np.asarray((self._height - below) / (self._geometry.position[2] - self._height), np.float64)
 
     def _plane_at(self, geometry: CameraGeometry, height: float) -> Array:
-        """Return where the pixels' rays meet z = height, (H, W, 2) [m; world]; rays near the horizon: far away."""
+        """Return where the pixels' rays meet z = height, (2, H, W) [m; world]; rays near the horizon: far away."""
         slopes = _slopes(geometry.lens, geometry.K.tobytes(), geometry.distortion.tobytes(), self._size)
         turn, eye = geometry.T_world_camera[:3, :3], geometry.position
-        x, y, z = turn[:, :2] @ slopes + turn[:, 2:]
-        far = (eye[2] - height) / np.maximum(-z, _HORIZON * np.maximum(np.abs(x), np.abs(y)))
-        return np.stack([eye[0] + x * far, eye[1] + y * far], axis=-1).reshape(self._size[1], self._size[0], 2)
+        rays = turn[:, :2] @ slopes
+        rays += turn[:, 2:]
+        down, (ahead, aside) = -rays[2], np.abs(rays[:2])
+        np.maximum(ahead, aside, out=ahead)
+        ahead *= _HORIZON
+        np.maximum(down, ahead, out=down)
+        np.divide(eye[2] - height, down, out=down)
+        points: Array = rays[:2]
+        points *= down
+        points += eye[:2, None]
+        return points.reshape(2, self._size[1], self._size[0])
 
 
 @lru_cache(maxsize=2)  # a camera that moves keeps its lens
@@ -205,11 +213,12 @@ def _slopes(lens: Lens, K: bytes, distortion: bytes, size: tuple[int, int]) -> A
 
 
 def _scales(plane: Array, near: NDArray[np.bool_]) -> Array:
-    """Return metres a pixel (2,) where it is finest, and coarsest, of the map (H, W, 2) where it is ``near``."""
-    d_u, d_v = plane[1:, 1:] - plane[1:, :-1], plane[1:, 1:] - plane[:-1, 1:]
-    scale = np.sqrt(np.abs(d_u[..., 0] * d_v[..., 1] - d_u[..., 1] * d_v[..., 0]))
-    scale = scale[near[1:, 1:]]
-    return np.array([scale.min(), scale.max()])
+    """Return metres a pixel (2,) where it is finest, and coarsest, of the map (2, H, W) where it is ``near``."""
+    here = plane[:, 1:, 1:]
+    d_u, d_v = here - plane[:, 1:, :-1], here - plane[:, :-1, 1:]
+    area = np.abs(d_u[0] * d_v[1] - d_u[1] * d_v[0])
+    inside = near[1:, 1:]
+    return np.sqrt([area.min(where=inside, initial=np.inf), area.max(where=inside, initial=0.0)])
 
 
 def _uneven_light(u: Array, v: Array, rng: np.random.Generator) -> Array32:

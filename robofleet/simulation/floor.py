@@ -26,11 +26,12 @@ class Floor:
         self, seen: Array, eye: Array, side: float, blur_px: float, rng: np.random.Generator,
         obstacles: Sequence[Array] = (),
     ) -> None:  # fmt: skip
-        """Take the points (..., 2) [m] that are seen, from ``eye`` (3,), the side of the prints [m], and the outlines
+        """Take the points (2, ...) [m] that are seen, from ``eye`` (3,), the side of the prints [m], and the outlines
         (K, 2) [m] of what stands on the floor: it hides nothing but floor."""
-        seen = np.clip(seen.reshape(-1, 2), eye[:2] - WIDEST * eye[2], eye[:2] + WIDEST * eye[2])
-        self._low = seen.min(0) - _AROUND_M
-        w, h = np.ceil((seen.max(0) + _AROUND_M - self._low) / _PIXEL_M).astype(int) + 1
+        out = WIDEST * eye[2]
+        low, high = (np.clip(end(seen, axis=(1, 2)), eye[:2] - out, eye[:2] + out) for end in (np.min, np.max))
+        self._low = low - _AROUND_M
+        w, h = np.ceil((high + _AROUND_M - self._low) / _PIXEL_M).astype(int) + 1
         size = np.array([w, h])
         wood = rng.integers(120, 150, (12, 20), dtype=np.uint8)
         floor = np.asarray(cv2.resize(wood, (w, h), interpolation=cv2.INTER_CUBIC), np.uint8)
@@ -55,9 +56,9 @@ class Floor:
         self._grays = np.asarray(cv2.GaussianBlur(floor, (0, 0), blur_px * 1.5), np.uint8)  # a pixel is about 1.5
 
     def grays(self, points: Array) -> Array:
-        """Return the greys (H, W) at points (H, W, 2) of the floor [m]."""
-        at = ((points - self._low) / _PIXEL_M).astype(np.float32)
-        grays = cv2.remap(self._grays, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        """Return the greys (H, W) at points (2, H, W) of the floor [m]."""
+        x, y = (((at - low) / _PIXEL_M).astype(np.float32) for at, low in zip(points, self._low, strict=True))
+        grays = cv2.remap(self._grays, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(grays, np.float64)
 
 

@@ -1,7 +1,7 @@
 """Places tags to a hundredth of a pixel by the greys of their whole pattern, and says how surely.
 
 A tag's neighbourhood on its plane maps to pixels by a quadratic, fitted in nine nodes that go through the whole camera
-model: lens, tilt, height, and under a rolling shutter the way that the tag covers from row to row. ``pixels.py``
+model: lens, tilt, height, and under a rolling shutter the way that the tag covers from row to row. ``tag_fit.py``
 compares each pixel with the pattern. The correlation with the pattern says whether it is this tag: another id of the
 family reaches 0.65.
 
@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.settings import FAMILIES
-from robofleet.tracking import pixels
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.covariance import Covariance, covariance
 from robofleet.tracking.families import pattern
+from robofleet.tracking.pixels import vertices
+from robofleet.tracking.tag_fit import fit_tags
+from robofleet.tracking.tag_map import quadratic
 from robofleet.tracking.targets import Target
 
 Array = NDArray[np.float64]
@@ -72,10 +74,9 @@ class PhotometricFit:
         self.family = targets[0].family
         self._wholes = np.array([target.whole for target in targets])
         self.heights = np.array([target.height for target in targets])
-        self._prints = np.stack([pixels.vertices(pattern(target.tag, self.family)) for target in targets])
+        self._prints = np.stack([vertices(pattern(target.tag, self.family)) for target in targets])
         self._blur, self._noise = np.full(len(targets), _BLUR_PX), np.zeros(len(targets))
-        self._to_quadratic = pixels.quadratic()
-        self._room = np.empty((pixels.SLOTS, pixels.CHUNK), np.float32)
+        self._to_quadratic = quadratic()
         self.fit(
             np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, np.complex128), np.zeros(1)
         )  # compiles, or loads
@@ -99,10 +100,10 @@ class PhotometricFit:
         if velocity is None or omega is None:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
-        pixels.fit_tags(
+        fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            self._blur, self._noise, self._room, *fit,
+            self._blur, self._noise, *fit,
         )  # fmt: skip
         return fit
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from robofleet.clock import S
 from robofleet.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.covariance import UNKNOWN, Covariance, covariance
+from robofleet.tracking.covariance import UNKNOWN, Covariance, covariances
 from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.motion import measure, predict
@@ -85,7 +85,7 @@ class TagTracker:
         self._detector = TagDetector(self._fit, targets)
         self._deep = DeepSearch(self._fit, targets)
         self._sides = np.array([target.side for target in targets])
-        self._lies_still = np.array([target.max_speed == 0.0 for target in targets])
+        self._drives = np.array([target.max_speed != 0.0 for target in targets])
         self._pixels_per_m = side_px(geometry, targets[0]) / targets[0].side
         self._centre = np.full(n, np.nan, np.complex128)  # of the newest measurement [m; world]
         self._psi = np.zeros(n)
@@ -133,18 +133,19 @@ class TagTracker:
         """
         self._refused = 0
         followed = np.flatnonzero(self._followed)
+        expected = followed.tolist()
         measured: set[int] = set()
         if place is not None:
-            still = self._lies_still[followed]
-            measured = self._expected(image, exposure_ns, followed[still], {int(i) for i in followed[~still]})
+            drives = self._drives[followed]
+            measured = self._expected(image, exposure_ns, followed[~drives], set(followed[drives].tolist()))
             lying = np.array(sorted(measured), np.int64)
             centre, before = self._centre[lying], self.geometry
             place(self._sightings(lying.tolist(), exposure_ns))
             if measured and self.geometry is not before:
                 self._carry(lying, centre, before)
-            followed = followed[~still]
+            followed = followed[drives]
         measured |= self._expected(image, exposure_ns, followed, measured)
-        hidden = [int(i) for i in np.flatnonzero(self._followed) if i not in measured]
+        hidden = [i for i in expected if i not in measured]
         measured |= self._scan(image, exposure_ns, measured)
         poses = self._sightings(sorted(measured), exposure_ns)
         poses += self._coast(exposure_ns, [i for i in hidden if i not in measured])
@@ -162,7 +163,7 @@ class TagTracker:
     def _expected(self, image: Image, exposure_ns: int, index: Indices, others: set[int]) -> set[int]:
         """Measure followed tags; returns those that are there. ``others`` are expected elsewhere, or were found."""
         measured = self._follow(image, exposure_ns, index)
-        hidden = [int(i) for i in index if i not in measured]
+        hidden = [i for i in index.tolist() if i not in measured]
         return measured | self._search(image, exposure_ns, hidden, measured | others)
 
     def _follow(self, image: Image, exposure_ns: int, index: Indices) -> set[int]:
@@ -171,6 +172,9 @@ class TagTracker:
             return set()
         centre, psi, velocity = self._predicted(index, exposure_ns)
         fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
+        if (fit.alike >= CLEAR).all():
+            self._measure(index, fit, exposure_ns)
+            return set(index.tolist())
         there = np.flatnonzero(fit.alike > self._alike)
         for k in there[fit.alike[there] < CLEAR][:_SEARCHES].tolist():
             tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
@@ -185,7 +189,7 @@ class TagTracker:
 
     def _measure(self, index: Indices, fit: Fit, exposure_ns: int) -> None:
         """Take measured poses, and the motion since the ones before."""
-        moving = self._followed & ~self._lies_still
+        moving = self._followed & self._drives
         measure(index, exposure_ns, self._line_ns, moving, fit.centre, fit.psi, fit.row, *self._motion)
         self._covariance[index] = fit.covariance
         self._followed[index] = True
@@ -267,7 +271,7 @@ class TagTracker:
     def _scan(self, image: Image, exposure_ns: int, measured: set[int]) -> set[int]:
         """Search a tile, or the whole image at first and while nothing is followed; returns those that are believed."""
         beginning = self._images < _BEGINNING and not self._measured_ns.all()
-        whole = beginning or not self._followed.any()
+        whole = beginning or not (measured or self._followed.any())
         known = np.full_like(self._centre, np.nan)
         known[list(measured)] = self._centre[list(measured)]
         look = self._detector.detect(image, known=known) if whole else self._sweep.search(image, self._images, known)
@@ -298,6 +302,8 @@ class TagTracker:
 
     def _deeper(self, look: Findings, image: Image, known: Complex) -> Findings:
         """Search a tile deeper if a tag is missing that a look did not find; return all that was found."""
+        if self._followed.all():
+            return look
         missing = ~self._followed
         missing[[tag.target for tag in look.tags]] = False
         if not missing.any():
@@ -353,7 +359,8 @@ class TagTracker:
         """Return what was measured in this image."""
         centre, psi = self._centre[index].tolist(), self._psi[index].tolist()
         after_ns = (self._measured_ns[index] - exposure_ns).tolist()
+        spread = covariances(self._covariance[index])
         return [
-            TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0, covariance(self._covariance[i]))
-            for i, z, angle, after in zip(index, centre, psi, after_ns, strict=True)
+            TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0, six)
+            for i, z, angle, after, six in zip(index, centre, psi, after_ns, spread, strict=True)
         ]

@@ -74,7 +74,7 @@ def _write_and_arrive(descriptor: int, data: Any, /) -> int:
     end = terminal(descriptor)
     if end is None:
         return _write(descriptor, data)
-    other = next((d for d in open_descriptors() if terminal(d) == (end[0], not end[1])), None)
+    other = _open_end(end[0], not end[1])
     before = _UNREAD if other is None else _asked(other, termios.FIONREAD)
     written = _write(descriptor, data)
     if other is not None and before < _UNREAD:
@@ -83,6 +83,19 @@ def _write_and_arrive(descriptor: int, data: Any, /) -> int:
         while _asked(other, termios.FIONREAD) < min(before + written, _UNREAD) and clock.now_ns() < deadline_ns:
             clock.sleep_until(clock.now_ns() + MS // 20)
     return written
+
+
+_found: dict[tuple[int, bool], int] = {}  # where an end was last: a search for each write takes longer than all else
+
+
+def _open_end(*end: *tuple[int, bool]) -> int | None:
+    """Return the descriptor of an end of a pseudo-terminal that this process has open."""
+    if (before := _found.get(end)) is not None and terminal(before) == end:
+        return before
+    found = next((d for d in open_descriptors() if terminal(d) == end), None)
+    if found is not None:
+        _found[end] = found
+    return found
 
 
 def _asked(descriptor: int, what: int) -> int:

@@ -13,45 +13,27 @@ import pytest
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.comms.bus import Arrival
 from robofleet.config.load import load_config
-from robofleet.config.tree import Config
 from robofleet.gateways.asking import SERVICES, Asked
-from robofleet.gateways.foxglove.address import DEFAULT, Address, completed
-from robofleet.gateways.foxglove.kept import Kept
-from robofleet.gateways.foxglove.live import Viewers
-from robofleet.gateways.foxglove.server import Server
-from robofleet.gateways.foxglove.services import services
+from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, Address, completed
+from robofleet.gateways.viewers.foxglove.server import Server
+from robofleet.gateways.viewers.foxglove.services import services
+from robofleet.gateways.viewers.kept import Kept
+from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.processes import refusal
-from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.refusal import RefusedError
-from robofleet.recording.channels import keys
-from robofleet.recording.log import RunLog
+from robofleet.recording.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
+from tests.gateways.overheard import EPOCH_NS, Overheard
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+DEFAULT = DEFAULTS[FOXGLOVE]
 HERE = Address("127.0.0.1", 0)
-EPOCH_NS = 1_790_000_000 * 10**9
 KEY = "the operator's key"
 TOLD_ONCE = {"/arena", "/fleet", "/tf_static", "/camera/calibration", "/log"}
-
-
-class Heard:
-    """All that was said, once for each who asks."""
-
-    dropped = 0
-
-    def __init__(self, said: list[Arrival]) -> None:
-        self._said, self._taken = said, 0
-
-    def drain(self) -> list[Arrival]:
-        new = self._said[self._taken :]
-        self._taken = len(self._said)
-        return new
 
 
 class Seen(NamedTuple):
@@ -63,45 +45,34 @@ class Seen(NamedTuple):
 
 
 async def looked_at(folder: Path) -> Seen:
-    config = load_config(PLATOON, ["run.duration_s=1"])
-    run = Lockstep(config)
-    said: list[Arrival] = []
-    heard = set(keys(config))
+    heard = Overheard(load_config(PLATOON, ["run.duration_s=1"]))
+    servers: list[Server] = []
 
-    def tap(message: tuple[str, bytes]) -> None:
-        if message[0] in heard:
-            said.append(Arrival(run.clock.now_ns(), *message))
+    def opened(channels: Sequence[Channel]) -> Opened:
+        servers.append(Server(heard.config.arena.name, HERE, None, channels, []))
+        return Opened(servers[0], "")
 
-    run.bus.tap(tap)
-    with closing(Viewers(config, Heard(said), HERE, [], EPOCH_NS)) as viewers:
+    with closing(Viewers(heard.config, heard, opened, EPOCH_NS)) as viewers:
+        (server,) = servers
 
         async def subscribed(of: Viewer, already: int) -> None:
             await of.until(lambda: of.channels)
-            while viewers.subscriptions < already + len(of.channels):
+            while server.subscriptions < already + len(of.channels):
                 await asyncio.sleep(0.01)
-            viewers.step(run.clock.now_ns())
+            viewers.step(heard.now_ns)
 
-        url = f"ws://127.0.0.1:{viewers.port}"
+        url = f"ws://127.0.0.1:{server.port}"
         async with viewer(url) as first, viewer(url) as second:
             early, late = Viewer(first), Viewer(second)
             await subscribed(early, 0)
-            assert run.run() == ("completed", None)
-            viewers.step(run.clock.now_ns())
-            viewers.rest()
-            recorded = recording_of(folder / "run.mcap", config, said)
+            assert heard.run.run() == ("completed", None)
+            viewers.step(heard.now_ns)
+            viewers.rest(heard.now_ns)
+            recorded = heard.recorded(folder / "run.mcap")
             await early.until(lambda: len(early.messages) >= len(recorded))
             await subscribed(late, len(early.channels))
             await late.until(lambda: set(late.counts) >= TOLD_ONCE)
     return Seen(recorded, early, late)
-
-
-def recording_of(file: Path, config: Config, said: list[Arrival]) -> list[Message]:
-    with RunLog(file, config, epoch_ns=EPOCH_NS) as log:
-        for at_ns, full, payload in said:
-            log.add(full, payload, at_ns)
-    with file.open("rb") as stream:
-        messages = make_reader(stream).iter_messages(log_time_order=False)
-        return [Message(channel.topic, message.log_time, message.data) for _, channel, message in messages]
 
 
 @pytest.fixture(scope="module")
@@ -223,5 +194,5 @@ def test_without_the_library_a_line_says_what_brings_it(monkeypatch: pytest.Monk
 
 def test_an_address_that_others_reach_needs_a_certificate() -> None:
     with pytest.raises(RefusedError, match="robofleet keys"):
-        Address("192.0.2.7", 8765).check("nowhere")
+        Address("192.0.2.7", 8765).check("nowhere", "--foxglove")
     assert Address("192.0.2.7", 8765).url(8765) == "wss://192.0.2.7:8765"

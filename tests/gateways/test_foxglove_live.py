@@ -81,7 +81,7 @@ def test_a_run_goes_on_whose_server_of_viewers_is_killed(run: RealRun) -> None:
     try:
         run.wait_until_running()
         run.kill("foxglove")
-        run.wait_for(lambda: "viewers see nothing more, the run goes on" in run.said)
+        run.wait_for(lambda: "foxglove sees nothing more, the run goes on" in run.said)
         assert run.ended() == 0, run.said
     finally:
         run.clean_up()

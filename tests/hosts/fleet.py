@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from typer.testing import CliRunner
 
+from robofleet.cli import app
 from tests.hosts.network import Host, Network
-from tests.processes.realrun import PLATOON
+from tests.processes.realrun import PLATOON, newest
 
 PORT = 7447
 ALONE = "desk", "phone"
@@ -22,16 +24,23 @@ def join(network: Network, robots: tuple[str, ...], radio: str | None = None) ->
     ``radio``: the host by which the robots reach the router; None: they reach it themselves.
     """
     lab = network["lab"]
-    said(lab, "keys", "init", "platoon")
+    kept(lab, "keys", "init", "platoon")
     reached = [lab.address] if radio is None else [lab.address, network[radio].address]
-    said(lab, "keys", "add", "platoon", "router", *(word for address in reached for word in ("--address", address)))
+    kept(lab, "keys", "add", "platoon", "router", *(word for address in reached for word in ("--address", address)))
     who = {**{robot: (robot, "unit") for robot in robots}, "desk": (OPERATOR, "operator"), "phone": (VIEWER, "viewer")}
     for host, (name, kind) in who.items():
-        said(lab, "keys", "add", "platoon", name, "--kind", kind)
+        kept(lab, "keys", "add", "platoon", name, "--kind", kind)
         file = lab.folder / f"{name}.bundle"
         router = f"quic/{reached[-1] if host in robots else lab.address}:{PORT}"
-        said(lab, "keys", "bundle", "platoon", name, "--router", router, "--out", str(file))
-        assert "the keys of" in said(network[host], "join", str(file))
+        kept(lab, "keys", "bundle", "platoon", name, "--router", router, "--out", str(file))
+        assert "the keys of" in kept(network[host], "join", str(file))
+
+
+def kept(host: Host, *words: str) -> str:
+    """Return what a command says that only reads and writes a host's files: it runs in this process."""
+    done = CliRunner().invoke(app, [*words], env=host.environment)
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
 
 
 def said(host: Host, *words: str) -> str:
@@ -86,6 +95,10 @@ class Fleet:
         """Return where the run is, as the laboratory sees it."""
         found = self.network["lab"].robofleet("status", "--json")
         return str(yaml.safe_load(found.stdout)["phase"]) if found.returncode == 0 else ""
+
+    def tells(self, name: str, where: str) -> bool:
+        """Return whether the newest that a run says is that it is there: a look at its log costs nothing."""
+        return newest(self.log(name)).startswith(where)
 
     def log(self, name: str) -> str:
         """Return what a run said."""

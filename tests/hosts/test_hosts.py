@@ -39,7 +39,7 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
     with ExitStack() as stack:
         fleet = Fleet(net, robots, stack)
         run = fleet.run(file, "first", "--set", "tracker.source=truth")
-        assert wait(lambda: fleet.phase() == "running" or run.poll() is not None, 150), fleet.log("first")
+        assert wait(lambda: fleet.tells("first", "running") or run.poll() is not None, 150), fleet.log("first")
         assert run.poll() is None, fleet.log("first")
 
         hosts = yaml.safe_load(said(net["lab"], "hosts", "--json"))["units"]
@@ -51,17 +51,18 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
         assert all(one["state"] == "drives" and one["round_trip_ms"] for one in seen)
 
         assert net["phone"].robofleet("hold").stdout.startswith("ok")
-        assert wait(lambda: fleet.phase() == "hold", 20)
+        assert wait(lambda: fleet.tells("first", "held: hold requested"), 20), fleet.log("first")
+        assert fleet.phase() == "hold"
         refused = net["phone"].robofleet("resume")
         assert refused.returncode == 1
         assert fleet.phase() == "hold"
         assert net["desk"].robofleet("resume").stdout.startswith("ok")
-        assert wait(lambda: fleet.phase() == "running", 20)
+        assert wait(lambda: fleet.tells("first", "running"), 20), fleet.log("first")
 
         with net.cut("r2"):
-            assert wait(lambda: fleet.phase() != "running", 20), "a robot that nobody reaches does not stop the run"
+            assert wait(lambda: fleet.tells("first", "held"), 20), "a robot that nobody reaches does not stop the run"
         assert wait(lambda: net["desk"].robofleet("resume").stdout.startswith("ok"), 30)
-        assert wait(lambda: fleet.phase() == "running", 20), "a robot whose link is back drives again"
+        assert wait(lambda: fleet.tells("first", "running"), 20), "a robot whose link is back drives again"
 
         stopped = net["desk"].robofleet("stop")
         assert stopped.stdout.startswith("emergency stop of platoon: every robot acknowledged"), stopped.stderr

@@ -15,7 +15,9 @@ from typing import Any
 
 import psutil
 import yaml
+from typer.testing import CliRunner, Result
 
+from robofleet.cli import app
 from robofleet.clock import MS, S, WallClock
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
@@ -37,12 +39,15 @@ ALONE = of_robots("r1")
 
 
 def wait(condition: Callable[[], Any], within_s: float) -> bool:
-    """Return as soon as the condition holds, or False after a while."""
-    deadline_ns = CLOCK.now_ns() + round(within_s * S)
+    """Return as soon as the condition holds, or False after a while. Who looks leaves the machine to the others."""
+    began_ns = CLOCK.now_ns()
+    deadline_ns = began_ns + round(within_s * S)
     while not condition():
-        if CLOCK.now_ns() > deadline_ns:
+        now_ns = CLOCK.now_ns()
+        if now_ns > deadline_ns:
             return False
-        CLOCK.sleep_until(CLOCK.now_ns() + 10 * MS)
+        CLOCK.sleep_until(now_ns + max(10 * MS, 3 * (now_ns - began_ns)))
+        began_ns = CLOCK.now_ns()
     return True
 
 
@@ -53,6 +58,12 @@ def own_folders(folder: Path) -> dict[str, str]:
     for name in names.values():
         (folder / name).mkdir(exist_ok=True)
     return os.environ | {variable: str(folder / name) for variable, name in names.items()}
+
+
+def newest(said: str) -> str:
+    """Return the newest line of what a run said that tells where it is: it tells so again and again."""
+    told = (line for line in reversed(said.splitlines()) if line.startswith(("waiting", "armed", "running", "held")))
+    return next(told, "")
 
 
 def fill(descriptor: int) -> None:
@@ -106,6 +117,10 @@ class RealRun:
         command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
         return subprocess.Popen(command, env=self.environment, stdout=subprocess.DEVNULL)
 
+    def asked(self, *arguments: str) -> Result:
+        """Do something to the run from another terminal, by a command that runs in this process: it costs less."""
+        return CliRunner().invoke(app, [*arguments], env=self.environment)
+
     def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Do something to the run from another terminal."""
         command = [sys.executable, "-W", "error", "-m", "robofleet", *arguments]
@@ -137,8 +152,13 @@ class RealRun:
         """Return what every robot's driver keeps of its latch for its next start."""
         return {file.stem: json.loads(file.read_text())["latch"] for file in sorted(self.latches.glob("*.json"))}
 
+    @property
+    def newest(self) -> str:
+        """Where it is: the newest line that tells that."""
+        return newest(self.said)
+
     def wait_until_running(self) -> None:
-        self.wait_for(lambda: "\nrunning" in self.said)
+        self.wait_for(lambda: self.newest.startswith("running"))
 
     def wait_for(self, condition: Callable[[], Any]) -> None:
         """Wait for something to happen in a run that has not ended."""

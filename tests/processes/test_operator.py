@@ -7,14 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from robofleet.cli import app
 from robofleet.clock import S
 from robofleet.comms.keys import TICK, key
 from robofleet.processes.keeping import FileKeeping, Kept
 from robofleet.processes.replay import replay
 from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
-from tests.processes.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, wait
+from tests.processes.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, own_folders, wait
 
 Start = Callable[..., RealRun]
 
@@ -34,12 +36,12 @@ def test_a_run_is_armed_started_held_and_resumed_by_keys_and_from_another_termin
     assert mode(run) != before, "single keys, without Enter"
     run.press(b"a")
     run.wait_for(lambda: "armed: every check is passed" in run.said)
-    started = run.robofleet("start")
-    assert started.returncode == 0, started.stderr
+    started = run.asked("start")
+    assert started.exit_code == 0, started.stderr
     run.wait_until_running()
     run.press(b"h")
-    run.wait_for(lambda: "\nheld: hold requested" in run.said)
-    found = json.loads(run.robofleet("status", "--json").stdout)
+    run.wait_for(lambda: run.newest.startswith("held: hold requested"))
+    found = json.loads(run.asked("status", "--json").stdout)
     assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
     assert found["next"] == "the run is held: resume it, or stop it"
     assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
@@ -48,22 +50,22 @@ def test_a_run_is_armed_started_held_and_resumed_by_keys_and_from_another_termin
     assert 0 < robot["battery"] <= 1
     assert 0 <= robot["age_ms"] < 500, "not silent"
 
-    second = run.robofleet("run", str(PLATOON), "--out", str(run.folder / "second"))
-    assert second.returncode == 2
+    second = run.asked("run", str(PLATOON), "--out", str(run.folder / "second"))
+    assert second.exit_code == 2
     assert f"the arena platoon has a run already, in {run.folder} since " in second.stderr
     assert f"`kill {run.launcher.pid}`" in second.stderr
     assert not (run.folder / "second").exists()
 
-    refused = run.robofleet("reset")
-    assert (refused.returncode, refused.stdout) == (1, "")
+    refused = run.asked("reset")
+    assert (refused.exit_code, refused.stdout) == (1, "")
     assert refused.stderr.startswith("refused: ")
     run.press(b"x")  # means nothing
     run.press(b"r")
-    run.wait_for(lambda: run.said.count("\nrunning") == 2)
-    assert run.robofleet("hold", "platoon").stdout == "ok\n"
-    run.wait_for(lambda: run.said.count("\nheld: hold requested") == 2)
-    assert run.robofleet("resume").stdout == "ok\n"
-    run.wait_for(lambda: run.said.count("\nrunning") == 3)
+    run.wait_until_running()
+    assert run.asked("hold", "platoon").stdout == "ok\n"
+    run.wait_for(lambda: run.newest.startswith("held: hold requested"))
+    assert run.asked("resume").stdout == "ok\n"
+    run.wait_until_running()
 
     run.press(b"e")
     assert run.ended() == 1
@@ -170,12 +172,10 @@ def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run:
     assert run.children() == []
 
 
-def test_without_a_run_there_is_nothing_to_stop(real_run: Start, tmp_path: Path) -> None:
-    run = real_run("--duration", "-1")  # refused
-    assert run.ended() == 2
+def test_without_a_run_there_is_nothing_to_stop(tmp_path: Path) -> None:
     for command in ("stop", "hold", "resume", "reset", "status"):
-        done = run.robofleet(command)
-        assert (done.returncode, done.stdout) == (2, ""), command
+        done = CliRunner().invoke(app, [command], env=own_folders(tmp_path))
+        assert (done.exit_code, done.stdout) == (2, ""), command
         where = f"{tmp_path}/tmp/robofleet or {tmp_path}/rt/robofleet"
         assert done.stderr == f"no arena has a run in {where}: start one with `robofleet run CONFIG`\n", command
 

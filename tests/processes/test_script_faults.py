@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from typer.testing import CliRunner
 
+from robofleet.cli import app
 from robofleet.clock import MS
 from robofleet.comms.keys import WISH, key
 from robofleet.comms.messages import SCRIPT_WISH
@@ -67,10 +69,7 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script(alone_for_a_module: No
     assert said["groups"]["script"]["kept"] == {"rounds": 3}
     assert said == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert np.abs(Run(read(tmp_path / "run")).items["left_rad_s"]).max() > 0.0
-    listed = subprocess.run(
-        [sys.executable, "-m", "robofleet", "status"], env=environment, capture_output=True, text=True, check=False
-    )
-    assert "no arena has a run" in listed.stderr
+    assert "no arena has a run" in CliRunner().invoke(app, ["status"], env=environment).stderr
 
 
 @pytest.mark.slow
@@ -131,10 +130,11 @@ class Scripts:
         return (self._folder / f"script{self.said}.stderr").read_text()
 
     def status(self) -> str:
-        return self.run.robofleet("status", "--json").stdout
+        return self.run.asked("status", "--json").stdout
 
-    def wait_until_held(self, cause: str) -> None:
-        assert wait(lambda: cause in self.status() and "hold" in self.status(), WITHIN_S), self.status()
+    def held(self, cause: str) -> int:
+        """Return how many times the run has been held by a cause; its terminal names the group, too."""
+        return self.run.said.count(f"\nheld: {cause.replace('its group', 'its group script')}")
 
 
 @pytest.fixture(scope="module")
@@ -199,10 +199,12 @@ FAST = "killed", "raises"  # one of each event; what else is silent is silent al
 )
 def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scripts: Scripts, case: str) -> None:
     body, strike, event = CASES[case]
-    before = len(stops(read(scripts.run.folder)))
+    before, held = len(stops(read(scripts.run.folder))), scripts.held(WORDS[event])
     script = scripts.start(body)
     strike(script)
-    scripts.wait_until_held(WORDS[event])
+    assert wait(lambda: scripts.held(WORDS[event]) > held, WITHIN_S), scripts.run.said
+    found = json.loads(scripts.status())
+    assert found["phase"] == "hold" and WORDS[event] in found["cause"]
     script.kill()
     script.wait()
     if event is Event.SCRIPT_FAILED:
@@ -220,7 +222,7 @@ def test_a_script_that_ends_well_leaves_a_run_that_goes_on_with_robots_that_stan
     assert script.wait(WITHIN_S) == 0, scripts.errors
     run = Run(read(scripts.run.folder))
     assert wait(lambda: stands(scripts.run.folder), WITHIN_S)
-    assert '"phase": "running"' in scripts.status()
+    assert json.loads(scripts.status())["phase"] == "running"
     assert len(stops(read(scripts.run.folder))) == before
     assert np.abs(run.items["left_rad_s"]).max() > 0.0
 

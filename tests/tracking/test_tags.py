@@ -1,4 +1,5 @@
 import math
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -23,12 +24,10 @@ MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overh
 GEOMETRY = CameraGeometry.from_model(MODEL)
 
 
+@cache
 def detector(ids: tuple[int, ...] = IDS, side: float = SIDE_M) -> TagDetector:
     targets = [Target(tag, side, HEIGHT_M, 0.2) for tag in ids]
     return TagDetector(PhotometricFit(GEOMETRY, targets), targets)
-
-
-DETECTOR = detector()
 
 
 def scene(ids: tuple[int, ...] = IDS, seed: int = 1) -> SceneRenderer:
@@ -61,7 +60,7 @@ def measure(renderer: SceneRenderer, frames: int) -> tuple[NDArray[np.float64], 
     errors, false = [], 0
     for _ in range(frames):
         truth = random_poses(rng)
-        findings = DETECTOR.detect(renderer.render(truth))
+        findings = detector().detect(renderer.render(truth))
         false += findings.refused
         for target, centre, psi, _ in findings.tags:
             x_true, y_true, psi_true = truth[target]
@@ -87,7 +86,7 @@ def test_poses_all_over_the_arena(renderer: SceneRenderer) -> None:
 def test_moving_tag_is_found_where_it_is_at_mid_exposure(renderer: SceneRenderer) -> None:
     poses, velocities = np.full((4, 3), np.nan), np.zeros((4, 3))
     poses[0], velocities[0] = (0.3004, 0.2, 0.506), (0.2, 0.0, 3.0)  # for 4 ms
-    (seen,) = DETECTOR.detect(renderer.render(poses, velocities)).tags
+    (seen,) = detector().detect(renderer.render(poses, velocities)).tags
     assert abs(seen.centre - (0.3004 + 0.2j)) < 2e-4
     assert seen.psi == pytest.approx(0.506, abs=0.003)
 
@@ -98,7 +97,7 @@ def test_printed_right_is_forward_and_top_is_left() -> None:
     for quarters, heading in ((0, 0.0), (1, 90.0), (2, 180.0), (3, -90.0)):
         image = np.full((720, 1280), 120, np.uint8)
         image[300:330, 700:730] = np.rot90(marker, quarters)  # counter-clockwise on the screen
-        (seen,) = DETECTOR.detect(image).tags
+        (seen,) = detector().detect(image).tags
         assert IDS[seen.target] == 40
         assert abs(math.remainder(math.degrees(seen.psi) - heading, 360.0)) < 1.0
         # Its pixels are 703 to 726 and 303 to 326: with centres at integers, the middle is at 714.5, 314.5.
@@ -109,7 +108,7 @@ def test_printed_right_is_forward_and_top_is_left() -> None:
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_nothing_false_in_clutter(seed: int) -> None:
     empty, nobody = scene(seed=seed), np.full((4, 3), np.nan)
-    assert all(DETECTOR.detect(empty.render(nobody)) == Findings((), 0) for _ in range(10))
+    assert all(detector().detect(empty.render(nobody)) == Findings((), 0) for _ in range(10))
 
 
 def test_print_that_only_reads_like_a_tag_is_refused() -> None:
@@ -118,29 +117,29 @@ def test_print_that_only_reads_like_a_tag_is_refused() -> None:
         marker[2, 1 : 1 + flipped] = 255 - marker[2, 1 : 1 + flipped]
         image = np.full((720, 1280), 120, np.uint8)
         image[300:330, 700:730] = np.kron(np.pad(marker, 1, constant_values=255), np.ones((3, 3), np.uint8))
-        findings = DETECTOR.detect(image)
+        findings = detector().detect(image)
         assert (len(findings.tags), findings.refused) == (expected, 1 - expected)
 
 
 def test_same_tag_twice_is_found_twice() -> None:
     twice = scene((1, 1, 2))
     image = twice.render(still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), (0.0, 0.5, 2.0)]))
-    assert sorted(found.target for found in DETECTOR.detect(image).tags) == [0, 0, 1]
+    assert sorted(found.target for found in detector().detect(image).tags) == [0, 0, 1]
 
 
 def test_only_what_is_whole_in_the_region_is_found(renderer: SceneRenderer) -> None:
     image = renderer.render(still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), (0.0, 0.5, 2.0), (0.0, -0.5, 0.0)]))
     (u, v), _ = GEOMETRY.project(np.array([(-0.5, 0.0, HEIGHT_M), (0.5, 0.0, HEIGHT_M)])).astype(int)
-    (found,) = DETECTOR.detect(image, Region(u - 40, v - 40, u + 40, v + 40)).tags
+    (found,) = detector().detect(image, Region(u - 40, v - 40, u + 40, v + 40)).tags
     assert found.target == 0
     assert abs(found.centre - (-0.5 + 0j)) < 2e-4
-    assert DETECTOR.detect(image, Region(u, v - 40, u + 40, v + 40)).tags == ()
+    assert detector().detect(image, Region(u, v - 40, u + 40, v + 40)).tags == ()
 
 
 def test_what_is_known_is_not_told_again(renderer: SceneRenderer) -> None:
     image = renderer.render(still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), (0.0, 0.5, 2.0), (0.0, -0.5, 0.0)]))
     known = np.array([-0.5, np.nan, 0.0, np.nan], dtype=complex)  # the third one stands elsewhere
-    assert sorted(found.target for found in DETECTOR.detect(image, known=known).tags) == [1, 2, 3]
+    assert sorted(found.target for found in detector().detect(image, known=known).tags) == [1, 2, 3]
 
 
 @pytest.mark.parametrize("light", [0.5, 0.15])
@@ -149,14 +148,14 @@ def test_tags_in_the_dark_are_found(renderer: SceneRenderer, light: float) -> No
     poses = [(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), (0.0, 0.5, 2.0), (0.0, -0.5, 0.0)]
     bright = renderer.render(still(poses)).astype(float)
     dark = np.clip(light * bright + rng.normal(0.0, 3.0, bright.shape), 0, 255).astype(np.uint8)
-    found = {IDS[found.target]: found.centre for found in DETECTOR.detect(dark).tags}
+    found = {IDS[found.target]: found.centre for found in detector().detect(dark).tags}
     assert found.keys() == set(IDS)
     assert max(abs(found[tag] - complex(x, y)) for tag, (x, y, _) in zip(IDS, poses, strict=True)) < 4e-4
 
 
 def test_tag_of_another_fleet_is_no_tag() -> None:
     stranger = scene((5,))
-    assert DETECTOR.detect(stranger.render(still([(0.0, 0.0, 0.0)]))) == Findings((), 0)
+    assert detector().detect(stranger.render(still([(0.0, 0.0, 0.0)]))) == Findings((), 0)
 
 
 def test_tag_of_a_wrong_size_is_refused(renderer: SceneRenderer) -> None:
@@ -167,16 +166,16 @@ def test_tag_of_a_wrong_size_is_refused(renderer: SceneRenderer) -> None:
 def test_tag_over_the_image_edge_is_not_seen(renderer: SceneRenderer) -> None:
     corners = GEOMETRY.to_plane(np.array([[0.0, 0.0], [1279.0, 300.0], [640.0, 719.0]]), HEIGHT_M)
     poses = still([(x, y, 0.4) for x, y in corners] + [(9.0, -40.0, 0.0)])
-    assert DETECTOR.detect(renderer.render(poses)).tags == ()
+    assert detector().detect(renderer.render(poses)).tags == ()
 
 
 def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
     renderer: SceneRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     searched: list[int] = []
-    squares = DETECTOR.squares
-    monkeypatch.setattr(DETECTOR, "squares", lambda *what: (searched.append(1), squares(*what))[1])
-    sweep, known = Sweep(DETECTOR, [Region(0, 0, MODEL.width, MODEL.height)]), np.full(4, np.nan, complex)
+    squares = detector().squares
+    monkeypatch.setattr(detector(), "squares", lambda *what: (searched.append(1), squares(*what))[1])
+    sweep, known = Sweep(detector(), [Region(0, 0, MODEL.width, MODEL.height)]), np.full(4, np.nan, complex)
     one = still([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
     two = still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
     for poses, expected in ((one, {0}), (two, {0, 1}), (one, {0})):
@@ -188,4 +187,4 @@ def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
 
 
 def test_black_image_shows_nothing() -> None:
-    assert DETECTOR.detect(np.zeros((720, 1280), np.uint8)) == Findings((), 0)
+    assert detector().detect(np.zeros((720, 1280), np.uint8)) == Findings((), 0)

@@ -4,17 +4,29 @@ The library writes to each viewer in threads of its own. A viewer that is too sl
 """
 
 import logging
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
 
 from foxglove import Channel, Context, Schema, Service, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
-from robofleet.gateways.foxglove.address import Address
-from robofleet.gateways.foxglove.kept import Kept
+from robofleet.comms.credentials import credentials
+from robofleet.comms.permissions import OPERATOR, PAGE
+from robofleet.config.tree import Config
+from robofleet.files import replaced
+from robofleet.gateways.asking import SERVICES
+from robofleet.gateways.viewers.address import Address
+from robofleet.gateways.viewers.foxglove.services import new_key, services
+from robofleet.gateways.viewers.kept import Kept
+from robofleet.gateways.viewers.live import Opened, Run
 from robofleet.recording.drawn import Channel as Described
+from robofleet.recording.run import Recording
+from robofleet.recording.viewers import foxglove as layouts
 
+LAYOUT = "foxglove.json"
 _BACKLOG = 16384  # messages for a viewer: half a second of a hundred robots comes at once
 
 
@@ -67,7 +79,7 @@ class Server(ServerListener):
         self._kept.take(topic, message)
         self._channels[topic].log(message, log_time=log_ns)
 
-    def welcome(self, log_ns: int) -> None:
+    def step(self, log_ns: int) -> None:
         """Tell again what is told seldom, where somebody came late."""
         late = set[str]()
         while not self._new.empty():
@@ -79,3 +91,28 @@ class Server(ServerListener):
     def close(self) -> None:
         """Leave every viewer."""
         self._server.stop()
+
+
+def opened(run: Run, at: Address, channels: Sequence[Described]) -> Opened:
+    """Open the server of a run, and write its layout; OSError where its address cannot be used."""
+    key = new_key() if run.place.role == OPERATOR else ""
+    offered = services(run.ask, key) if key else []
+    server = Server(run.config.arena.name, at, _certificate(run.config, at), channels, offered)
+    layout = _layout(run.config, run.folder, key)
+    return Opened(server, f"Foxglove, Lichtblick: open {at.url(server.port)}, with the layout {layout}")
+
+
+def _certificate(config: Config, at: Address) -> Keys | None:
+    if not at.secured:
+        return None
+    own = credentials(config.arena.name, PAGE)
+    return Keys(own.certificate.read_bytes(), own.key.read_bytes())
+
+
+def _layout(config: Config, folder: Path, key: str) -> Path:
+    """Write the layout of a run, for this user alone: whoever has it may drive."""
+    file = folder / LAYOUT
+    with replaced(file) as stream:
+        os.fchmod(stream.fileno(), 0o600)
+        stream.write(layouts.layout(Recording(config), SERVICES if key else (), {"key": key}))
+    return file

@@ -1,0 +1,1 @@
+"""A run in viewers, while it is on."""

@@ -1,0 +1,96 @@
+"""The commands ``foxglove`` and ``rerun``, which `robofleet run` starts with the options of these names, too."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robofleet.gateways.place import Place, run_of
+from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, RERUN, Address
+from robofleet.processes.commands import OPERATOR, ArenaName, LifelineFd
+from robofleet.processes.refusal import LAB_MODULES, bad_input, need_extra
+
+app = typer.Typer()
+_JOINS_WITHIN_S = 3.0  # a run that is on
+
+_Copy = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+]
+
+
+@app.command(rich_help_panel=OPERATOR)
+def foxglove(
+    arena: ArenaName = None,
+    config: _Copy = None,
+    at: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where viewers find it; beyond this computer by TLS.")
+    ] = DEFAULTS[FOXGLOVE],
+    lifeline: LifelineFd = None,
+) -> None:
+    """Show a run that is on in Foxglove or Lichtblick: all that its recording has, and an operator's buttons.
+
+    $ robofleet foxglove
+
+    $ robofleet foxglove lab --at 127.0.0.1:9000
+
+    The run does not need it: start and end it at any time. `robofleet run --foxglove` starts it with the run.
+    """
+    _serve(FOXGLOVE, arena, config, at, lifeline)
+
+
+@app.command(rich_help_panel=OPERATOR)
+def rerun(
+    arena: ArenaName = None,
+    config: _Copy = None,
+    at: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where viewers of this computer find it.")] = DEFAULTS[
+        RERUN
+    ],
+    lifeline: LifelineFd = None,
+) -> None:
+    """Show a run that is on in rerun: arena, robots, pictures, plots and log.
+
+    $ robofleet rerun
+
+    $ robofleet rerun lab --at 127.0.0.1:9000
+
+    The run does not need it: start and end it at any time. `robofleet run --rerun` starts it with the run.
+    """
+    _serve(RERUN, arena, config, at, lifeline)
+
+
+def need(viewer: str) -> None:
+    """Refuse where a viewer's library is missing."""
+    need_extra(viewer, viewer)  # its module, and the extra that brings it, have its name
+    need_extra("lab", *LAB_MODULES)
+
+
+def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifeline: int | None) -> None:
+    with bad_input():
+        need(viewer)
+        at = Address.read(viewer, text, "--at")
+        if lifeline is not None:
+            _of_run(viewer, Path(arena or ""), at, lifeline)
+            return
+        tree, place = run_of(arena or None, config)
+        at.check(tree.arena.name, "--at")
+        from robofleet.gateways.viewers import live  # noqa: PLC0415
+        from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+        try:
+            live.serve(viewer, tree, place, at, place.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
+        except TimeoutError as error:
+            print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
+            raise typer.Exit(1) from error
+
+
+def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:
+    """Serve the run that has started this process."""
+    from robofleet.comms.permissions import OPERATOR as MAY_ALL  # noqa: PLC0415
+    from robofleet.config.load import load_config  # noqa: PLC0415
+    from robofleet.gateways.viewers import live  # noqa: PLC0415
+    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+
+    tree, line = load_config(file), Lifeline(lifeline)
+    with line.logged(viewer, tree.arena.name):
+        live.serve(viewer, tree, Place(tree.bus.endpoint, None, MAY_ALL), at, file.absolute().parent, line)

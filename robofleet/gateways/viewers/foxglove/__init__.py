@@ -1,0 +1,1 @@
+"""A run on Foxglove's own protocol, for Foxglove and Lichtblick."""

@@ -1,0 +1,149 @@
+"""A process beside a run: it hears what the recorder hears, and shows viewers what the recorder writes."""
+
+import os
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from robofleet.clock import MS, S, WallClock, epoch_ns
+from robofleet.comms.bus import Stream
+from robofleet.comms.joining import joined
+from robofleet.comms.keys import STATE
+from robofleet.comms.keys import key as key_of
+from robofleet.comms.permissions import VIEWER
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.gateways.asking import Asking
+from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.viewers.address import RERUN, Address
+from robofleet.processes.node import Lifeline
+from robofleet.processes.refusal import RefusedError
+from robofleet.recording.channels import keys
+from robofleet.recording.drawn import Channel, Drawn, of_key
+
+_NICE = 5  # viewers wait for the run, never the other way round
+_JOIN_WITHIN_S = 60.0  # the router is the first process of a run
+_QUEUE = 65536  # messages
+_PERIOD_NS = 40 * MS
+_BATCH = 15  # ticks of a robot at once: half a second
+_SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
+
+
+class Server(Protocol):
+    """Shows messages of channels to viewers. None of them is waited for."""
+
+    def tell(self, topic: str, log_ns: int, message: bytes) -> None:
+        """Take a message of a channel; ``log_ns``: a date."""
+
+    def step(self, log_ns: int) -> None:
+        """Show what was told, and again what was told seldom to who comes late; ``log_ns``: the date now."""
+
+    def close(self) -> None:
+        """Leave every viewer."""
+
+
+class Run(NamedTuple):
+    """The run that a server shows."""
+
+    config: Config
+    place: Place
+    folder: Path  # for what a viewer needs
+    ask: Asking
+
+
+class Opened(NamedTuple):
+    """A server, and what its user is told."""
+
+    server: Server
+    line: str
+
+
+def serve(
+    viewer: str,
+    config: Config,
+    place: Place,
+    at: Address,
+    folder: Path,
+    lifeline: Lifeline,
+    within_s: float = _JOIN_WITHIN_S,
+) -> None:
+    """Serve a run until it ends, or until the lifeline is cut.
+
+    TimeoutError where its bus does not answer, RefusedError where the address cannot be used. ``folder``: for a layout.
+    """
+    os.nice(_NICE)
+    clock = WallClock()
+
+    def look() -> None:
+        if lifeline.cut:
+            raise SystemExit
+
+    bus = joined(config.arena.name, place.endpoint, VIEWER, clock, within_s, look, place.credentials)
+    run = Run(config, place, folder, Asking(bus, clock, config))
+
+    def opened(channels: Sequence[Channel]) -> Opened:
+        try:
+            return _opening(viewer)(run, at, channels)
+        except OSError as error:
+            raise RefusedError(f"{at}: {error}: name another HOST:PORT") from error
+
+    try:
+        stream = bus.stream(*keys(config), capacity=_QUEUE)
+        with closing(Viewers(config, stream, opened, epoch_ns())) as viewers:
+            lifeline.ready(viewers.line)
+            while not lifeline.cut:
+                now_ns = clock.now_ns()
+                viewers.step(now_ns)
+                if now_ns - viewers.state_ns > _SILENT_NS and is_over(config, place):
+                    break
+                clock.sleep_until(now_ns + _PERIOD_NS)
+            viewers.rest(clock.now_ns())
+    finally:
+        run.ask.close()
+        bus.close()
+
+
+def _opening(viewer: str) -> Callable[[Run, Address, Sequence[Channel]], Opened]:
+    """Return what opens a viewer's server; its library is loaded by that."""
+    if viewer == RERUN:
+        from robofleet.gateways.viewers.rerun import server as of_rerun  # noqa: PLC0415
+
+        return of_rerun.opened
+    from robofleet.gateways.viewers.foxglove import server as of_foxglove  # noqa: PLC0415
+
+    return of_foxglove.opened
+
+
+class Viewers:
+    """Tells viewers what the bus says, and what is drawn of it."""
+
+    def __init__(
+        self, config: Config, stream: Stream, opened: Callable[[Sequence[Channel]], Opened], epoch_ns: int
+    ) -> None:
+        """Take all that is said, what opens a server of channels, and what makes its instants dates."""
+        self._stream, self._epoch_ns = stream, epoch_ns
+        self._drawn = Drawn(config, groups.descriptions(config), epoch_ns=epoch_ns, batch=_BATCH)
+        self._server, self.line = opened([*map(of_key, keys(config)), *self._drawn.channels])
+        self._state = key_of(config.arena.name, STATE)
+        self.state_ns = 0  # when the supervisor was heard last
+
+    def step(self, now_ns: int) -> None:
+        """Tell what came."""
+        for at_ns, full, payload in self._stream.drain():
+            self._server.tell(full, at_ns + self._epoch_ns, payload)
+            for told in self._drawn.update(full, payload, at_ns):
+                self._server.tell(*told)
+            if full == self._state:
+                self.state_ns = at_ns
+        self._server.step(now_ns + self._epoch_ns)
+
+    def rest(self, now_ns: int) -> None:
+        """Tell what is left at the end of a run."""
+        for told in self._drawn.rest():
+            self._server.tell(*told)
+        self._server.step(now_ns + self._epoch_ns)
+
+    def close(self) -> None:
+        """Leave every viewer."""
+        self._server.close()

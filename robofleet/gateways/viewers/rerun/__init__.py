@@ -1,0 +1,1 @@
+"""A run in rerun's archetypes, on rerun's own protocol."""

@@ -1,0 +1,240 @@
+"""Fits tags to an image by least squares: the kernels of ``photometric.py``.
+
+Each pass solves for a step of the pose, of the brightness and its slopes, of the contrast and of the blur. It leaves
+out pixels whose grey was too far from the pass before: they show something else, as a cable or another robot. The first
+pass takes some of the pixels only, and the others all of them.
+
+The inverse of the normal equations, times the variance of what is left, is the covariance of the pose.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.kernels import image_kernel
+from robofleet.tracking.pixels import CHUNK, PARAMETERS, SLOTS, accumulate, likeness
+from robofleet.tracking.tag_map import map_pixels, shift_map
+
+_PASSES = 10  # at most
+_COARSE = 12  # pixels along a side in the first pass, about
+_MOST = 150  # in the others
+_WIDER = 1.4  # blur of the first pass over the expected one: it catches guesses that are further off
+_CONVERGED_PX = 0.1  # a last step so short is the last: what it leaves is hundredths of it
+_NEAR = 0.015  # step after which the last map of pixels is good still [sides]
+_LONGEST_PX = 2.0  # step
+_FURTHEST = 0.2  # from the guess [sides, rad]
+_CUT, _KNOWN_CUT = 2.0, 4.0  # standard deviations of the noise beyond which a pixel shows something else
+_TRUNCATED = 0.88  # standard deviation of a normal distribution that is cut off at _CUT
+_MISFIT, _KNOWN_MISFIT = 0.2, 0.1  # of the contrast that a pixel may miss by itself, before and after the blur is known
+_MODEL = 0.038  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_COVERED = 0.3  # share of a cell's pixels that show something else: then none of them counts
+_PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
+_EVERYTHING = 1e9  # no cut [grey levels]
+_LEAST_NOISE = 0.5  # [grey levels]
+_NARROWEST, _WIDEST = 0.6, 3.0  # blur [px]
+_LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
+_GAIN = 0.2  # of what is learnt about blur and noise
+
+Array = NDArray[np.float64]
+
+
+class _Room(NamedTuple):
+    """What the fit of one tag overwrites."""
+
+    rows: Array  # (2, CHUNK), see pixels.py
+    pixels: NDArray[np.float32]  # (SLOTS * CHUNK,)
+    products: Array  # (9, 9)
+    sums: Array  # (6,)
+    factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
+    solution: Array  # (8,)
+    level: Array  # (4,): brightness, its slopes forward and left, contrast [grey levels]
+    nodes: Array  # (6, 9), see tag_map.py
+    bend: Array  # (2, 6)
+    shape: Array  # (2, 6)
+    window: Array  # (6,)
+
+
+@image_kernel
+def fit_tags(  # type: ignore[no-untyped-def]
+    image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
+    blurs, noises, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+):  # fmt: skip
+    """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
+
+    hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
+    what is known of the targets, and learnt.
+    """
+    room = _Room(
+        np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((PARAMETERS + 1, PARAMETERS + 1)),
+        np.empty(6), np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(4), np.empty((6, 9)),
+        np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
+    )  # fmt: skip
+    for m in range(len(index)):
+        i = index[m]
+        fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
+            image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
+            velocity[m], omega[m], blurs, noises, i, room, fit_covariance[m],
+        )  # fmt: skip
+
+
+@image_kernel
+def _fit(  # type: ignore[no-untyped-def]
+    image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
+    blurs, noises, i, room, covariance,
+):  # fmt: skip
+    """Return centre, heading, likeness and row of one tag."""
+    centre, psi, blur, noise, row = guess, guess_psi, blurs[i], noises[i], 0.0
+    level, solution = room.level, room.solution
+    level[:], covariance[:] = 0.0, 0.0
+    known, cut = noise > 0.0, _EVERYTHING
+    misfit = _KNOWN_MISFIT if known else _MISFIT
+    variance = alike = left = before = side_px = 0.0
+    tally, asked = np.zeros((0, 2), np.int64), False  # by cells: pixels, and those that count
+    mapped = False
+    for step in range(_PASSES):
+        if not mapped:
+            row, side_px = map_pixels(
+                camera, line_time, side, height, to_quadratic, centre, psi, velocity, omega, room.nodes, room.bend,
+                room.shape, room.window,
+            )  # fmt: skip
+        coarse = step == 0
+        inside = _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room)
+        left, seen = room.products[0, 0], room.sums[0]
+        if not inside or left < 3 * PARAMETERS:
+            return guess, guess_psi, 0.0, row
+        squares = _solve(room.products, room.factor, solution)
+        level += solution[:4]
+        forward, aside, spin, length = _step(side_px, level[3], solution)
+        centre += side * complex(math.cos(psi), math.sin(psi)) * complex(forward, aside)
+        psi += spin
+        if not (length >= 0.0 and abs(centre - guess) < _FURTHEST * side and abs(psi - guess_psi) < _FURTHEST):
+            return guess, guess_psi, 0.0, row
+        mapped = line_time == 0.0 and length < _NEAR * side_px and (coarse or not mapped)
+        shift_map(room.shape, forward, aside, spin)
+        if coarse:
+            cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
+            continue
+        variance = squares / (left - PARAMETERS)
+        if not asked:  # a tag is known by all of it that may be seen
+            alike = likeness(room.sums)
+        steady = left > _PARTLY * seen or abs(left - before) < 0.01 * left
+        done = length < _CONVERGED_PX and steady
+        before = left
+        if step == 1 and known and left < _LEARNT_FROM * seen:
+            known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
+        elif not known:  # cut more and more off, until that is no more than of a normal distribution
+            noise = math.sqrt(variance) / (_TRUNCATED if cut < _EVERYTHING else 1.0)
+            known = _CUT * noise > 0.9 * cut or cut < 1.1 * misfit * level[3]
+            cut = max((_KNOWN_CUT if known else _CUT) * noise, misfit * level[3])
+        elif len(tally):
+            hidden, tally = _covered(tally, hidden, cells), np.zeros((0, 2), np.int64)
+            if noises[i] > 0.0:
+                cut = max(_KNOWN_CUT * noise, _KNOWN_MISFIT * level[3])
+        elif done and (asked or left > _PARTLY * seen):
+            break
+        elif done:
+            tally, asked = np.zeros((cells * cells, 2), np.int64), True
+    sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not asked
+    _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
+    variance += (_MODEL * level[3] * blur * cells / side_px) ** 2
+    _covary(room.factor, variance / (level[3] * level[3]), side, psi, covariance)
+    return centre, psi, alike, row
+
+
+@image_kernel
+def _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room):  # type: ignore[no-untyped-def]
+    """Fill the equations of one pass; return whether the tag is whole in the image."""
+    stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / _MOST)
+    return side_px > 0.0 and accumulate(
+        image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
+        room.level, cut, stride, room.rows, room.pixels, room.products, room.sums,
+    )  # fmt: skip
+
+
+@image_kernel
+def _step(side_px, contrast, solution):  # type: ignore[no-untyped-def]
+    """Return a step forward, left [sides] and counter-clockwise [rad], and how far it goes [px]; -1: there is no
+    contrast, or it is that of a negative."""
+    if not contrast > 1.0:
+        return 0.0, 0.0, 0.0, -1.0
+    forward, left, spin = -solution[4] / contrast, -solution[5] / contrast, -solution[6] / contrast
+    length = side_px * math.hypot(forward, left)
+    shorter = min(1.0, _LONGEST_PX / max(length, 1e-9))
+    return shorter * forward, shorter * left, shorter * spin, max(length, 0.5 * side_px * abs(spin))
+
+
+@image_kernel
+def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def]
+    """Follow a target's blur [px] and noise [grey levels], where it is ``sure`` that nothing else was seen."""
+    if not sure:
+        return
+    noise = max(noise, _LEAST_NOISE)
+    noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
+    blurs[i] = min(max(blurs[i] + _GAIN * min(max(wider, -0.5), 0.5), _NARROWEST), _WIDEST)
+
+
+@image_kernel
+def _covered(tally, hidden, cells):  # type: ignore[no-untyped-def]
+    """Return the cells (C * C,) that are hidden, or show something else."""
+    covered = np.zeros(cells * cells, np.bool_)
+    for cell in range(cells * cells):
+        covered[cell] = tally[cell, 1] < (1.0 - _COVERED) * tally[cell, 0] or (len(hidden) > 0 and hidden[cell])
+    return covered
+
+
+@image_kernel
+def _solve(products, factor, solution):  # type: ignore[no-untyped-def]
+    """Solve the normal equations by Cholesky's decomposition. Return the sum of squares that is left."""
+    squares = products[PARAMETERS, PARAMETERS]
+    for i in range(PARAMETERS):
+        for j in range(i + 1):
+            total = products[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                factor[i, i] = math.sqrt(max(total, 1e-7 * products[i, i] + 1e-9))
+            else:
+                factor[i, j] = total / factor[j, j]
+        total = products[PARAMETERS, i]
+        for k in range(i):
+            total -= factor[i, k] * solution[k]
+        solution[i] = total / factor[i, i]
+        squares -= solution[i] * solution[i]
+    for i in range(PARAMETERS - 1, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, PARAMETERS):
+            total -= factor[k, i] * solution[k]
+        solution[i] = total / factor[i, i]
+    return max(squares, 1e-6)
+
+
+@image_kernel
+def _covary(factor, variance, side, psi, covariance):  # type: ignore[no-untyped-def]
+    """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi."""
+    # The last rows of the equations' inverse need the last rows of their factor only.
+    inverse = np.zeros((4, 4))
+    for i in range(4):
+        inverse[i, i] = 1.0 / factor[4 + i, 4 + i]
+        for j in range(i):
+            total = 0.0
+            for k in range(j, i):
+                total -= factor[4 + i, 4 + k] * inverse[k, j]
+            inverse[i, j] = total / factor[4 + i, 4 + i]
+    products = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(max(i, j), 4):
+                products[i, j] += inverse[k, i] * inverse[k, j]
+    c, s, area = math.cos(psi), math.sin(psi), side * side * variance
+    ff, fl, ll = products[0, 0], products[0, 1], products[1, 1]
+    covariance[0] = area * (c * c * ff - 2.0 * c * s * fl + s * s * ll)
+    covariance[1] = area * (c * s * (ff - ll) + (c * c - s * s) * fl)
+    covariance[2] = area * (s * s * ff + 2.0 * c * s * fl + c * c * ll)
+    covariance[3] = side * variance * (c * products[0, 2] - s * products[1, 2])
+    covariance[4] = side * variance * (s * products[0, 2] + c * products[1, 2])
+    covariance[5] = variance * products[2, 2]
+
+
+KERNELS: tuple[Any, ...] = (fit_tags,)  # that are called from Python

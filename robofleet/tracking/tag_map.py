@@ -1,0 +1,84 @@
+"""Where a pixel lies on a tag: quadratics of its column and row, good for the tag's square and a little beyond."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.kernels import image_kernel
+from robofleet.tracking.projection import project
+
+_NODE = 0.6  # half the square whose nodes are projected [sides]
+
+
+def quadratic() -> NDArray[np.float64]:
+    """Return the matrix (6, 9) from values at the nodes of ``map_pixels`` to coefficients of 1, a, b, a^2, ab, b^2."""
+    b, a = (np.mgrid[-1:2, -1:2] * _NODE).reshape(2, -1)
+    return np.asarray(np.linalg.pinv(np.stack([np.ones(9), a, b, a * a, a * b, b * b], axis=1)), np.float64)
+
+
+@image_kernel
+def map_pixels(  # type: ignore[no-untyped-def]
+    camera, line_time, side, height, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape, window
+):
+    """Fill ``shape`` (2, 6): forward and left [sides] as quadratics of a pixel from the window's origin; ``window``
+    (6,): origin, first and last column, first and last row. Return the centre's row, and the side [px]; 0: no map.
+
+    nodes (6, 9) and bend (2, 6) are overwritten.
+    """
+    turned = side * complex(math.cos(psi), math.sin(psi))
+    u, v, z, missed = nodes[0], nodes[1], nodes[2:4], nodes[4:6]
+    _, row = project(camera, centre.real, centre.imag, height)
+    for n in range(9):
+        arm = turned * complex((n % 3 - 1) * _NODE, (n // 3 - 1) * _NODE)
+        point = centre + arm
+        u[n], v[n] = project(camera, point.real, point.imag, height)
+        if line_time > 0.0:
+            point += (velocity + 1j * omega * arm) * ((v[n] - row) * line_time)
+            u[n], v[n] = project(camera, point.real, point.imag, height)
+    scale = 0.5 / _NODE
+    ua, va, ub, vb = (u[5] - u[3]) * scale, (v[5] - v[3]) * scale, (u[7] - u[1]) * scale, (v[7] - v[1]) * scale
+    area = ua * vb - ub * va
+    if not (16.0 < abs(area) < 1e8 and abs(u[4]) < 1e6 and abs(v[4]) < 1e6):
+        return row, 0.0
+    window[0], window[1] = round(u[4]), round(v[4])
+    window[2], window[3] = math.ceil(u.min() - window[0]), math.floor(u.max() - window[0])
+    window[4], window[5] = math.ceil(v.min() - window[1]), math.floor(v.max() - window[1])
+    # The linear map from pixels; what it misses at the nodes, as a quadratic of what it gives; and once more.
+    m, n, o, p = vb / area, -ub / area, -va / area, ua / area
+    for k in range(9):
+        z[0, k], z[1, k] = m * (u[k] - u[4]) + n * (v[k] - v[4]), o * (u[k] - u[4]) + p * (v[k] - v[4])
+        missed[0, k], missed[1, k] = (k % 3 - 1) * _NODE - z[0, k], (k // 3 - 1) * _NODE - z[1, k]
+    bend[:] = 0.0
+    for _ in range(2):
+        for axis in range(2):
+            k = bend[axis]
+            for c in range(6):
+                for at in range(9):
+                    k[c] += to_quadratic[c, at] * missed[axis, at]
+            for at in range(9):
+                a, b = z[0, at], z[1, at]
+                missed[axis, at] = (at % 3 - 1 if axis == 0 else at // 3 - 1) * _NODE - z[axis, at]
+                missed[axis, at] -= k[0] + a * (k[1] + a * k[3] + b * k[4]) + b * (k[2] + b * k[5])
+    x, y = u[4] - window[0], v[4] - window[1]
+    for axis in range(2):
+        k, s = bend[axis], shape[axis]
+        by_a, by_b = k[1] + 1.0 - axis, k[2] + axis
+        s[1], s[2] = by_a * m + by_b * o, by_a * n + by_b * p
+        s[3] = k[3] * m * m + k[4] * m * o + k[5] * o * o
+        s[4] = 2.0 * k[3] * m * n + k[4] * (m * p + n * o) + 2.0 * k[5] * o * p
+        s[5] = k[3] * n * n + k[4] * n * p + k[5] * p * p
+        s[0] = k[0] - s[1] * x - s[2] * y + s[3] * x * x + s[4] * x * y + s[5] * y * y
+        s[1], s[2] = s[1] - 2.0 * s[3] * x - s[4] * y, s[2] - 2.0 * s[5] * y - s[4] * x
+    return row, math.sqrt(abs(area))
+
+
+@image_kernel
+def shift_map(shape, forward, left, spin):  # type: ignore[no-untyped-def]
+    """Make ``shape`` that of a tag a short step further: forward, left [sides] and counter-clockwise by ``spin``."""
+    c, s = math.cos(spin), math.sin(spin)
+    shape[0, 0] -= forward
+    shape[1, 0] -= left
+    for k in range(6):
+        a, b = shape[0, k], shape[1, k]
+        shape[0, k], shape[1, k] = c * a + s * b, c * b - s * a
