@@ -27,7 +27,7 @@ Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_LIKELY = 0.7  # least correlation of a tag of which each cell is right: light that overflows makes its white larger
+_LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
 _LEAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
@@ -110,9 +110,19 @@ class DeepSearch:
 
         followed: it was there in the image before, so that no other tag of the family can be there.
         """
-        whole = self._fit.find(image, np.array([target]), np.array([centre]), np.array([psi]))
-        if whole.alike[0] > ALIKE or (whole.alike[0] > _LIKELY and self._is_right(image, whole, target)):
+        whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
+        if whole.alike[0] > ALIKE:
             return whole.found(0, target)
+        covered = self._covered(image, target, centre, psi, followed=followed)
+        if covered is not None or whole.alike[0] < _LIKELY:
+            return covered
+        blurred = self._fit.blurred(image, target, centre, psi)
+        if blurred.alike[0] > ALIKE:
+            return blurred.found(0, target)
+        return whole.found(0, target) if self._is_right(image, whole, target) else None
+
+    def _covered(self, image: Image, target: int, centre: complex, psi: float, *, followed: bool) -> Found | None:
+        """Return a target near a guess if something covers a part of it."""
         for may_be_wrong in (_ROUGHLY, _AT_LAST):
             cells = self._cells(image, target, centre, psi)
             if cells is None:
@@ -121,7 +131,7 @@ class DeepSearch:
             if wrong > may_be_wrong or not cover.any():
                 return None
             guess = np.array([target]), np.array([centre]), np.array([psi])
-            fit = self._fit.find(image, *guess, hidden=cover[1:-1, 1:-1])
+            fit = self._fit.fit(image, *guess, hidden=cover[1:-1, 1:-1])
             if fit.alike[0] <= ALIKE:
                 return None
             centre, psi = complex(fit.centre[0]), float(fit.psi[0])

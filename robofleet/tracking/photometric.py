@@ -30,7 +30,7 @@ Indices = NDArray[np.int64]
 
 _BLUR_PX = 0.9  # expected of a tag that was never fitted: a pixel, and a disc of defocus with a radius of 0.7 px
 _WIDE_PX = 2.2  # of one that is out of focus, or moves
-ALIKE, _MAYBE = 0.9, 0.6  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
+ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _NONE = np.zeros((0, 0), np.bool_)
 
 
@@ -107,20 +107,12 @@ class PhotometricFit:
         )  # fmt: skip
         return fit
 
-    def find(
-        self, image: NDArray[np.uint8], index: Indices, centre: Complex, psi: Array, hidden: NDArray[np.bool_] = _NONE
-    ) -> Fit:
-        """Return the same of targets that were not followed; what may be one out of focus is fitted with more blur."""
-        fit = self.fit(image, index, centre, psi, hidden=hidden)
-        unlike = np.flatnonzero((fit.alike > _MAYBE) & (fit.alike <= ALIKE))
-        if len(unlike):
-            which, known = index[unlike], (self._blur.copy(), self._noise.copy())
-            self._blur[which], self._noise[which] = _WIDE_PX, 0.0
-            wider = self.fit(image, which, centre[unlike], psi[unlike], hidden=hidden)
-            better = wider.alike > np.maximum(fit.alike[unlike], ALIKE)
-            for one, other in zip(fit, wider, strict=True):
-                one[unlike[better]] = other[better]
-            self._blur[which[~better]], self._noise[which[~better]] = known[0][which[~better]], known[1][which[~better]]
+    def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:
+        """Return the pose of a target that is out of focus, or moves, in this image: nothing is learnt from it."""
+        known = self._blur[target], self._noise[target]
+        self._blur[target], self._noise[target] = _WIDE_PX, 0.0
+        fit = self.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
+        self._blur[target], self._noise[target] = known
         return fit
 
     def pixels(self, index: Indices, centre: Complex) -> Array:

@@ -74,7 +74,7 @@ class TagDetector:
         if known is not None:
             new = ~(np.abs(centre - known[found]) < 0.5 * self._sides[found])
             found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
-        fit = self._fit.find(image, found, centre, psi)
+        fit = self._fit.fit(image, found, centre, psi)
         good = plausible & (fit.alike > ALIKE)
         there = fit.of(np.flatnonzero(good))
         tags = (there.found(k, target) for k, target in enumerate(found[good].tolist()))

@@ -1,7 +1,9 @@
 """Tags that one threshold misses; ``python -m tests.tracking.acquisition`` has the whole table."""
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from robofleet.settings import FAMILIES
 from robofleet.tracking.deep import DeepSearch
@@ -9,7 +11,18 @@ from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.targets import Target
 from tests.tracking.acquisition import SCENES, evaluate, trials
 from tests.tracking.peers import OURS
-from tests.tracking.test_tracker import GEOMETRY, HEIGHT_M, IDS, MAX_SPEED, SIDE_M, STANDING, Watched, measured, scene
+from tests.tracking.test_tracker import (
+    GEOMETRY,
+    HEIGHT_M,
+    IDS,
+    MAX_SPEED,
+    SIDE_M,
+    STANDING,
+    Watched,
+    error,
+    measured,
+    scene,
+)
 
 
 @pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])
@@ -36,6 +49,45 @@ def test_a_covered_tag_of_another_fleet_is_no_tag(family: str) -> None:
             ours = [Target(tag, *trial.setting.targets[0][1:]) for tag in every if tag not in shown]
             finder = DeepSearch(PhotometricFit(trial.setting.geometry, ours), ours)
             assert finder.detect(trial.images[0]).tags == ()
+
+
+def test_tags_are_followed_out_of_focus_and_back() -> None:
+    watched, shows, spread = Watched(), scene(), []
+    for k in range(60):
+        image = shows.render(np.array(STANDING))
+        seen = image if k // 15 in (0, 2) else np.asarray(cv2.GaussianBlur(image, (0, 0), 1.6), np.uint8)
+        tags = measured(watched.look(seen))
+        assert tags.keys() == set(IDS)
+        assert all(error(tags[tag], true) < 3e-4 for tag, true in zip(IDS, STANDING, strict=True))
+        spread.append(tags[IDS[0]].covariance[0])
+    assert max(spread[30:45]) < 1.5 * np.median(spread[5:15])  # in focus again: as sure as before
+
+
+def test_tags_out_of_focus_are_acquired() -> None:
+    image = np.asarray(cv2.GaussianBlur(scene().render(np.array(STANDING)), (0, 0), 1.6), np.uint8)
+    assert acquired(image) == {0, 1, 2}
+
+
+def test_overexposed_tags_are_acquired() -> None:
+    image = cv2.convertScaleAbs(scene().render(np.array(STANDING)), alpha=1.6)
+    assert acquired(np.asarray(cv2.dilate(image, np.ones((2, 2), np.uint8)), np.uint8)) == {0, 1, 2}
+
+
+def test_narrowly_cut_tags_are_acquired() -> None:
+    image = scene().render(np.array(STANDING)).copy()
+    for x, y, psi in STANDING:  # something dark begins half a cell right of the rim
+        beside = complex(x, y) + SIDE_M * np.exp(1j * psi) * np.array(
+            [0.56 - 0.8j, 0.56 + 0.8j, 0.8 + 0.8j, 0.8 - 0.8j]
+        )
+        pixels = GEOMETRY.project(np.column_stack([beside.real, beside.imag, np.full(4, HEIGHT_M)]))
+        cv2.fillConvexPoly(image, pixels.round().astype(np.int32), 60.0)
+    assert acquired(image) == {0, 1, 2}
+
+
+def acquired(image: NDArray[np.uint8]) -> set[int]:
+    """Return what one deep search finds."""
+    targets = [Target(tag, SIDE_M, HEIGHT_M, MAX_SPEED) for tag in IDS]
+    return {tag.target for tag in DeepSearch(PhotometricFit(GEOMETRY, targets), targets).detect(image).tags}
 
 
 def test_a_print_with_our_bits_and_wrong_ones_is_not_a_covered_tag() -> None:
