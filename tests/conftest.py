@@ -95,6 +95,12 @@ def _own_modules() -> Iterator[None]:
 
 
 @pytest.fixture
+def unplotted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the plots out of reports: they take longer than a run, and who uses this looks at something else."""
+    monkeypatch.setattr("robofleet.recording.report._plots", lambda *_: None)
+
+
+@pytest.fixture
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Wait until no other worker has a fleet of real processes: two on two cores keep each other from their ticks."""
     with _nobody_else(tmp_path_factory):

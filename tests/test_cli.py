@@ -19,6 +19,8 @@ from typer.testing import CliRunner
 from robofleet import cli
 from tests.recording.recorded import room_for
 
+pytestmark = pytest.mark.usefixtures("unplotted")
+
 PLATOON = Path(__file__).parent.parent / "configs" / "platoon.yaml"
 TRUTH = ("--lockstep", "--set", "tracker.source=truth")
 SUMMARY_KEYS = {

@@ -23,6 +23,8 @@ from robofleet.recording.run import Run
 from robofleet.recording.timeline import Timeline
 from robofleet.safety.supervisor import Event
 
+pytestmark = pytest.mark.usefixtures("unplotted")
+
 CONFIGS = Path(__file__).parents[1] / "configs"
 SCRIPT = CONFIGS / "script.yaml"
 TRUTH = "tracker.source=truth"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.fiducials import Marks
-from robofleet.calibration.placing import Lens, Placement, on_plane, place
+from robofleet.calibration.placing import Lens, Placement, met, place
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import LEAST, on_one_line
 
@@ -111,7 +111,7 @@ def _begin(lens: Lens, marks: Marks, survey_m: float | None) -> Agreement:
         for T in _poses(marks.points[four], slopes[four]):
             if T[2, 3] <= heights.max():
                 continue
-            off = ((on_plane(T, slopes, heights)[0] - marks.points[:, :2]) ** 2).sum(1)
+            off = ((met(T, slopes, heights) - marks.points[:, :2]) ** 2).sum(1)
             order = off.argsort()[:count]
             if off[order].sum() < best:
                 best, best_T, nearest = off[order].sum(), T, order

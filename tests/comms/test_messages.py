@@ -27,7 +27,7 @@ from robofleet.comms.messages import (
 )
 from tests.comms.conftest import LAYOUTS, any_message
 
-EXACT = settings(deadline=None, derandomize=True, max_examples=40)
+EXACT = settings(deadline=None, derandomize=True, max_examples=20)
 AnyLayout = Layout[Any] | ListLayout[Any]
 Messages = st.SearchStrategy[Any]
 
@@ -108,7 +108,7 @@ def flat(message: Any) -> list[float]:
     ]
 
 
-@settings(EXACT, max_examples=80)
+@settings(EXACT, max_examples=40)
 @given(st.data())
 def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
     """What a field cannot hold becomes the nearest that it can; what is not a number, the least."""
@@ -179,7 +179,7 @@ def test_a_wrong_length_or_version_is_refused(layout: AnyLayout, any_of: Message
         assert layout.decode(bytes([version]) + payload[1:]) is None
 
 
-@settings(EXACT, max_examples=200)
+@settings(EXACT, max_examples=80)
 @given(st.binary(max_size=400), st.booleans())
 def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bool) -> None:
     payload = bytes([VERSION]) + noise if versioned else noise
@@ -190,7 +190,7 @@ def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bo
         layout.arrays(payload)
 
 
-@settings(EXACT, max_examples=100)
+@settings(EXACT, max_examples=40)
 @given(st.data())
 def test_flipped_bytes_never_raise(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
     payload = bytearray(layout.encode(data.draw(any_of)))
@@ -200,7 +200,7 @@ def test_flipped_bytes_never_raise(layout: AnyLayout, any_of: Messages, data: st
     assert message is None or layout.encode(message) == bytes(payload)
 
 
-@settings(EXACT, max_examples=100)
+@settings(EXACT, max_examples=40)
 @given(st.data())
 def test_a_view_is_what_is_decoded(listed: tuple[ListLayout[Any], Messages], data: st.DataObject) -> None:
     layout, any_of = listed

@@ -12,10 +12,11 @@ from typer.testing import CliRunner
 from robofleet import cli
 from robofleet.config.load import ConfigError
 from robofleet.config.parameters import Parameters, load_parameters
-from robofleet.experiments import paper
+from robofleet.experiments import closed_curve, paper
 from robofleet.experiments.closed_curve import ClosedCurveParameters
 from robofleet.experiments.lane_change import LaneChangeParameters
 from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.simulate import DivergedError
 
 
 @pytest.fixture(autouse=True)
@@ -131,6 +132,19 @@ def test_a_missing_file_is_said(folder: Path) -> None:
         load_parameters(ClosedCurveParameters, folder / "none.yaml")
 
 
+def test_what_ends_without_a_result_ends_the_command_with_its_cause(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverging(_: ClosedCurveParameters) -> None:
+        raise DivergedError("t = 1.25 s: diverged, the control error is 4e+03 m")
+
+    monkeypatch.setattr(closed_curve, "run", diverging)
+    result = robofleet("closed-curve", "--json")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == "closed-curve: t = 1.25 s: diverged, the control error is 4e+03 m\n"
+
+
+@pytest.mark.slow
 def test_a_drive_that_diverges_ends_the_command_with_its_cause(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy = Path(shutil.copytree(SHIPPED, folder / "paper"))
     text = (copy / "closed-curve.yaml").read_text()

@@ -21,6 +21,8 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.gateways.robotarium.script import ScriptError, version_of
 
+pytestmark = pytest.mark.usefixtures("unplotted")
+
 ROOT = Path(__file__).parents[2]
 SHOWN = 5  # lines at most of what is said of a refusal, without a traceback
 NOT_NEEDED = "tracker.source=truth"
@@ -371,6 +373,7 @@ def test_what_names_both_versions_is_asked_about() -> None:
 
 
 @pytest.mark.usefixtures("alone")
+@pytest.mark.slow
 def test_in_real_time_a_script_that_is_late_goes_on(place: Path) -> None:
     goals, near = "[[0.4, -0.5, -0.6], [-0.5, -0.2, 0.4]]", "[[-0.5, 0.5, 0.0], [-0.4, 0.3, 0.3]]"
     law = LAW.replace(goals, near)

@@ -44,20 +44,26 @@ with Fleet("script") as fleet:
 
 
 OWN = """
-import json
+import json, time
 import numpy as np
 from robofleet import Fleet
 
+late = True
 with Fleet({config!r}, out={out!r}, settings=["tracker.source=truth"]) as fleet:
     fleet.go_to({{"r1": (-0.8, 0.5, 0)}})
-    for t in fleet.ticks(1):
+    for t in fleet.ticks(1, resume=True):
         fleet.drive(np.tile([0.05, 0.4], (4, 1)))
+        if late and t > 0.5:
+            late = False
+            time.sleep(1.0)
     fleet.keep(rounds=3)
 print(json.dumps(fleet.summary))
 """
 
 
-def test_a_run_of_its_own_begins_and_ends_with_the_script(alone_for_a_module: None, tmp_path: Path) -> None:
+def test_a_run_of_its_own_begins_and_ends_with_the_script_and_goes_on_after_it_was_late(
+    alone_for_a_module: None, tmp_path: Path
+) -> None:
     environment = own_folders(tmp_path)
     file = tmp_path / "own.py"
     file.write_text(OWN.format(config=str(CONFIG), out=str(tmp_path / "run")))
@@ -68,7 +74,9 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script(alone_for_a_module: No
     assert (said["outcome"], said["cause"]) == ("completed", None)
     assert said["groups"]["script"]["kept"] == {"rounds": 3}
     assert said == json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert np.abs(Run(read(tmp_path / "run")).items["left_rad_s"]).max() > 0.0
+    recording = read(tmp_path / "run")
+    assert np.abs(Run(recording).items["left_rad_s"]).max() > 0.0
+    assert Event.SCRIPT_SILENT in {event for event, *_ in stops(recording)}, "it was late, and held"
     assert "no arena has a run" in CliRunner().invoke(app, ["status"], env=environment).stderr
 
 
@@ -77,7 +85,7 @@ def test_a_run_of_its_own_ends_with_a_script_that_is_killed(alone_for_a_module: 
     environment, folder = own_folders(tmp_path), tmp_path / "run"
     file = tmp_path / "own.py"
     loop = "fleet.ticks():\n        print(t, flush=True)"
-    told = OWN.format(config=str(CONFIG), out=str(folder)).replace("fleet.ticks(1):", loop)
+    told = OWN.format(config=str(CONFIG), out=str(folder)).replace("fleet.ticks(1, resume=True):", loop)
     file.write_text(told)
     script = subprocess.Popen([sys.executable, str(file)], stdout=subprocess.PIPE, text=True, env=environment)
     assert script.stdout is not None

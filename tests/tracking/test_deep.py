@@ -27,14 +27,14 @@ from tests.tracking.test_tracker import (
 
 @pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])
 def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> None:
-    row = evaluate(SCENES[title], [OURS], 2)[OURS]
+    row = evaluate(SCENES[title], [OURS], 1)[OURS]
     assert row["wrong"] == 0
     assert row["acquired"] >= least
 
 
 @pytest.mark.parametrize("title", ["a side covered, 25 %", "a corner covered, 25 %"])
 def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> None:
-    row = evaluate(SCENES[title], [OURS], 2)[OURS]
+    row = evaluate(SCENES[title], [OURS], 1)[OURS]
     assert row["wrong"] == 0
     assert row["acquired"] >= 0.9
     assert row["max_mm"] <= 0.4
@@ -43,7 +43,7 @@ def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> Non
 @pytest.mark.parametrize("family", ["36h11", "Standard41h12"])
 def test_a_covered_tag_of_another_fleet_is_no_tag(family: str) -> None:
     for title in ("covered at any angle, 25 %", "half covered"):
-        for trial in trials(SCENES[title]._replace(family=family), 2):
+        for trial in trials(SCENES[title]._replace(family=family), 1):
             shown = {tag.tag for tag in trial.prints}
             every = range(0, FAMILIES[family].ids, FAMILIES[family].ids // 195)
             ours = [Target(tag, *trial.setting.targets[0][1:]) for tag in every if tag not in shown]
@@ -71,17 +71,6 @@ def test_tags_out_of_focus_are_acquired() -> None:
 def test_overexposed_tags_are_acquired() -> None:
     image = cv2.convertScaleAbs(scene().render(np.array(STANDING)), alpha=1.6)
     assert acquired(np.asarray(cv2.dilate(image, np.ones((2, 2), np.uint8)), np.uint8)) == {0, 1, 2}
-
-
-def test_narrowly_cut_tags_are_acquired() -> None:
-    image = scene().render(np.array(STANDING)).copy()
-    for x, y, psi in STANDING:  # something dark begins half a cell right of the rim
-        beside = complex(x, y) + SIDE_M * np.exp(1j * psi) * np.array(
-            [0.56 - 0.8j, 0.56 + 0.8j, 0.8 + 0.8j, 0.8 - 0.8j]
-        )
-        pixels = GEOMETRY.project(np.column_stack([beside.real, beside.imag, np.full(4, HEIGHT_M)]))
-        cv2.fillConvexPoly(image, pixels.round().astype(np.int32), 60.0)
-    assert acquired(image) == {0, 1, 2}
 
 
 def acquired(image: NDArray[np.uint8]) -> set[int]:

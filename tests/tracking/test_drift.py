@@ -132,7 +132,7 @@ def test_a_knock_is_told_within_three_images_and_corrected(
 
 def test_any_knock_that_four_landmarks_see() -> None:
     rng = np.random.default_rng(1)
-    for _ in range(60):
+    for _ in range(20):
         lab = Lab(CORNERS, sigma=float(rng.choice([1e-6, 3e-5, 1e-4])))
         lab.see(CALIBRATED, SECOND)
         true = moved(*rng.uniform(-0.35, 0.35, 3), shift=rng.normal(0.0, 1e-3, 3), focal=1.0 + rng.normal(0.0, 2e-4))
@@ -341,8 +341,12 @@ def test_predictions_and_strangers_are_no_sightings() -> None:
 
 @pytest.mark.parametrize(
     ("places", "sigma", "images"),
-    [(CORNERS + EDGES, SIGMA, 20_000), (CORNERS, SIGMA, 10_000), (CORNERS[:2], SIGMA, 3000), (CORNERS, 2e-4, 3000)],
-)
+    [
+        (CORNERS + EDGES, SIGMA, 2000), (CORNERS, SIGMA, 2000), (CORNERS[:2], SIGMA, 1000), (CORNERS, 2e-4, 1000),
+        pytest.param(CORNERS + EDGES, SIGMA, 20_000, marks=pytest.mark.slow),
+        pytest.param(CORNERS, SIGMA, 10_000, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_noise_and_robots_that_hide_tags_are_no_news(
     places: list[tuple[float, float]], sigma: float, images: int
 ) -> None:

@@ -61,7 +61,7 @@ def at_the_seam(cameras: list[CameraGeometry], found: list[Lens | CameraGeometry
 def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
     """Also with tags in the middle that nobody surveyed, and a right camera that sees one surveyed tag of its own."""
     squares = []
-    for seed in range(60):
+    for seed in range(30):
         rng = np.random.default_rng(seed)
         cameras = hung(rng)
         try:
@@ -72,13 +72,13 @@ def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
         for camera, its in zip(cameras, agreements, strict=True):
             off = change_between(its.placement.T_world_camera, camera.T_world_camera)
             squares.append(float(off @ np.linalg.solve(its.placement.covariance, off)))
-    assert len(squares) > 40
+    assert len(squares) > 20
     assert np.mean(squares) / 6 == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * len(squares))))
 
 
 def test_at_the_seam_they_agree_better_than_cameras_that_were_placed_alone() -> None:
     together, alone = [], []
-    for seed in range(20):
+    for seed in range(10):
         rng = np.random.default_rng(seed)
         cameras = hung(rng)
         its = views(cameras, rng)

@@ -101,9 +101,9 @@ def test_false_alarms_are_rare() -> None:
 @pytest.mark.parametrize(
     ("again", "shares"),
     [
-        ("nothing", (0.85, 1.15)),  # of chi-square over 300 degrees of freedom: 1 +- 0.08
-        ("a mark is covered", (0.85, 1.15)),
-        ("the survey", (0.8, 1.2)),
+        ("nothing", (0.75, 1.25)),  # of chi-square over 120 degrees of freedom: 1 +- 0.13
+        ("a mark is covered", (0.75, 1.25)),
+        ("the survey", (0.7, 1.3)),
     ],
 )
 def test_the_change_of_a_camera_that_stayed_has_the_covariance_that_is_told(
@@ -111,14 +111,14 @@ def test_the_change_of_a_camera_that_stayed_has_the_covariance_that_is_told(
 ) -> None:
     told = []
     monkeypatch.setattr(verify, "chance", lambda distance, freedom: told.append(distance) or chance(distance, freedom))
-    for seed in range(50):
+    for seed in range(20):
         lab = Lab(seed)
         if again == "the survey":
             lab.survey = lab.survey_again()
         seen = lab.look()
         judge(LENS, seen.chosen(np.arange(8) != seed % 8) if "covered" in again else seen, lab.calibrated, FLOOR)
-    assert len(told) == 50
-    assert shares[0] < sum(told) / (6 * 50) < shares[1]
+    assert len(told) == 20
+    assert shares[0] < sum(told) / (6 * 20) < shares[1]
 
 
 def test_marks_that_are_new_or_surveyed_again_do_not_count() -> None:
@@ -136,7 +136,7 @@ def test_marks_that_are_new_or_surveyed_again_do_not_count() -> None:
 @pytest.mark.parametrize("fresh", [False, True])
 @pytest.mark.parametrize("n", [4, 8])
 def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:
-    for seed in range(15):
+    for seed in range(6):
         lab = Lab(seed, n)
         if fresh:
             lab.survey = lab.survey_again()
@@ -148,19 +148,19 @@ def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:
 def test_expected_errors_are_the_usual_ones() -> None:
     for fresh in (False, True):
         ratios = []
-        for seed in range(25):
+        for seed in range(12):
             lab = Lab(seed)
             if fresh:
                 lab.survey = lab.survey_again()
             words = lab.judged().sentences[0].split()
             seen, expected = (float(words[k]) for k in (words.index("seen") + 1, words.index("expected") - 3))
             ratios.append((seen / expected) ** 2)
-        assert np.mean(ratios) == pytest.approx(1.0, abs=0.25)
+        assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_tilt_is_noticed_and_told_in_degrees() -> None:
     # Looking down with its image's right along the world's x: about that axis it tilts towards its image's top.
-    for seed in range(10):
+    for seed in range(5):
         lab = Lab(seed)
         angle = (-1.0) ** seed * math.radians(0.2)
         lab.knock(angle, 0, 0, 0, 0, 0)
@@ -214,7 +214,7 @@ def test_error_of_a_knocked_camera_is_told() -> None:
 
 
 def test_moved_tags_are_named_and_the_camera_is_not_blamed() -> None:
-    for seed in range(10):
+    for seed in range(5):
         lab = Lab(seed)
         pushed = sorted(lab.rng.permutation(8)[: 1 + seed % 2].tolist())
         lab.true[pushed, 0] += 0.01

@@ -18,6 +18,8 @@ from robofleet.config.load import load_config
 
 from .conftest import OFFSET
 
+pytestmark = pytest.mark.usefixtures("unplotted")
+
 ROOT = Path(__file__).parents[3]
 
 Calibrate = Callable[..., int]
