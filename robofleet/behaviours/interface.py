@@ -72,6 +72,7 @@ class WishKind(IntEnum):
     POSES = 3  # to go to poses: x, y [m], psi [rad] of the centres [world]
     DONE = 4  # nothing more: the script has done all that it was to do
     FAILED = 5  # nothing more: the script has ended by an error
+    RESCUE = 6  # of a person: as BODY, of the one robot that is driven out of a held run
 
 
 class Wish(NamedTuple):

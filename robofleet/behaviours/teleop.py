@@ -3,17 +3,21 @@
 The group's first robot does what the person commands, up to the speeds that are set, while the dead-man's button is
 held: whoever sends commands sends none without it. It stands when the newest command is too old. Each other robot
 follows the way of the robot ahead of it, ``spacing_m`` behind.
+
+In a held run the person may drive one robot of the group out, any of them, at a crawl: the others stand. Who permits
+that is the supervisor (``safety/rescue.py``).
 """
 
 from collections import deque
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Array, Behaviour, Decision, Figure, Flags, Situation, Team, WishKind
+from robofleet.behaviours.interface import Array, Behaviour, Decision, Figure, Flags, Past, Situation, Team, WishKind
 from robofleet.settings import Model, within
 
 _ROUNDING = 1e-9
+_INNER = "wish_epoch", "wish"  # figures for replays, not for people
 _STEP = 0.005  # between two points of a way that are remembered [m]
 
 
@@ -27,6 +31,8 @@ class Teleop(Behaviour):
         """Speed of the first robot with the stick fully forward."""
         max_turn_rad_s: Annotated[float, within(0.01, 100)] = 1.5
         """How fast it turns with the stick fully to the side."""
+        crawl_m_s: Annotated[float, within(0.001, 0.1)] = 0.05
+        """Speed at which a person drives one robot out of a held run; also how fast its wheels roll when it turns."""
         silent_s: Annotated[float, within(0.05, 10)] = 0.15
         """Age at which a command is too old: the robot stands until the next one. It counts from the controller's tick
         that the person's computer has seen last."""
@@ -40,6 +46,8 @@ class Teleop(Behaviour):
     figures = (
         Figure("command_age", "s", meaning="age of the person's newest command"),
         Figure("following_error", "m", "mm", "distance of p from its place on the way of the robot ahead"),
+        Figure("wish_epoch", meaning="number of the hand that drives the group", live=False),
+        Figure("wish", meaning="number of the command that is done", live=False),
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
@@ -62,26 +70,41 @@ class Teleop(Behaviour):
         points, n = now.points(self.team.point_ahead), len(self.team)
         velocities, references = np.zeros((n, 2)), np.full((n, 2), np.nan)
         ages, errors = np.full(n, np.nan), np.full(n, np.nan)
-        command = self._command(now)
-        ages[0] = command.age
-        velocities[0] = self._of_point(command, now.poses[0, 2])
+        driven, command = self._command(now)
+        ages[driven] = command.age
+        velocities[driven] = self._of_point(command, now.poses[driven, 2])
+        figures: dict[str, Array | float] = {"command_age": ages, "following_error": errors}
+        if now.wish is not None:
+            figures |= {"wish_epoch": now.wish.epoch, "wish": now.wish.seq}
+            if now.wish.kind is WishKind.RESCUE:
+                self.carried(driven)
+                return Decision(velocities, references=references, figures=figures)
         for k, way in enumerate(self._ways):
             goal = self._place(way, points[k], points[k + 1], now.driving[k : k + 2])
             references[k + 1], errors[k + 1] = goal, np.hypot(*(goal - points[k + 1]))
             velocities[k + 1] = self.settings.follow_rate * (goal - points[k + 1])
-        figures = {"command_age": ages, "following_error": errors}
         return Decision(velocities, references=references, figures=figures)
 
-    def _command(self, now: Situation) -> "_Command":
+    def _command(self, now: Situation) -> "tuple[int, _Command]":
+        """Return the robot that is driven, and what it is to do."""
         wish, s = now.wish, self.settings
-        if wish is None or wish.kind is not WishKind.BODY or not wish.told[0]:
-            return _Command(0.0, 0.0, np.nan)
-        age = wish.age + max(float(wish.values[0, 2]), -self.team.tick)  # none is younger than the tick that it echoes
+        if wish is None or wish.kind not in (WishKind.BODY, WishKind.RESCUE):
+            return 0, _Command(0.0, 0.0, np.nan)
+        out = wish.kind is WishKind.RESCUE
+        row = int(wish.told.argmax()) if out else 0
+        if not wish.told[row]:
+            return row, _Command(0.0, 0.0, np.nan)
+        own = float(wish.values[row, 2])
+        age = wish.age + max(own, -self.team.tick)  # none is younger than the tick that it echoes
         if age > s.silent_s + _ROUNDING:
-            return _Command(0.0, 0.0, age)
-        v, omega = (float(value) for value in wish.values[0, :2])
-        most_v, most_omega = s.max_speed_m_s, s.max_turn_rad_s
-        return _Command(min(max(v, -most_v), most_v), min(max(omega, -most_omega), most_omega), age)
+            return row, _Command(0.0, 0.0, age)
+        v, omega = (float(value) for value in wish.values[row, :2])
+        most_v, most_omega = min(s.crawl_m_s, s.max_speed_m_s) if out else s.max_speed_m_s, s.max_turn_rad_s
+        return row, _Command(min(max(v, -most_v), most_v), min(max(omega, -most_omega), most_omega), age)
+
+    def summary(self, past: Past) -> dict[str, Any]:
+        """Return the figures that are for people."""
+        return {key: value for key, value in super().summary(past).items() if key not in _INNER}
 
     def _of_point(self, command: "_Command", psi: float) -> Array:
         """Return the velocity of the point ahead [m/s; world]."""

@@ -37,7 +37,9 @@ TICK = Topic("tick", "controller", "all", 0.033, "DATA", _LONG, messages.TICK_RE
 RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
 STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
 BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)
-WISH = Topic("group/{}/wish", "script operator", "controller", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH)
+WISH = Topic(
+    "group/{}/wish", "script operator", "controller supervisor", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH
+)
 NOTE = Topic("group/{}/note", "script", "viewers", 0.0, "DATA_LOW", _FLEET, messages.NOTE, reliable=True)
 TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
 SENSORS = Topic("unit/{}/sensors", "unit", "all", 0.033, "DATA", _LONG, messages.UNIT_SENSORS)

@@ -1,11 +1,13 @@
 """The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.behaviours.interface import Wish, WishKind
 from robofleet.clock import Clock, S, TickGrid
 from robofleet.comms.bus import Bus
 from robofleet.comms.keys import COMMAND, STATE, TICK
@@ -20,7 +22,7 @@ from robofleet.comms.messages import (
     UnitCommand,
 )
 from robofleet.comms.statuses import HURRY_NS, Statuses
-from robofleet.config import slices
+from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.control import path, platoon, wheels
 from robofleet.kernels import kernel
@@ -28,6 +30,7 @@ from robofleet.processes import fleet
 from robofleet.processes.compiling import Say, on_stderr, told
 from robofleet.processes.deciding import Deciding, Judge, untimed
 from robofleet.processes.leases import Leases
+from robofleet.processes.rescues import crawls
 from robofleet.processes.sighting import Sighting
 from robofleet.processes.wishes import Wishes
 from robofleet.safety import barrier as safety_barrier
@@ -118,8 +121,9 @@ class Controller:
         self._record = np.zeros((len(robots), len(RobotTick._fields)))
         self._said = _Parts.of(self._record)
         self._nobody = np.zeros(len(robots), dtype=np.bool_)
-        self._deciding = Deciding(config, judge)
+        self._deciding, self._groups = Deciding(config, judge), groups.rows(config.groups)
         self._wishes = Wishes(config, bus)
+        self._crawls = crawls(config)
         self._unknown = np.zeros((len(robots), 2))
         self._begin()
 
@@ -135,6 +139,7 @@ class Controller:
         self._run_tick = -1
         self._permitted = np.zeros(n, dtype=np.bool_)
         self._tried: list[tuple[int, int]] = []  # robots whose wheels are tried, and their strokes
+        self._out: int | None = None  # the robot that a person drives out of a held run
         self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
 
     def step(self, now_ns: int) -> int:
@@ -173,7 +178,8 @@ class Controller:
         unseen_s, moving = estimator.ages(self._filter.measured_ns, tick_ns), self._phase in MOVING
         lost = unseen_s > self._lost_after_s
         self._run_tick += self._phase is Phase.RUNNING
-        driving = self._permitted & ~lost if moving else self._nobody
+        wishes = self._wishes.at(self._index, self._phase)
+        driving = self._permitted & ~lost if moving else self._driven_out(wishes, lost)
         here, there, turning = self._filter.predict(tick_ns)
         w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else self._unknown
         bodies, pushed = there, None
@@ -182,11 +188,12 @@ class Controller:
             pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
             turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
             unseen_s = np.concatenate([unseen_s, estimator.ages(self._bystanders.measured_ns, tick_ns)])
-        wishes = self._wishes.at(self._index, running=self._phase is Phase.RUNNING)
         self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving, wishes=wishes)
         self._said.filtered[:], self._said.blocked[:] = self._barrier.filter(
             bodies, turning, unseen_s, driving, self._deciding.wheels, self._deciding.u, pushed
         )
+        if self._out is not None:
+            _crawl(self._deciding.wheels[self._out], self._deciding.u[self._out], float(self._crawls[self._out]))
         self._deciding.changed()
         commanded = self._deciding.wheels
         self._try_wheels(commanded)
@@ -215,6 +222,23 @@ class Controller:
                 elif self._phase in MOVING:
                     self._run_tick = -1
                     self._deciding.restart(self._phase)
+
+    def _driven_out(self, wishes: Sequence[Wish | None], lost: Flags) -> Flags:
+        """Return the one robot that the supervisor permits in a held run, if a person's wish is about it."""
+        self._out = None
+        permitted = np.flatnonzero(self._permitted).tolist() if self._phase is Phase.HOLD else []
+        if len(permitted) != 1 or self._deciding.phase is not Phase.RUNNING or lost[permitted[0]]:
+            return self._nobody
+        (row,) = permitted
+        for wish, own in zip(wishes, self._groups, strict=True):
+            if wish is None or wish.kind is not WishKind.RESCUE:
+                continue
+            if [own.start + k for k in np.flatnonzero(wish.told).tolist()] == [row]:
+                self._out = row
+                alone = self._nobody.copy()
+                alone[row] = True
+                return alone
+        return self._nobody
 
     def _hear_drivers(self) -> None:
         self._statuses.take()
@@ -280,6 +304,14 @@ class Controller:
         self._publish_tick(
             TICK_RECORD.encode_array(head, self._record, decided.numbers.tobytes() + self._sighting.named)
         )
+
+
+def _crawl(wheels: Array, u: Array, limit: float) -> None:
+    """Slow a robot (2,) [rad/s], (2,) [m/s] on its arc down to a limit of its wheels: nearer to standing is safer."""
+    fastest = float(np.abs(wheels).max())
+    if fastest > limit:
+        wheels *= limit / fastest
+        u *= limit / fastest
 
 
 @kernel

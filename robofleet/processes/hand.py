@@ -2,6 +2,9 @@
 
 Nothing is sent but while the dead-man's button is held; when it is let go, the robots are told at once that they stand.
 Silence does the same: a command that is older than the behaviour's ``silent_s`` counts for nothing.
+
+In a held run the person may drive one robot of the group out, at a crawl. A button that was held for something else,
+as when the run is held, counts for nothing until it was let go.
 """
 
 import math
@@ -17,6 +20,7 @@ from robofleet.comms.keys import WISH
 from robofleet.comms.messages import SCRIPT_WISH
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.processes.rescues import Way
 
 _EPOCH_BITS = 30  # as of scripts
 _MOST_TICKS = 1 << 32  # in a wish
@@ -43,50 +47,75 @@ def driven(config: Config) -> tuple[str, ...]:
 class Hand:
     """Commands one group."""
 
-    def __init__(self, bus: Bus, config: Config, group: str) -> None:
+    def __init__(self, bus: Bus, config: Config, group: str, way: Way) -> None:
+        """``way``: by which the person commands."""
         its = next(one for one in config.groups if one.title == group)
         settings = Teleop.Settings.model_validate(its.settings)
-        self._most = settings.max_speed_m_s, settings.max_turn_rad_s
+        self._most = {
+            WishKind.BODY: (settings.max_speed_m_s, settings.max_turn_rad_s),
+            WishKind.RESCUE: (min(settings.crawl_m_s, settings.max_speed_m_s), settings.max_turn_rad_s),
+        }
+        self._ids = its.robots
         self._publish = bus.publisher(WISH, group)
         self._robots = np.zeros(len(its.robots), SCRIPT_WISH.item_dtype)
         self._values = SCRIPT_WISH.floats(self._robots)  # of the same memory (N, 3)
-        self._robots["told"][0] = 1
         self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
-        self._held, self._tick = False, 0
+        self._way, self._tick = way, 0
+        self._held: tuple[WishKind, int] | None = None  # what the button is held for, and of which robot
+        self._spent = False  # it was held for something else, and not let go since
 
     def drive(self, stick: Stick, tick: int) -> None:
         """Command what the stick says by a tick that the person's computer has seen; the release, once."""
+        self._do(WishKind.BODY, 0, stick, tick)
+
+    def drive_out(self, robot: str, stick: Stick, tick: int) -> bool:
+        """Command one robot of a held run, as ``drive``; returns whether it is one of the group's."""
+        if robot not in self._ids:
+            return False
+        self._do(WishKind.RESCUE, self._ids.index(robot), stick, tick)
+        return True
+
+    def _do(self, kind: WishKind, row: int, stick: Stick, tick: int) -> None:
         self._tick = max(self._tick, tick)
-        if stick.held and tick > 0:
-            forward, turn = (min(max(value, -1.0), 1.0) for value in stick[:2])
-            self._values[0, :2] = forward * self._most[0], turn * self._most[1]
-            self._say(WishKind.BODY, tick)
-            self._held = True
-        else:
+        if not stick.held or tick <= 0:
             self.let_go()
+            self._spent = False
+            return
+        if self._held not in (None, (kind, row)):
+            self.let_go()
+            self._spent = True
+        if self._spent:
+            return
+        forward, turn = (min(max(value, -1.0), 1.0) for value in stick[:2])
+        self._robots["told"] = np.arange(len(self._robots)) == row
+        self._values[row, :2] = np.multiply((forward, turn), self._most[kind])
+        self._say(kind, tick)
+        self._held = kind, row
 
     def let_go(self) -> None:
         """Let the robots stand, if they were driven."""
-        if self._held:
-            self._values[0, :2] = 0.0
+        if self._held is not None:
+            self._values[:, :2] = 0.0
             self._say(WishKind.STAND, self._tick)
-            self._held = False
+            self._held = None
 
     def _say(self, kind: WishKind, tick: int) -> None:
         self._seq += 1
-        self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._robots))
+        self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._way, tick), self._robots))
 
 
 class Hands:
-    """One person's hand on each group that a person can drive."""
+    """One person's hand on each group that a person can drive, by a page."""
 
     def __init__(self, bus: Bus, config: Config) -> None:
-        self._hands = {group: Hand(bus, config, group) for group in driven(config)}
+        self._hands = {group: Hand(bus, config, group, Way.PAGE) for group in driven(config)}
 
-    def drive(self, group: str, stick: Stick, tick: int) -> bool:
-        """Command a group; returns whether that made sense."""
+    def drive(self, group: str, stick: Stick, tick: int, out: str | None = None) -> bool:
+        """Command a group, or drive its robot ``out`` of a held run; returns whether that made sense."""
         if group not in self._hands or not stick.sound or not 0 <= tick < _MOST_TICKS:
             return False
+        if out is not None:
+            return self._hands[group].drive_out(out, stick, tick)
         self._hands[group].drive(stick, tick)
         return True
 

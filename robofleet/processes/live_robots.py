@@ -13,7 +13,7 @@ from robofleet.behaviours.interface import Figure
 from robofleet.comms.messages import RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.processes import live_figures
 from robofleet.processes.on_the_way import OnTheWay
-from robofleet.recording.causes import named, own_halt
+from robofleet.recording.causes import named, own_state
 from robofleet.recording.fitting import Fitting
 from robofleet.safety.gate import GateStatus, Latch
 
@@ -115,7 +115,7 @@ def _state(item: RobotTick, status: RobotStatus | None, state: RunState | None, 
         return Text("silent", "red")
     if status.latch:
         return Text(named(Latch, status.latch), "bold red")
-    if own := own_halt(state, row, item):
+    if own := own_state(state, row, item):
         return Text(own, "yellow")
     if status.gate == GateStatus.OPEN and item.filtered:
         return Text("open, kept apart", "cyan") if item.filtered == 1.0 else Text("no motion is safe", "yellow")

@@ -10,6 +10,7 @@ from robofleet.comms.messages import BusyMachine, RunState
 from robofleet.processes.compiling import Progress
 from robofleet.processes.terminal import Terminal
 from robofleet.recording import busy_machine
+from robofleet.recording.causes import driven_out
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 
@@ -47,6 +48,12 @@ def arming(state: RunState, robots: tuple[str, ...]) -> str:
     return f"{doing} of {', '.join(tried[:_NAMED])}{more}"
 
 
+def who_stands(state: RunState, robots: tuple[str, ...]) -> str:
+    """Return who stands in a held run."""
+    out = [robot for row, robot in enumerate(robots) if driven_out(state, row)]
+    return f"{out[0]} is driven out at a crawl, all others stand." if out else "Every robot stands."
+
+
 def banner(
     state: RunState, busy: BusyMachine | None, robots: tuple[str, ...], *, by_key: bool, way: Phase | None = None
 ) -> Panel | None:
@@ -64,7 +71,7 @@ def banner(
         how = f"press r and {goes_on}; q ends the run" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
         asked = state.cause == Event.HOLD_REQUESTED  # then there is nothing to mend
         what = f"{how[0].upper()}{how[1:]}" if asked else f"Look, mend it, then {how}"
-        return _panel("HOLD", cause, f"Every robot stands. {what}.", "yellow")
+        return _panel("HOLD", cause, f"{who_stands(state, robots)} {what}.", "yellow")
     if state.phase == Phase.ESTOP:
         silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
         what = f"NOT acknowledged by {', '.join(silent)}" if silent else "Every robot has latched its gate."

@@ -20,13 +20,15 @@ from robofleet.processes.busy_news import BusyNews
 from robofleet.processes.compiling import Say, told
 from robofleet.processes.fleet_view import FleetListener
 from robofleet.processes.handing import Handing
-from robofleet.safety import arming, busy, monitor, scan
+from robofleet.processes.rescues import Words
+from robofleet.safety import arming, busy, monitor, rescue, scan
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
 from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
+from robofleet.safety.rescue import Rescue
 from robofleet.safety.scan import Scan
-from robofleet.safety.supervisor import CAUSES, MOVING, Event, Happening, Phase, RunStatus, describe
+from robofleet.safety.supervisor import CAUSES, MOVING, NOBODY, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
 
@@ -128,8 +130,8 @@ class Supervisor:
         self._clear = np.zeros(len(robots), np.uint64)  # latches that a reset clears, by their ids; 0: none
         self._resets: list[Request] = []  # that wait for the gates to be clear
         self._resets_end_ns = 0  # when they have waited long enough
-        self._next_ns = clock.now_ns()
-        self._seq = self._enable_seq = 0
+        self._words, self._rescue = Words(config, bus), Rescue()
+        self._next_ns, self._seq, self._enable_seq = clock.now_ns(), 0, 0
 
     def step(self, now_ns: int) -> int:
         """Listen, decide, and publish when due or when something changed.
@@ -161,6 +163,7 @@ class Supervisor:
         self._arm()
         self._go_on()
         self._finish_resets()
+        self._look_at_rescue()
         self._judge_robots()
         after = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
         if now_ns >= self._next_ns or after != before:
@@ -320,6 +323,16 @@ class Supervisor:
         known = self._states["acknowledged"].tolist()
         return [robot for robot, acknowledges in zip(self._ids, known, strict=True) if not acknowledges]
 
+    def _look_at_rescue(self) -> None:
+        """See whom a person drives out of a held run; say when that begins and ends."""
+        before = self._rescue
+        self._rescue = rescue.watch(before, self._words.new(), self._status, self._standing, self._view)
+        if self._rescue.robot != before.robot:
+            if before.robot != NOBODY:
+                self._lines.append(f"{self._ids[before.robot]}: it is driven out no more")
+            if self._rescue.robot != NOBODY:
+                self._lines.append(describe(Happening(self._rescue.asked, self._rescue.robot), self._ids))
+
     def _judge_robots(self) -> None:
         """Find out who may move; say who must stand, and who keeps its gate open in an emergency stop."""
         causes: dict[int, Happening] = {}
@@ -332,6 +345,9 @@ class Supervisor:
         for row, happening in causes.items():
             if row < len(states):
                 self._permitted[row], states["cause"][row] = 0.0, happening.event
+        if (out := self._rescue.robot) != NOBODY:  # in a HOLD, in which all others have no permission
+            self._permitted[out] = self._words.crawls[out]
+            states["cause"][out] = self._rescue.asked
         states["permitted"] = self._permitted > 0.0
         if self._status.phase is Phase.ESTOP:
             states["acknowledged"] = [acknowledged(seen) for seen in self._view.robots]

@@ -7,11 +7,13 @@ or a stopped script held back is old when it comes.
 import numpy as np
 
 from robofleet.behaviours.interface import Wish, WishKind
+from robofleet.behaviours.teleop import Teleop
 from robofleet.comms.bus import Bus, Subscription
 from robofleet.comms.keys import WISH
 from robofleet.comms.messages import SCRIPT_WISH, ScriptWish
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.safety.supervisor import Phase
 
 _BEYOND = 1e6  # [m/s, rad/s, m]: nobody wishes that
 _GONE_S = 0.5  # after its newest wish a script that says no more has left its place to another one
@@ -23,45 +25,54 @@ class Wishes:
     """The newest wish of each group, in the order of the groups."""
 
     def __init__(self, config: Config, bus: Bus) -> None:
-        scripted = groups.scripted(config)
+        scripted, by_hand = groups.scripted(config), groups.wishing(config, Teleop)
         tick_s = config.controller.tick_s
         self._groups = [
-            _OfGroup(bus.newest(WISH, group.title), len(group.robots), tick_s) if group.title in scripted else None
+            _OfGroup(bus.newest(WISH, group.title), len(group.robots), tick_s, by_hand=group.title in by_hand)
+            if group.title in scripted
+            else None
             for group in config.groups
         ]
         self.nobody: tuple[Wish | None, ...] = (None,) * len(self._groups)
         self._some = any(self._groups)
 
-    def at(self, tick: int, *, running: bool) -> tuple[Wish | None, ...]:
-        """Return what is wished at a tick; while nobody may drive, whatever comes is forgotten."""
+    def at(self, tick: int, phase: Phase) -> tuple[Wish | None, ...]:
+        """Return what is wished at a tick; while nobody may drive, whatever comes is forgotten.
+
+        In HOLD the wish of a person counts who drives one robot out, and no other.
+        """
         if not self._some:
             return self.nobody
-        return tuple(None if one is None else one.at(tick, running=running) for one in self._groups)
+        return tuple(None if one is None else one.at(tick, phase) for one in self._groups)
 
 
 class _OfGroup:
-    def __init__(self, said: Subscription, robots: int, tick_s: float) -> None:
+    def __init__(self, said: Subscription, robots: int, tick_s: float, *, by_hand: bool) -> None:
         self._said, self._robots, self._tick_s = said, robots, tick_s
+        held = frozenset({WishKind.RESCUE, WishKind.STAND}) if by_hand else frozenset[WishKind]()
+        self._kinds = {Phase.RUNNING: _KINDS - {WishKind.RESCUE}, Phase.HOLD: held}
+        self._phase = Phase.IDLE
         self._newest: tuple[int, Wish] | None = None  # and the tick that it echoes
 
-    def at(self, tick: int, *, running: bool) -> Wish | None:
-        payload = self._said.take()
-        if not running:
-            self._newest = None
+    def at(self, tick: int, phase: Phase) -> Wish | None:
+        payload, kinds = self._said.take(), self._kinds.get(phase)
+        if phase is not self._phase:
+            self._newest, self._phase = None, phase
+        if not kinds:
             return None
         if payload is not None:
-            self._take(payload, tick)
+            self._take(payload, tick, kinds)
         if self._newest is None:
             return None
         echoed, wish = self._newest
         return Wish(*wish[:4], (tick - echoed) * self._tick_s, *wish[5:])
 
-    def _take(self, payload: bytes, tick: int) -> None:
+    def _take(self, payload: bytes, tick: int, kinds: frozenset[WishKind]) -> None:
         """Take a wish that can be one, of the script that drives this group."""
         if (message := SCRIPT_WISH.view(payload)) is None:
             return
         head, robots = message
-        known = head.kind in _KINDS and len(robots) == self._robots and 1 <= head.echo_tick <= tick
+        known = head.kind in kinds and len(robots) == self._robots and 1 <= head.echo_tick <= tick
         if not known or not self._follows(head, tick):
             return
         values, told = SCRIPT_WISH.floats(robots).copy(), robots["told"] != 0

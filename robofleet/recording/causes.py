@@ -3,7 +3,7 @@
 from enum import IntEnum
 
 from robofleet.comms.messages import RobotTick, RunState
-from robofleet.safety.supervisor import NOBODY, Event, Happening, describe
+from robofleet.safety.supervisor import DRIVEN_OUT, NOBODY, Event, Happening, describe
 
 
 def named(kind: type[IntEnum], value: int) -> str:
@@ -29,12 +29,21 @@ def run_cause(state: RunState, robots: tuple[str, ...]) -> str:
 
 def halt_cause(state: RunState, row: int) -> str:
     """Return why one robot alone stands still; an empty string where it does not."""
-    own = state.robots[row].cause if row < len(state.robots) else 0
+    return "" if row >= len(state.robots) or state.robots[row].cause in DRIVEN_OUT else _own(state, row)
+
+
+def driven_out(state: RunState, row: int) -> str:
+    """Return who drives one robot out of a held run; an empty string where nobody does."""
+    return _own(state, row) if row < len(state.robots) and state.robots[row].cause in DRIVEN_OUT else ""
+
+
+def _own(state: RunState, row: int) -> str:
+    own = state.robots[row].cause
     return cause(own, len(state.robots), 0.0, ()) if own else ""
 
 
-def own_halt(state: RunState | None, row: int, item: RobotTick | None) -> str:
-    """Return why a robot alone, or its group alone, stands still; an empty string where neither does."""
-    halted = "" if state is None else halt_cause(state, row)
+def own_state(state: RunState | None, row: int, item: RobotTick | None) -> str:
+    """Return why a robot alone, or its group alone, stands still, or drives alone; an empty string where none is so."""
+    own = "" if state is None or row >= len(state.robots) else _own(state, row)
     failed = 0 if item is None else int(item.failed)
-    return halted or (cause(failed, NOBODY, 0.0, ()) if failed else "")
+    return own or (cause(failed, NOBODY, 0.0, ()) if failed else "")

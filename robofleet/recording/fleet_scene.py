@@ -17,6 +17,7 @@ from robofleet.clock import S
 from robofleet.comms.messages import FLEET_POSES, TICK_RECORD, UNIT_TRUTH, RobotTick, RunState
 from robofleet.config.tree import Config
 from robofleet.recording import shapes
+from robofleet.recording.causes import driven_out
 from robofleet.recording.shapes import WORLD, Look
 from robofleet.safety.supervisor import Phase
 
@@ -145,6 +146,8 @@ class FleetScene:
             return Look.LOST
         if state is None or row >= len(state.robots):
             return Look.STANDING
+        if driven_out(state, row):
+            return Look.RUNNING
         if state.robots[row].cause or state.phase in _STOPPED:
             return Look.HALTED
         return Look.RUNNING if state.robots[row].permitted else Look.STANDING

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from robofleet.comms.messages import BusyMachine, RunState, TrackerNews
 from robofleet.recording import busy_machine
-from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import TrackerEvent, describe
@@ -47,7 +47,10 @@ def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...
         yield Line(grave, "supervisor", f"{named(Phase, state.phase)}{why}")
     for row, robot in enumerate(robots):
         was, now = "" if before is None else halt_cause(before, row), halt_cause(state, row)
-        if now and now != was:
+        out_before, out = "" if before is None else driven_out(before, row), driven_out(state, row)
+        if out != out_before:
+            yield Line(Level.INFO, robot, out or "it is driven out no more")
+        elif now and now != was:
             yield Line(Level.WARNING, robot, f"stands still: {now}")
         elif was and not now and row < len(state.robots) and state.robots[row].permitted:
             yield Line(Level.INFO, robot, "may move again")

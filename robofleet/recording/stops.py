@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.recording.causes import halt_cause, named, run_cause
+from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
 from robofleet.recording.run import Run
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Event, Phase
@@ -75,6 +75,8 @@ def _why(run: Run, row: int, k: int) -> _Why | None:
     last = int(np.searchsorted(status["stamp_ns"], int(status["stamp_ns"][k]) + _WHY_WITHIN_NS)) - 1
     soon = places[min(k + _SOON, last)]
     before = bisect_right(run.states, places[k], key=lambda change: change[0]) - 1
+    if any(driven_out(state, row) for _, state in run.states[max(0, before - 1) : before + 1]):
+        return _Why("a person no longer drives it out of the held run", by_operator=True)
     for place, state in run.states[max(0, before) :]:
         if place > soon and (place > places[last] or state.cause in _ASKED):
             break  # what somebody asks for closes no gate beforehand

@@ -118,11 +118,16 @@ class Event(IntEnum):
     # a script that drives a group; told of one of its robots
     SCRIPT_SILENT = 85
     SCRIPT_FAILED = 86
+    # a robot that a person drives out of a held run (rescue.py): told of it alone, it changes nothing of the run
+    DRIVEN_OUT_BY_PAGE = 87
+    DRIVEN_OUT_BY_GAMEPAD = 88
     # patience
     ARMED_TOO_LONG = 60
     HELD_TOO_LONG = 61
     NOT_STARTED = 62
 
+
+DRIVEN_OUT = Event.DRIVEN_OUT_BY_PAGE, Event.DRIVEN_OUT_BY_GAMEPAD
 
 CAUSES = {
     Event.NOTHING: "nothing",
@@ -203,6 +208,8 @@ CAUSES = {
     Event.BEHAVIOUR_STANDS: "{group} failed, and all its robots stand",
     Event.SCRIPT_SILENT: "{group} no longer hears from its script: it has ended, hangs, or was stopped",
     Event.SCRIPT_FAILED: "{group} has lost its script: it ended by an error",
+    Event.DRIVEN_OUT_BY_PAGE: "a person drives it out at a crawl, from the operator's page",
+    Event.DRIVEN_OUT_BY_GAMEPAD: "a person drives it out at a crawl, by `robofleet teleop`",
     Event.ARMED_TOO_LONG: "the fleet was not ready in time",
     Event.HELD_TOO_LONG: "nobody resumed",
     Event.NOT_STARTED: "nobody started the fleet in time, and its checks are too old",
@@ -291,6 +298,8 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.BEHAVIOUR_STANDS:     (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.SCRIPT_SILENT:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.SCRIPT_FAILED:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.DRIVEN_OUT_BY_PAGE:   (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
+    Event.DRIVEN_OUT_BY_GAMEPAD: (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.ARMED_TOO_LONG:       (_SAME, _F,    _SAME, _SAME, _SAME, _SAME),
     Event.HELD_TOO_LONG:        (_SAME, _SAME, _SAME, _F,    _SAME, _SAME),
     Event.NOT_STARTED:          (_SAME, _I,    _SAME, _SAME, _SAME, _SAME),

@@ -16,6 +16,7 @@ CONFIG = load_config(SHIPPED / "teleop.yaml")
 TEAM = groups.team(CONFIG, CONFIG.groups[0])
 SETTINGS = Teleop.Settings.model_validate(CONFIG.groups[0].settings)
 N, L = len(TEAM), TEAM.point_ahead
+MOVES = WishKind.BODY, WishKind.RESCUE
 SPEEDS = st.floats(-10.0, 10.0)
 
 
@@ -51,9 +52,22 @@ def test_a_command_that_is_too_old_counts_for_nothing(age: float, own: float) ->
         assert done.any() == (age + own < SETTINGS.silent_s)
 
 
-@pytest.mark.parametrize("its", [None, *(wish(0.05, 0.1, kind=kind) for kind in WishKind if kind is not WishKind.BODY)])
+@pytest.mark.parametrize("its", [None, *(wish(0.05, 0.1, kind=kind) for kind in WishKind if kind not in MOVES)])
 def test_without_a_command_it_stands(its: Wish | None) -> None:
     assert not body(Teleop(SETTINGS, TEAM), np.zeros((N, 3)), its).any()
+
+
+@pytest.mark.parametrize("row", range(N))
+def test_the_one_robot_that_is_driven_out_crawls_and_no_other_follows(row: int) -> None:
+    values, told = np.zeros((N, 3)), np.arange(N) == row
+    values[row] = 5.0, 0.0, 0.0
+    poses = np.column_stack([-0.5 * np.arange(N), np.zeros((N, 2))])
+    behaviour = Teleop(SETTINGS, TEAM)
+    behaviour.decide(situation(poses))
+    decision = behaviour.decide(situation(poses, Wish(WishKind.RESCUE, values, told, 1, 0.0, 3, 7)))
+    assert decision.velocities[row] == pytest.approx([SETTINGS.crawl_m_s, 0.0])
+    assert not np.delete(decision.velocities, row, axis=0).any()
+    assert (decision.figures["wish_epoch"], decision.figures["wish"]) == (3, 7), "a replay finds the command by it"
 
 
 def test_followers_take_the_way_of_the_robot_ahead_and_stop_behind_it() -> None:

@@ -18,13 +18,15 @@ from robofleet.gateways.gamepad import driving
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_SOUTH, BTN_TR, EV_ABS, EV_KEY, Held
 from robofleet.processes.hand import Hand, Hands, Stick
 from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.rescues import Way
+from robofleet.safety.supervisor import Event, Phase
 from tests.processes.browser import chromium
 from tests.processes.openpage import Fleet, Seen, opened
 from tests.processes.realrun import CLOCK, wait
 from tests.processes.webstand import WebStand, web_stand
 
 TELEOP = SHIPPED / "teleop.yaml"
-GROUP, MOST_V, MOST_OMEGA = "teleop", 0.1, 1.2
+GROUP, MOST_V, MOST_OMEGA, CRAWL = "teleop", 0.1, 1.2, 0.05
 STUB = """
   window.pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
   window.pads = [];
@@ -93,6 +95,34 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
     assert len(wished.all) == count, "the release is said once, and nothing after it"
 
 
+def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_go(page: Seen, stand: WebStand) -> None:
+    wished = Wished(stand)
+    page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]; pad.buttons[5].pressed = true")
+    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+    assert not page.shown("gamepad-out")
+    page.fleet.phase, page.fleet.cause = Phase.HOLD, Event.DEADLOCKED
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.becomes(lambda: page.shown("gamepad-out"))
+    page.run("document.getElementById('gamepad-out').value = 'r3'")
+    page.becomes(lambda: page.text("gamepad-words") == "r3 is driven out, at a crawl.")
+    count = len(wished.all)
+    page.becomes(lambda: page.run("return window.robofleet.state.tick.phase") == "hold")
+    wished.newest()
+    assert len(wished.all) == count, "it was held for something else, and not let go since"
+    page.run("pad.buttons[5].pressed = false")
+    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words") and "r3" in page.text("gamepad-words"))
+    page.run("pad.buttons[5].pressed = true")
+    page.becomes(lambda: (its := wished.newest()) is not None and its.kind == WishKind.RESCUE)
+    newest = wished.all[-1]
+    assert [robot.told for robot in newest.robots] == [0, 0, 1, 0]
+    assert newest.robots[2].first == pytest.approx(CRAWL)
+    assert newest.order == Way.PAGE, "who asks is told"
+    page.fleet.phase, page.fleet.cause = Phase.RUNNING, Event.RESUME_REQUESTED
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.run("pad.buttons[5].pressed = false")
+    page.becomes(lambda: not page.shown("gamepad-out"))
+
+
 def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
     drive = "pad.buttons[4].pressed = true; pad.axes = [0, -1, 0, 0]; pads = [pad]"
@@ -113,6 +143,8 @@ def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_sta
         {"drive": GROUP, "stick": [0, 0, True], "tick": -1},
         {"drive": GROUP, "stick": [0, 0, True], "tick": 1 << 40},
         {"drive": GROUP, "stick": [0, 0, True]},
+        {"drive": GROUP, "stick": [0, 0, True], "tick": 1, "out": "nobody"},
+        {"drive": GROUP, "stick": [0, 0, True], "tick": 1, "out": 3},
     ],
 )
 def test_what_no_gamepad_says_drives_nothing_and_closes_the_page(stand: WebStand, message: dict[str, object]) -> None:
@@ -197,7 +229,7 @@ def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
     """
     config = load_config(TELEOP, ["run.duration_s=1.5", "tracker.source=truth", "drivers.robots_per_process=1"])
     run = Lockstep(config)
-    hand = Hand(run.bus, config, GROUP)
+    hand = Hand(run.bus, config, GROUP, Way.GAMEPAD)
     tick, status = key(config.arena.name, TICK), key(config.arena.name, STATUS, "r1")
     found: list[tuple[float, float, float]] = []
 
@@ -234,6 +266,35 @@ def test_wheels_follow_the_stick_and_stand_soon_after_its_end(end: Stick | None)
 
 def test_without_the_button_nothing_is_driven() -> None:
     assert not driven(lambda _: LET_GO)[:, 1:].any()
+
+
+def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
+    wished, pad, over = Wished(stand), Pipe(), threading.Event()
+
+    def drive() -> None:
+        driving.drive(pad, stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
+
+    thread = threading.Thread(target=drive)
+    with Fleet(stand).alive() as fleet:
+        fleet.phase = Phase.HOLD
+        thread.start()
+        pad.happens((EV_ABS, ABS_Y, 32767), (EV_ABS, ABS_X, 128), (EV_KEY, BTN_TR, 0))
+
+        def out() -> bool:
+            """Press again where the phase was not known yet."""
+            its = wished.newest()
+            if its is None or its.kind != WishKind.RESCUE:
+                pad.happens((EV_KEY, BTN_TR, 0))
+                pad.happens((EV_KEY, BTN_TR, 1))
+                return False
+            return its.order == Way.GAMEPAD and its.robots[1][:2] == pytest.approx((1, -CRAWL), abs=1e-3)
+
+        assert wait(out, 5.0)
+        over.set()
+        fleet.controlled = False
+        thread.join(10.0)
+    assert not thread.is_alive()
+    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
 
 
 def test_a_group_that_nobody_drives_by_hand_has_no_hand() -> None:

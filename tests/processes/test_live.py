@@ -123,6 +123,15 @@ def test_a_hold_is_seen_with_its_cause_and_what_to_do(view: View) -> None:
     assert "press r and the run goes on" in view.shown("held")
 
 
+def test_whom_a_person_drives_out_is_seen_in_the_banner_and_in_its_row(view: View) -> None:
+    out = WELL._replace(cause=Event.DRIVEN_OUT_BY_PAGE)
+    stands = RobotState(0, 0, 0)
+    view.state(Phase.HOLD, Event.DEADLOCKED, 1, robots=(stands, stands, out, stands))
+    shown = view.shown("held")
+    assert "r3 is driven out at a crawl, all others stand." in shown
+    assert "a person" in row(shown, "r3")
+
+
 def test_an_emergency_stop_names_who_has_not_answered(view: View) -> None:
     view.state(Phase.ESTOP, Event.WIRED_STOP, 0)
     assert "Every robot has latched its gate." in view.shown("emergency stop")

@@ -11,6 +11,7 @@ from robofleet.comms.keys import WISH
 from robofleet.comms.messages import SCRIPT_WISH, RobotWish, ScriptWish
 from robofleet.config.load import load_config
 from robofleet.processes.wishes import Wishes
+from robofleet.safety.supervisor import Phase
 
 CONFIG = load_config(Path(__file__).parents[2] / "configs" / "script.yaml")
 TICK_S = CONFIG.controller.tick_s
@@ -25,13 +26,13 @@ class Taken:
 
     def at(
         self, tick: int, epoch: int = 0, seq: int = 1, echo: int | None = None, kind: WishKind = WishKind.BODY,
-        *, running: bool = True,
+        *, phase: Phase = Phase.RUNNING,
     ) -> tuple[int, int] | None:  # fmt: skip
         """Return epoch and number of the wish at a tick, before which a script says something (0: nobody does)."""
         if epoch:
             robots = (RobotWish(1, 0.1, 0.0, 0.0),) * 4
             self._say(SCRIPT_WISH.encode(ScriptWish(epoch, seq, kind, 0, tick if echo is None else echo, robots)))
-        (wish,) = self._wishes.at(tick, running=running)
+        (wish,) = self._wishes.at(tick, phase)
         if wish is not None:
             self.age = wish.age
         return None if wish is None else (wish.epoch, wish.seq)
@@ -68,8 +69,8 @@ def test_another_script_waits_until_the_first_one_parts_or_has_long_been_silent(
 def test_what_is_said_while_nobody_may_drive_is_forgotten() -> None:
     taken = Taken()
     assert taken.at(10, 1) == (1, 1)
-    assert taken.at(11, running=False) is None
+    assert taken.at(11, phase=Phase.HOLD) is None
     assert taken.at(12) is None
-    assert taken.at(12, 2, running=False) is None
+    assert taken.at(12, 2, phase=Phase.HOLD) is None
     assert taken.at(13) is None
     assert taken.at(14, 1, seq=2) == (1, 2)

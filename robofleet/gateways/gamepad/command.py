@@ -26,6 +26,10 @@ def teleop(
         Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
     ] = None,
     group: Annotated[str | None, typer.Option(metavar="NAME", help="Which group, if several are driven so.")] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="ROBOT", help="Whom it drives out of a held run; default: the group's first robot."),
+    ] = None,
     device: Annotated[
         Path | None, typer.Option(metavar="PATH", help="/dev/input/event*; default: the only gamepad.")
     ] = None,
@@ -34,8 +38,10 @@ def teleop(
 
     $ robofleet teleop
 
-    Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. Ctrl-C ends this, and
-    not the run.
+    $ robofleet teleop --out r3
+
+    Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. While the run is held, it
+    drives one robot out at a crawl. Ctrl-C ends this, and not the run.
     """
     from robofleet.clock import WallClock  # noqa: PLC0415
     from robofleet.comms.joining import joined  # noqa: PLC0415
@@ -46,6 +52,9 @@ def teleop(
         need_extra("lab", *LAB_MODULES)
         tree, place = run_of(arena or None, config)
         chosen = _group(tree, group)
+        robots = next(one for one in tree.groups if one.title == chosen).robots
+        if out is not None and out not in robots:
+            raise RefusedError(f"--out {out}: it is not in the group {chosen}: name one of {', '.join(robots)}")
         try:
             pad = pads.opened(device)
         except pads.PadError as error:
@@ -57,13 +66,13 @@ def teleop(
     except TimeoutError as error:
         print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
         raise typer.Exit(1) from error
-    robot = next(one for one in tree.groups if one.title == chosen).robots[0]
+    robot = robots[0]
     print(
         f"{pad.name} drives {robot} while a shoulder button is held: Ctrl-C ends this, and not the run", file=sys.stderr
     )
     try:
         with suppress(KeyboardInterrupt):
-            driving.drive(pad, tree, bus, clock, chosen, lambda: is_over(tree, place))
+            driving.drive(pad, tree, bus, clock, chosen, lambda: is_over(tree, place), out or robot)
     except OSError as error:
         print(f"{pad.name} is gone ({error.strerror}): {robot} stands", file=sys.stderr)
         raise typer.Exit(1) from error

@@ -5,18 +5,29 @@ from collections.abc import Callable
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus
+from robofleet.comms.keys import STATE
+from robofleet.comms.messages import RUN_STATE
 from robofleet.comms.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.gateways.gamepad.pads import Pad
 from robofleet.processes.hand import Hand
+from robofleet.processes.rescues import Way
+from robofleet.safety.supervisor import Phase
 
 _AGAIN_NS = 20 * MS  # a command that stays as it is
 _SILENT_NS = 3 * S  # of the controller
 
 
-def drive(pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool]) -> None:
-    """Drive a group until the run is over; OSError where the gamepad is gone. Then, too, the robots stand."""
-    hand = Hand(bus, config, group)
+def drive(
+    pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
+) -> None:  # fmt: skip
+    """Drive a group until the run is over; OSError where the gamepad is gone. Then, too, the robots stand.
+
+    ``out``: the robot of the group that is driven out while the run is held; by default the first one.
+    """
+    hand, state = Hand(bus, config, group, Way.GAMEPAD), bus.newest(STATE)
+    out = out or next(its.robots[0] for its in config.groups if its.title == group)
+    held = False  # the run
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
     stick = pad.read()
     newest, heard_ns = 0, clock.now_ns()
@@ -26,7 +37,12 @@ def drive(pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Ca
             if readable:
                 stick = pad.read()
             ticks.update()
-            hand.drive(stick, ticks.newest)
+            if (payload := state.take()) is not None and (said := RUN_STATE.view(payload)) is not None:
+                held = said[0].phase == Phase.HOLD
+            if held:
+                hand.drive_out(out, stick, ticks.newest)
+            else:
+                hand.drive(stick, ticks.newest)
             now_ns = clock.now_ns()
             if ticks.newest != newest:
                 newest, heard_ns = ticks.newest, now_ns

@@ -22,7 +22,7 @@ from robofleet.processes.on_the_way import OnTheWay
 from robofleet.processes.web.hearing import CameraHearing, Hearing, Shown
 from robofleet.processes.web.words import phase_name, phase_word, stage, what_next
 from robofleet.recording import busy_machine
-from robofleet.recording.causes import named, own_halt
+from robofleet.recording.causes import named, own_state
 from robofleet.safety.barrier import apart
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.tracking.outlines import TagOutlines
@@ -252,7 +252,8 @@ def _rows(
             *(_place(its) if its is not None and placed else _standing(hearing, row)),
             *([_known(value, 4) for value in told.references[row]] if driven else [None] * 2),
             *(_drive(its) if its is not None else [None] * 2),
-            *_gate(status), own_halt(state, row, its) or None, _battery(status), _age_ms(hearing.heard_ns[row], now_ns),
+            *_gate(status), own_state(state, row, its) or None, _battery(status),
+            _age_ms(hearing.heard_ns[row], now_ns),
             *((int(its.measured), int(its.lost), int(its.filtered)) if its is not None else [None] * 3),
             _rounded(to_go_m[row], 3) if driven else None,
             [_known(value, _DIGITS) for value in told.figures[row]] if driven else unknown,

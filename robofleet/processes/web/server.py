@@ -215,7 +215,10 @@ async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hand
                     page.tell(answer(what, False, _NOT_FOR_VIEWERS))
             case {"drive": str(group), "stick": [int() | float() as forward, int() | float() as turn, bool(held)],
                   "tick": int(tick)} if hands is not None:  # fmt: skip
-                if not hands.drive(group, Stick(forward, turn, held), tick):
+                out = said.get("out")  # the robot that is driven out of a held run
+                if not (out is None or isinstance(out, str)) or not hands.drive(
+                    group, Stick(forward, turn, held), tick, out
+                ):
                     return False
             case {"ack": int(seq)}:
                 page.drawn(seq)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from robofleet.comms.messages import BusyMachine, RobotStatus, RunState
 from robofleet.config.tree import Config
-from robofleet.processes.live_state import arming
+from robofleet.processes.live_state import arming, who_stands
 from robofleet.recording.busy_machine import goes_on
 from robofleet.recording.causes import named
 from robofleet.safety.arming import Stage
@@ -14,7 +14,7 @@ _NEXT = {
     Phase.IDLE: "Arm: every robot's wheels and its emergency stop are tried, one after the other.",
     Phase.ARMED: "Wait for the checks, or stop.",
     Phase.RUNNING: "Hold the run, or stop it.",
-    Phase.HOLD: "Every robot stands. Look, mend what is wrong, then resume; or stop.",
+    Phase.HOLD: "Look, mend what is wrong, then resume; or stop.",
     Phase.FAULT: "Every robot stands. Mend the cause, then reset.",
     Phase.ESTOP: "Every robot has latched its gate. Look at the robots, then reset.",
 }
@@ -69,6 +69,8 @@ def what_next(
         words = f"{how_far[:1].upper()}{how_far[1:] or goes}. {then}"
     elif way is not None and state.phase == Phase.HOLD:
         words = _HELD[way]
+    elif state.phase == Phase.HOLD:
+        words = f"{who_stands(state, robots)} {words}"
     if state.phase == Phase.ARMED and state.stage == Stage.DONE:
         words = "Every check is passed: start the run, or stop."
     return _GOES_ON if goes_on(state, busy) else words

@@ -2,6 +2,9 @@
 //
 // Each command names the newest tick that came here, so that the controller knows how old it is. Nothing is sent without
 // the button but its release, once. A page in the background reads no gamepad: then the robots stand, too.
+//
+// While the run is held, it drives one robot of the group out, at a crawl: the one that is chosen here. A button that was
+// held when the run was held, or when it goes on, counts for nothing until it is let go: the server sees to that.
 
 const HOLD = [4, 5]; // the shoulder buttons, of the standard mapping
 const [SIDEWAYS, FORWARD] = [0, 1]; // axes of the left stick: to the right and to the person are positive
@@ -10,6 +13,8 @@ const WORDS = {
   none: () => "Press a button of a gamepad: then the page sees it.",
   ready: (robot) => `Hold a shoulder button (L1 or R1) and drive ${robot} with the left stick. Let it go: ${robot} stands.`,
   driving: (robot) => `${robot} is driven.`,
+  held: (robot) => `The run is held. Hold a shoulder button (L1 or R1) to drive ${robot} out, at a crawl; all others stand.`,
+  out: (robot) => `${robot} is driven out, at a crawl.`,
 };
 
 export class Gamepads {
@@ -17,6 +22,8 @@ export class Gamepads {
   #panel = document.getElementById("gamepad-panel");
   #words = document.getElementById("gamepad-words");
   #chosen = document.getElementById("gamepad-group");
+  #out = document.getElementById("gamepad-out");
+  #held = false; // the run
   #groups = []; // that a person can drive
   #tick = 0; // the newest one that came
   #driven = ""; // group
@@ -32,31 +39,45 @@ export class Gamepads {
     this.#panel.hidden = this.#groups.length === 0;
     this.#chosen.replaceChildren(...this.#groups.map(({ name }) => new Option(name)));
     this.#chosen.hidden = this.#groups.length < 2;
+    this.#offer();
+    this.#chosen.onchange = () => this.#offer();
     if (this.#watching || !this.#groups.length) return;
     this.#watching = true;
     this.#watch();
   }
 
-  heard({ tick }) {
+  heard({ tick, phase }) {
     this.#tick = tick;
+    this.#held = phase === "hold";
+    this.#out.hidden = !this.#held;
+  }
+
+  get #group() {
+    return this.#groups.find(({ name }) => name === this.#chosen.value) ?? this.#groups[0];
+  }
+
+  #offer() {
+    this.#out.replaceChildren(...(this.#group?.robots ?? []).map((robot) => new Option(robot)));
   }
 
   #watch() {
     requestAnimationFrame(() => this.#watch());
-    const group = this.#groups.find(({ name }) => name === this.#chosen.value) ?? this.#groups[0];
+    const group = this.#group;
     if (!group) return;
     const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
     const pad = pads.find(isHeld);
     const driven = pad ? group.name : "";
-    if (this.#driven && this.#driven !== driven) this.#send(this.#driven, [0, 0, false]);
-    if (pad) this.#send(driven, [-beyond(pad.axes[FORWARD]), -beyond(pad.axes[SIDEWAYS]), true]);
+    const out = this.#held ? { out: this.#out.value } : {};
+    if (this.#driven && this.#driven !== driven) this.#send(this.#driven, [0, 0, false], out);
+    if (pad) this.#send(driven, [-beyond(pad.axes[FORWARD]), -beyond(pad.axes[SIDEWAYS]), true], out);
     this.#driven = driven;
-    const words = WORDS[pad ? "driving" : pads.length ? "ready" : "none"](group.robots[0]);
+    const [ready, driving] = this.#held ? ["held", "out"] : ["ready", "driving"];
+    const words = WORDS[pad ? driving : pads.length ? ready : "none"](this.#held ? this.#out.value : group.robots[0]);
     if (this.#words.textContent !== words) this.#words.textContent = words;
   }
 
-  #send(group, stick) {
-    this.#link.send({ drive: group, stick, tick: this.#tick });
+  #send(group, stick, out) {
+    this.#link.send({ drive: group, stick, tick: this.#tick, ...out });
   }
 }
 
