@@ -44,7 +44,7 @@ _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once ma
 _DEEP_SEARCHES = 1  # of these
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
-_MARGIN = 0.6  # of a region around what a tag can have reached [sides of the print]
+_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
 class TagSighting(NamedTuple):

@@ -53,18 +53,8 @@ class Print(NamedTuple):
     pose: tuple[float, float, float]  # x, y [m], psi [rad; CCW +] of its centre at time 0, world
     twist: tuple[float, float, float] = (0.0, 0.0, 0.0)  # forward, left [m/s], turn [rad/s; CCW +]
     cable: Cable | None = None
-    greys: tuple[float, float] = (BLACK, WHITE)
     family: str = "36h11"
-
-    @property
-    def cell(self) -> float:
-        """The side of a cell [m]."""
-        return self.side / SQUARES[self.family][1]
-
-    @property
-    def cells(self) -> int:
-        """Cells along the paper: the print's, and a white one on each side."""
-        return SQUARES[self.family][0] + 2
+    greys: tuple[float, float] = (BLACK, WHITE)
 
 
 class Patch(NamedTuple):
@@ -130,7 +120,8 @@ class RayCaster:
         """Cast the rays around one print."""
         camera = self.camera
         x, y, psi = along(tag.pose, tag.twist, instant(camera, tag))
-        rim = 0.5 * tag.cells * tag.cell * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+        cells, cell = _cells(tag)
+        rim = 0.5 * cells * cell * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
         c, s = math.cos(psi), math.sin(psi)
         corners = camera.project(np.column_stack([rim @ [[c, s], [-s, c]] + [x, y], np.full(4, tag.height)]))
         middle = corners.mean(0)
@@ -139,7 +130,7 @@ class RayCaster:
         )
         pixel = math.sqrt(abs(ahead[0, 0] * ahead[2, 1] - ahead[0, 1] * ahead[2, 0]))  # on the print's plane [m]
         # Of its quickest point [px/s].
-        speed = (math.hypot(*tag.twist[:2]) + 0.72 * tag.cells * tag.cell * abs(tag.twist[2])) / pixel
+        speed = (math.hypot(*tag.twist[:2]) + 0.72 * cells * cell * abs(tag.twist[2])) / pixel
         smear = speed * (camera.exposure + 2.0 * np.ptp(corners[:, 1]) * camera.line_time)
         first = np.floor(corners.min(0) - smear - 2.0).astype(int).clip(0, camera.size)
         last = np.ceil(corners.max(0) + smear + 3.0).astype(int).clip(0, camera.size)
@@ -175,10 +166,11 @@ class RayCaster:
         """Return how much of each sub-sample's footprint is paper, and its grey, averaged over a square."""
         at_x, at_y, psi = along((0.0, 0.0, tag.pose[2]), tag.twist, t)
         c, s, d_x, d_y = np.cos(psi), np.sin(psi), x - at_x, y - at_y
-        cell, half = tag.cell, 0.5 * tag.cells
+        cells, cell = _cells(tag)
+        half = 0.5 * cells
         column, row = half + (c * d_x + s * d_y) / cell, half - (c * d_y - s * d_x) / cell
-        right, to_right, on_x = _edges(column, footprint / cell, tag.cells)
-        below, to_below, on_y = _edges(row, footprint / cell, tag.cells)
+        right, to_right, on_x = _edges(column, footprint / cell, cells)
+        below, to_below, on_y = _edges(row, footprint / cell, cells)
         look = np.pad(
             np.where(_white(tag.tag, tag.family), tag.greys[1], tag.greys[0]), 2, constant_values=tag.greys[1]
         )
@@ -227,16 +219,6 @@ class RayCaster:
         return pixels
 
 
-@functools.cache
-def _white(tag: int, family: str) -> NDArray[np.bool_]:
-    """Return the white cells of a print: as OpenCV draws it, or as the AprilTag library does, half a turn further."""
-    cells = SQUARES[family][0]
-    if hasattr(cv2.aruco, f"DICT_APRILTAG_{family}"):
-        known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
-        return np.asarray(known.generateImageMarker(tag, cells) > 0)
-    return np.rot90(drawn(tag, family), 2)
-
-
 def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
     """Return a floor (H, W): mottled, with lines, tape, and squares that are no tags."""
     width, height = size
@@ -282,3 +264,19 @@ def _gather(defocus: float) -> Floats:
     on_v = np.abs(away[..., None] + radius * np.sin(angle)) < 0.5
     weights = np.einsum("iak,jbk->ijab", on_v.astype(np.float32), on_u.astype(np.float32)).reshape(_SUB * _SUB, 9)
     return weights / weights.sum()
+
+
+def _cells(tag: Print) -> tuple[int, float]:
+    """Return how many cells lie along the paper, the print's and a white one on each side, and how large they are [m]."""
+    cells, square = SQUARES[tag.family]
+    return cells + 2, tag.side / square
+
+
+@functools.cache
+def _white(tag: int, family: str) -> NDArray[np.bool_]:
+    """Return the white cells of a print: as OpenCV draws it, or as the AprilTag library does, half a turn further."""
+    cells = SQUARES[family][0]
+    if hasattr(cv2.aruco, f"DICT_APRILTAG_{family}"):
+        known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
+        return np.asarray(known.generateImageMarker(tag, cells) > 0)
+    return np.rot90(drawn(tag, family), 2)
