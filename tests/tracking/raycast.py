@@ -267,7 +267,7 @@ def _gather(defocus: float) -> Floats:
 
 
 def _cells(tag: Print) -> tuple[int, float]:
-    """Return how many cells lie along the paper, the print's and a white one on each side, and how large they are [m]."""
+    """Return how many cells lie along the paper, which has a white one on each side, and how large they are [m]."""
     cells, square = SQUARES[tag.family]
     return cells + 2, tag.side / square
 
