@@ -30,8 +30,14 @@ BAD = _models()
         ("plant.f", "formats", 'len(f"{x[0]:.3f}")', "format spec in f-strings not supported yet"),
         ("plant.h", "counts_bytes", "len(x.dumps())", "Unknown attribute 'dumps' of type array(float64, 1d, C)"),
         ("g", "fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
-        ("plant.f", "multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype"),
-        ("g", "asks_too_much", "np.full(", "it knows no full("),
+        pytest.param(
+            "plant.f",
+            "multiplies_integers",
+            "MIX @ x",
+            "'@' arguments must all have the same dtype",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("g", "asks_too_much", "np.full(", "it knows no full(", marks=pytest.mark.slow),
     ],
 )
 def test_function_line_and_cause_are_named(role: str, function: str, source: str, cause: str) -> None:

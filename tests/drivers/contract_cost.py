@@ -69,11 +69,11 @@ class Cost:
         assert left[-1] == left[1]
 
     def test_its_memory_does_not_grow(self) -> None:
-        loops = 200
+        loops = 100
         with self.driving() as bench:
             tracemalloc.start()
             try:
-                before = self.held_after(bench, 50)
+                before = self.held_after(bench, 30)
                 grown = self.held_after(bench, loops) - before
             finally:
                 tracemalloc.stop()
@@ -92,7 +92,7 @@ class Cost:
         """Give a bench whose driver has all that it needs to go on."""
         with Bench(self.subject) as bench:
             bench.make()
-            bench.drive(self.asked, 1.0)
+            bench.drive(self.asked, 0.5)
             yield bench
 
     def held_after(self, bench: Bench, loops: int) -> int:

@@ -1,13 +1,13 @@
 """``configs/lab.yaml``: what a newcomer is told step by step, and that it runs without hardware."""
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from robofleet.cli import app
 from robofleet.config.load import ConfigError, ConfigFile
 from robofleet.processes.check import load_checked
 from tests.processes.realrun import RealRun
@@ -44,9 +44,8 @@ def test_where_there_is_nothing_yet_each_line_says_what_to_do_next_in_the_files_
 
 
 def test_the_command_exits_with_2() -> None:
-    command = [sys.executable, "-m", "robofleet", "check", str(LAB), "--set", "camera.v4l2.device=/dev/video-none"]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert found.returncode == 2
+    found = CliRunner().invoke(app, ["check", str(LAB), "--set", "camera.v4l2.device=/dev/video-none"])
+    assert found.exit_code == 2
     assert len(found.stderr.splitlines()) == 5
     assert not found.stdout
 

@@ -35,9 +35,9 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     assert (s["outcome"], s["cause"], s["mode"]) == ("completed", None, "realtime")
     assert s["stops"] == [] or s["busy_machine"], "a machine that was too slow for the gates says so"
     assert s["duration_s"] == pytest.approx(3, abs=0.2)
-    assert s["real_time_factor"] == pytest.approx(1, abs=0.1)
     assert s["tracker"]["false_ids"] == 0
-    if s["tick"]["overruns"] <= 5:  # the figures of a run that was kept from its ticks are the machine's
+    if s["tick"]["overruns"] <= 5 and not s["busy_machine"]:  # the figures of another run are the machine's
+        assert s["real_time_factor"] == pytest.approx(1, abs=0.1)
         assert s["control_error_mm"]["mean"] <= 1.5
         assert s["tracker"]["measured_fraction"] > 0.95
         assert 10 < s["latency_ms"]["exposure_to_wheel"]["p50"] < 25

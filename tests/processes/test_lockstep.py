@@ -17,7 +17,7 @@ def stall(robot: str) -> str:
 @pytest.fixture(scope="module")
 def with_camera(lockstep: RunOf) -> Summary:
     """Return a run with the camera image in the loop."""
-    return lockstep("run.duration_s=15")
+    return lockstep("run.duration_s=10")
 
 
 def test_a_run_with_the_camera_completes_without_a_stop(with_camera: Summary) -> None:
@@ -26,8 +26,8 @@ def test_a_run_with_the_camera_completes_without_a_stop(with_camera: Summary) ->
     assert s["robots"] == ROBOTS
     assert s["rejected"] == dict.fromkeys(ROBOTS, 0)
     assert s["tick"]["overruns"] == 0
-    assert s["ticks"] == round(15 / 0.033) + 1
-    assert s["duration_s"] == pytest.approx(15, abs=0.033)
+    assert s["ticks"] == round(10 / 0.033) + 1
+    assert s["duration_s"] == pytest.approx(10, abs=0.033)
     assert s["saturated_fraction"] < 0.02
     assert s["min_gap_mm"] > 50
 
@@ -73,7 +73,7 @@ def test_a_locked_exposure_reaches_the_wheels_soon_after_its_tick(with_camera: S
 
 
 def test_a_camera_of_its_own_rate_beats_against_the_ticks(lockstep: RunOf) -> None:
-    s = lockstep("run.duration_s=8", "camera.trigger=free")
+    s = lockstep("run.duration_s=5", "camera.trigger=free")
     latency = s["latency_ms"]["exposure_to_wheel"]
     assert s["outcome"] == "completed"
     assert latency["p99"] <= 50

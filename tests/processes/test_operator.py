@@ -27,10 +27,13 @@ def mode(run: RealRun) -> list[object]:
     return termios.tcgetattr(run.keyboard)[:4]
 
 
-def test_a_run_is_armed_started_held_and_resumed_by_keys_and_from_another_terminal_and_one_key_stops_it(
-    real_run: Start,
+def test_a_run_is_reset_armed_started_held_and_resumed_and_stops_also_when_its_supervisor_is_frozen(
+    real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = real_run(*ALONE, "--set", "run.start=operator", terminal=True)
+    """By keys, and from another terminal."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    FileKeeping("platoon").save("r1", Kept(4, Latch.EMERGENCY_STOP, 7))
+    run = real_run(*of_robots("r1", "r2"), "--set", "run.start=operator", "--reset", terminal=True)
     before = mode(run)
     run.wait_for(lambda: "waiting: everything is there" in run.said)
     assert mode(run) != before, "single keys, without Enter"
@@ -39,16 +42,17 @@ def test_a_run_is_armed_started_held_and_resumed_by_keys_and_from_another_termin
     started = run.asked("start")
     assert started.exit_code == 0, started.stderr
     run.wait_until_running()
+    assert run.latched() == {"r1": 0, "r2": 0}
     run.press(b"h")
     run.wait_for(lambda: run.newest.startswith("held: hold requested"))
     found = json.loads(run.asked("status", "--json").stdout)
     assert (found["arena"], found["phase"], found["cause"]) == ("platoon", "hold", "hold requested")
     assert found["next"] == "the run is held: resume it, or stop it"
     assert (found["pid"], found["folder"]) == (run.launcher.pid, str(run.folder))
-    (robot,) = found["robots"]
-    assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == ("r1", "no enable", "none", None)
-    assert 0 < robot["battery"] <= 1
-    assert 0 <= robot["age_ms"] < 500, "not silent"
+    for robot, name in zip(found["robots"], ("r1", "r2"), strict=True):
+        assert (robot["id"], robot["gate"], robot["latch"], robot["halted"]) == (name, "no enable", "none", None)
+        assert 0 < robot["battery"] <= 1
+        assert 0 <= robot["age_ms"] < 500, "not silent"
 
     second = run.asked("run", str(PLATOON), "--out", str(run.folder / "second"))
     assert second.exit_code == 2
@@ -67,16 +71,33 @@ def test_a_run_is_armed_started_held_and_resumed_by_keys_and_from_another_termin
     assert run.asked("resume").stdout == "ok\n"
     run.wait_until_running()
 
-    run.press(b"e")
+    (supervisor,) = run.children("supervisor")
+    supervisor.send_signal(signal.SIGSTOP)
+    stopped = run.robofleet("stop")
+    assert (stopped.returncode, stopped.stderr) == (0, "")
+    assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
     assert run.ended() == 1
     assert run.nothing_is_left()
     assert mode(run) == before
+    assert run.latched() == {"r1": 2, "r2": 2}
+    assert run.summary["outcome"] == "stopped"
+    assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent")
+
+
+@pytest.mark.slow
+def test_one_key_stops_a_run(real_run: Start) -> None:
+    run = real_run(*ALONE, terminal=True)
+    run.wait_until_running()
+    run.press(b"e")
+    assert run.ended() == 1
+    assert run.nothing_is_left()
     assert run.latched() == {"r1": 2}
     assert run.summary["outcome"] == "stopped"
     assert run.summary["cause"].startswith("emergency stop (by key); every robot has latched its gate")
     (stop,) = [stop for stop in run.summary["stops"] if stop["cause"] == "latched: emergency stop requested"]
     assert stop["robot"] == "r1"
-    assert 0 <= stop["target_ms"] <= stop["output_ms"] <= 230
+    assert 0 <= stop["target_ms"] <= stop["output_ms"]
+    assert stop["output_ms"] <= 230 or run.summary["busy_machine"]
 
 
 @pytest.mark.slow
@@ -117,25 +138,6 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     assert run.ended() == 1
     assert run.latched() == {"r1": 2}
     assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
-
-
-def test_with_a_frozen_supervisor_a_stop_latches_every_gate(
-    real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    FileKeeping("platoon").save("r1", Kept(4, Latch.EMERGENCY_STOP, 7))
-    run = real_run(*of_robots("r1", "r2"), "--reset")
-    run.wait_until_running()
-    assert run.latched() == {"r1": 0, "r2": 0}
-    (supervisor,) = run.children("supervisor")
-    supervisor.send_signal(signal.SIGSTOP)
-    stopped = run.robofleet("stop")
-    assert (stopped.returncode, stopped.stderr) == (0, "")
-    assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
-    assert run.ended() == 1
-    assert run.latched() == {"r1": 2, "r2": 2}
-    assert run.summary["outcome"] == "stopped"
-    assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent")
 
 
 @pytest.mark.slow

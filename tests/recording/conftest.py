@@ -54,6 +54,7 @@ class Story:
     psi: np.ndarray = field(init=False)  # (K, N) [rad]
     estimate_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the filter: x, y [m], psi [rad]
     control_error: np.ndarray = field(init=False)  # (K, N) [m]
+    _told: np.ndarray = field(init=False)  # the centres, while they are written down
     before: int = 5  # ticks before the run
     origin: float = 0.0  # the leader's parameter at the start
 
@@ -96,11 +97,12 @@ class Story:
     def recording(self, *, truth: bool = True) -> Recording:
         """Return the messages of this run: the ticks, and the truth at every tick."""
         recording, arena = Recording(self.config), self.config.arena.name
+        self._told = self.centres
         for k in range(-self.before, self.ticks):
             recording.add(key(arena, TICK), TICK_RECORD.encode(self._tick(k)))
             for row, robot in enumerate(self.config.members) if truth else ():
                 at = max(k, 0)
-                pose = *self.centres[at, row], math.remainder(self.psi[at, row], math.tau)
+                pose = *self._told[at, row], math.remainder(self.psi[at, row], math.tau)
                 message = Truth(1, self.stamp(k), *pose, 0.0, 0.0)
                 recording.add(key(arena, TRUTH, robot.id), TRUTH_LAYOUT.encode(message))
         return recording
@@ -119,7 +121,7 @@ class Story:
         at, items, numbers = max(k, 0), [], []
         for row in range(len(self.config.members)):
             off = np.array(self.estimate_off)
-            x, y, psi = np.array([*self.centres[at, row], self.psi[at, row]]) + off
+            x, y, psi = np.array([*self._told[at, row], self.psi[at, row]]) + off
             point = x + 0.08 * math.cos(psi), y + 0.08 * math.sin(psi)
             error = self.control_error[at, row] if k >= 0 else 9.0
             pose = x, y, math.remainder(psi, math.tau)

@@ -17,7 +17,7 @@ from tests.recording import recorded
 from tests.recording.recorded import in_order
 
 SAID = 300  # messages: the first half second
-CUTS, FLIPS = 60, 30
+CUTS, FLIPS = 30, 15
 
 
 @pytest.fixture(scope="module")

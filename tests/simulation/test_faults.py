@@ -387,7 +387,7 @@ def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
 def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_often() -> None:
     lossy = PLATOON.parent / "faults" / "lossy.yaml"
     run = Lockstep(
-        load_config(PLATOON, ["tracker.source=truth", "run.duration_s=20", "drivers.robots_per_process=1"], lossy)
+        load_config(PLATOON, ["tracker.source=truth", "run.duration_s=10", "drivers.robots_per_process=1"], lossy)
     )
     assert run.run() == ("completed", None)
     assert run.faults is not None
@@ -396,7 +396,7 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
         statuses = [ROBOT_STATUS.decode(p) for p in run.recording.messages[key("platoon", STATUS, robot)]]
         told = len(run.recording.messages[key("platoon", COMMAND, robot)])
         assert any(status is not None and status.hurry for status in statuses)
-        assert told > 100 * 20
+        assert told > 100 * 10
     healthy = Lockstep(
         load_config(PLATOON, ["tracker.source=truth", "run.duration_s=2", "drivers.robots_per_process=1"])
     )
@@ -429,11 +429,11 @@ def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(fa
     worst_ns.clear()
     topics = [key("platoon", topic, robot) for topic in (COMMAND, ENABLE, STATUS) for robot in ("r1", "r2", "r3", "r4")]
     before = {full: len(run.recording.messages[full]) for full in topics}
-    run.advance(20.0)
+    run.advance(10.0)
     run.close()
     assert run.status.phase is Phase.RUNNING
     assert len(worst_ns) == 4
     assert max(worst_ns.values()) < (120 if faults else 70) * MS  # safety.gate closes a gate then
     for robot in ("r1", "r2", "r3", "r4"):
         said = sum(len(run.recording.messages[full]) - before[full] for full in topics if f"/{robot}/" in full)
-        assert said < (110 if faults else 80) * 20
+        assert said < (110 if faults else 80) * 10

@@ -86,7 +86,7 @@ def _overlap(faults: Iterable[Any]) -> bool:
 
 
 def test_two_storms_leave_every_invariant_standing(fleet: Config) -> None:
-    tally = workers.storm(fleet, range(1, 3), Local(2), lambda _tally, _episode: None)
+    tally = workers.storm(fleet, range(1, 3), Local(1), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
     assert list(tally.shortfalls()) == []
     assert tally.seeds == 2
