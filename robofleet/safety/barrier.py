@@ -70,8 +70,9 @@ _ASKS = 0.05  # of its top speed: who asks for less stands
 _CREEPING = 0.075  # of its top speed: so fast a robot may be at any distance
 _WITHDRAWING = 0.5  # of its top speed, at most
 _TURNS = tuple(
-    (math.cos(a), math.sin(a)) for a in map(math.radians, (80.0, 110.0, 140.0))
+    (math.cos(a), math.sin(a)) for a in map(math.radians, (80.0, 110.0, 140.0, -80.0, -110.0, -140.0))
 )  # 80: less does not pass a crowd
+_RIGHT = 3  # of them are to the right, as in a roundabout; to the left a robot turns for an obstacle alone
 _AROUND_S = 0.5  # held for so long, a robot turns; in vain for so long, it turns further, or asks for the straight way
 _CLEAR_S = 0.16  # not held for so long, it asks for the straight way
 _WAITED_S = 2.0  # who was held within this time waits
@@ -339,7 +340,7 @@ def _answer(
     times: tuple[int, int, int, int], i: int, memory: Instants,
 ) -> tuple[float, float]:  # fmt: skip
     """Return what robot i gets for (x, y), and remember whether it gets on; rows from ``first`` on are the others'."""
-    mine, (met, stands, idle) = memory[i], _held_by(x, y, rows, first, whose, asks, memory)
+    mine, (met, stands, idle, walled) = memory[i], _held_by(x, y, rows, first, whose, asks, memory)
     wanted = np.hypot(x, y)
     pressing = met and wanted > _WANTED * top
     mine[_CLEAR] = 0 if met else mine[_CLEAR] + 1
@@ -355,9 +356,12 @@ def _answer(
     stuck = met and np.hypot(along, across) < _GRANTED * wanted
     gets_on = x * along + y * across >= _GRANTED * wanted * wanted
     if turned:
-        mine[_VAIN] = mine[_VAIN] + 1 if stuck else max(0, mine[_VAIN] - 1)
+        vain, last = stuck, _RIGHT
+        if walled:  # at its corners a robot may creep for long, and get nowhere
+            vain, last = turn_x * along + turn_y * across < _GRANTED * wanted * wanted, len(_TURNS)
+        mine[_VAIN] = mine[_VAIN] + 1 if vain else max(0, mine[_VAIN] - 1)
         if mine[_VAIN] >= times[0]:
-            mine[_VAIN], mine[_TURN] = 0, mine[_TURN] + 1 if stands and mine[_TURN] < len(_TURNS) else 0
+            mine[_VAIN], mine[_TURN] = 0, mine[_TURN] + 1 if stands and mine[_TURN] < last else 0
     elif not met:
         mine[_HELD] = max(0, mine[_HELD] - 1)
     elif pressing and not gets_on:
@@ -377,18 +381,18 @@ def _answer(
 @kernel
 def _held_by(
     x: float, y: float, rows: Array, first: int, whose: Instants, asks: NDArray[np.bool_], memory: Instants
-) -> tuple[bool, bool, bool]:  # fmt: skip
-    """Return whether others hold a robot that asks for (x, y); one of them stands; one of them has not waited."""
-    met, stands, idle = False, False, False
+) -> tuple[bool, bool, bool, bool]:  # fmt: skip
+    """Return whether others hold a robot that asks for (x, y); one of them stands, has not waited, is an obstacle."""
+    met, stands, idle, walled = False, False, False, False
     for k in range(first, len(rows)):
         if rows[k, 0] * x + rows[k, 1] * y > rows[k, 2] + _TOLERANCE:
             j, met = whose[k], True
             if j == _OBSTACLE:
-                stands, idle = True, True
+                stands, idle, walled = True, True, True
                 continue
             stands |= not asks[j]
             idle |= memory[j, _WAITED] == 0
-    return met, stands, idle
+    return met, stands, idle, walled
 
 
 @kernel

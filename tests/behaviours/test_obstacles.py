@@ -5,8 +5,9 @@ import pytest
 from tests.behaviours import obstacles
 
 
-@pytest.mark.parametrize(("behaviour", "seed"), [("go_to", 2), ("cyclic_pursuit", 1)])
+@pytest.mark.parametrize(("behaviour", "seed"), [("go_to", 2), ("cyclic_pursuit", 1), ("cyclic_pursuit", 14)])
 def test_robots_among_obstacles_arrive_and_keep_their_gap(behaviour: str, seed: int) -> None:
+    """In seed 14 a robot must come out of an obstacle's notch, to the left."""
     trial = obstacles.drive(behaviour, seed)
     assert obstacles.arrived(behaviour, trial)
     assert trial.gap_mm >= obstacles.LEAST_GAP_MM

@@ -60,6 +60,11 @@ def own_folders(folder: Path) -> dict[str, str]:
     return os.environ | {variable: str(folder / name) for variable, name in names.items()}
 
 
+def was_busy(said: str) -> bool:
+    """Return whether a run said that its machine is busy: then it is held at times, and goes on by itself."""
+    return "this machine is busy" in said
+
+
 def newest(said: str) -> str:
     """Return the newest line of what a run said that tells where it is: it tells so again and again."""
     told = (line for line in reversed(said.splitlines()) if line.startswith(("waiting", "armed", "running", "held")))
