@@ -32,6 +32,7 @@ _BLUR_PX = 0.9  # expected of a tag that was never fitted: a pixel, and a disc o
 _WIDE_PX = 2.2  # of one that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _NONE = np.zeros((0, 0), np.bool_)
+NOBODY = -1  # as a target
 
 
 class Found(NamedTuple):
@@ -76,6 +77,7 @@ class PhotometricFit:
         self.heights = np.array([target.height for target in targets])
         self._prints = np.stack([vertices(pattern(target.tag, self.family)) for target in targets])
         self._blur, self._noise = np.full(len(targets), _BLUR_PX), np.zeros(len(targets))
+        self.tilts, self._studies = np.zeros((len(targets), 2)), np.zeros((len(targets), 2, 2))
         self._to_quadratic = quadratic()
         self.fit(
             np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, np.complex128), np.zeros(1)
@@ -90,11 +92,12 @@ class PhotometricFit:
         velocity: Complex | None = None,
         omega: Array | None = None,
         hidden: NDArray[np.bool_] = _NONE,
+        studied: int = NOBODY,
     ) -> Fit:
         """Return the poses near the guesses ``centre``, ``psi`` (M,) of the targets ``index`` (M,).
 
         velocity (M,) [m/s; world] and omega (M,) [rad/s] are used under a rolling shutter alone. The cells ``hidden``
-        (C, C), row 0 at the print's top, do not count.
+        (C, C), row 0 at the print's top, do not count. The tilt of the target ``studied`` is learnt from this image.
         """
         m = len(index)
         if velocity is None or omega is None:
@@ -103,7 +106,7 @@ class PhotometricFit:
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            self._blur, self._noise, *fit,
+            self._blur, self._noise, self.tilts, self._studies, studied, *fit,
         )  # fmt: skip
         return fit
 

@@ -38,15 +38,18 @@ def vertices(white: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 @image_kernel
 def accumulate(  # type: ignore[no-untyped-def]
-    image, shape, window, corners, cells, hidden, tally, side_px, blur, level, cut, stride, rows, flat, products, sums
+    image, shape, window, corners, cells, hidden, tally, side_px, blur, level, cut, stride, rows, flat, products, sums,
+    slope, tilted,
 ):  # fmt: skip
     """Add up the normal equations: ``products`` (9, 9) of the pixels' eight coefficients and what is left of their
     grey; and ``sums`` (6,) over all pixels: their number, the pattern, the grey, and the products of these two.
 
     level (4,): brightness, its slopes and the contrast so far; a grey that is off by more than ``cut`` does not count.
+    tilted (3, 12), where it is not empty: the products of three coefficients more, with the nine above and with each
+    other: of the size, and of the tilt forward and left of a tag seen under ``slope`` (``tag_map.sight_slope``).
     rows (2, CHUNK) and flat (SLOTS * CHUNK,) are overwritten. Return whether the square is in the image.
     """
-    products[:], sums[:] = 0.0, 0.0
+    products[:], sums[:], tilted[:] = 0.0, 0.0, 0.0
     height, width = image.shape
     top, left = int(window[1]), int(window[0])
     many_rows = (int(window[5]) - int(window[4])) // stride + 1
@@ -64,11 +67,16 @@ def accumulate(  # type: ignore[no-untyped-def]
         if v < 0 or v >= height or begin < 0 or end >= width or many > CHUNK:
             return False
         if full + many > CHUNK:
-            _add_up(flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums)
+            _add_up(
+                flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope,
+                tilted,
+            )  # fmt: skip
             full = 0
         _read(flat[full:], many, first, stride, y, image[v, begin : end + 1])
         full += many
-    _add_up(flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums)
+    _add_up(
+        flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope, tilted
+    )  # fmt: skip
     return True
 
 
@@ -88,7 +96,7 @@ def _bound(rows, many, begin, stride, shape, window):  # type: ignore[no-untyped
 
 @image_kernel
 def _add_up(  # type: ignore[no-untyped-def]
-    flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums
+    flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope, tilted
 ):
     """Add the pixels that were read."""
     many = min(-(-full // _LANES) * _LANES, CHUNK)
@@ -113,6 +121,8 @@ def _add_up(  # type: ignore[no-untyped-def]
         tally[cell, 1] += int(flat[k])
     _multiply(flat, many, products)
     _sum(flat, many, sums)
+    if len(tilted):
+        _multiply_tilted(flat, full, slope, tilted)
 
 
 # Of many pixels in a row, flat[slot * CHUNK + k]: the compiler makes vectors of loops over arrays that are one.
@@ -222,6 +232,22 @@ def _multiply_three(x, y, many, products):  # type: ignore[no-untyped-def]
     products[0, 0], products[0, 1], products[0, 2] = products[0, 0] + au, products[0, 1] + av, products[0, 2] + aw
     products[1, 0], products[1, 1], products[1, 2] = products[1, 0] + bu, products[1, 1] + bv, products[1, 2] + bw
     products[2, 0], products[2, 1], products[2, 2] = products[2, 0] + cu, products[2, 1] + cv, products[2, 2] + cw
+
+
+@image_kernel
+def _multiply_tilted(flat, many, slope, tilted):  # type: ignore[no-untyped-def]
+    """Add the products of three more. A point that lies higher appears further along the ``slope``."""
+    ahead, aside = np.float32(slope[0]), np.float32(slope[1])
+    more = np.empty(3, np.float32)
+    for k in range(many):
+        forward, left = flat[4 * CHUNK + k], flat[5 * CHUNK + k]
+        a, b, steep = flat[CHUNK + k], flat[2 * CHUNK + k], ahead * forward + aside * left
+        more[0], more[1], more[2] = a * forward + b * left, a * steep, b * steep
+        for n in range(3):
+            for i in range(PARAMETERS + 1):
+                tilted[n, i] += more[n] * flat[i * CHUNK + k]
+            for i in range(3):
+                tilted[n, PARAMETERS + 1 + i] += more[n] * more[i]
 
 
 @image_kernel

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import image_kernel
 from robofleet.tracking.pixels import CHUNK, PARAMETERS, SLOTS, accumulate, likeness
-from robofleet.tracking.tag_map import map_pixels, shift_map
+from robofleet.tracking.tag_map import map_pixels, on_level, shift_map, sight_slope
 
 _PASSES = 10  # at most
 _COARSE = 12  # pixels along a side in the first pass, about
@@ -36,6 +36,12 @@ _LEAST_NOISE = 0.5  # [grey levels]
 _NARROWEST, _WIDEST = 0.6, 3.0  # blur [px]
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
 _GAIN = 0.2  # of what is learnt about blur and noise
+_STUDIED_FROM, _STUDIED = 0.8, 0.95  # least likeness, and share of pixels that count, to learn a tilt
+_STUDY_CUT = 0.8  # [contrasts] beyond which a pixel shows something else there
+_STUDY_DOUBT = 2.0  # variance of what is learnt of a tilt over that of white noise: lens and pattern are not exact
+_STUDY_FORGET = 0.99  # of what was known, from image to image
+_PRIOR = 1.0 / math.radians(1.0) ** 2  # what is known of a tilt before it was learnt [1/rad^2]
+_MOST_TILT = math.radians(10.0)
 
 Array = NDArray[np.float64]
 
@@ -47,6 +53,8 @@ class _Room(NamedTuple):
     pixels: NDArray[np.float32]  # (SLOTS * CHUNK,)
     products: Array  # (9, 9)
     sums: Array  # (6,)
+    tilted: Array  # (3, 12)
+    none: Array  # (0, 12)
     factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
     solution: Array  # (8,)
     level: Array  # (4,): brightness, its slopes forward and left, contrast [grey levels]
@@ -59,30 +67,37 @@ class _Room(NamedTuple):
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    blurs, noises, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+    blurs, noises, tilts, studies, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
 
     hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
-    what is known of the targets, and learnt.
+    what is known of the targets, and learnt. tilts (N, 2): as ``tag_map.map_pixels`` has it [rad]. Of the target
+    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2].
     """
+    n = PARAMETERS
     room = _Room(
-        np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((PARAMETERS + 1, PARAMETERS + 1)),
-        np.empty(6), np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS), np.empty(4), np.empty((6, 9)),
+        np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
+        np.empty((3, n + 4)), np.empty((0, n + 4)), np.empty((n, n)), np.empty(n), np.empty(4), np.empty((6, 9)),
         np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
     )  # fmt: skip
     for m in range(len(index)):
         i = index[m]
         fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
             image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
-            velocity[m], omega[m], blurs, noises, i, room, fit_covariance[m],
+            velocity[m], omega[m], blurs, noises, tilts[i], studies[i], i, room, fit_covariance[m],
         )  # fmt: skip
+        if i == studied and fit_alike[m] > _STUDIED_FROM:
+            _study(
+                image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
+                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], room,
+            )  # fmt: skip
 
 
 @image_kernel
 def _fit(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
-    blurs, noises, i, room, covariance,
+    blurs, noises, tilt, known_tilt, i, room, covariance,
 ):  # fmt: skip
     """Return centre, heading, likeness and row of one tag."""
     centre, psi, blur, noise, row = guess, guess_psi, blurs[i], noises[i], 0.0
@@ -92,36 +107,35 @@ def _fit(  # type: ignore[no-untyped-def]
     misfit = _KNOWN_MISFIT if known else _MISFIT
     variance = alike = left = before = side_px = 0.0
     tally, asked = np.zeros((0, 2), np.int64), False  # by cells: pixels, and those that count
-    mapped = False
+    mapped, slope = False, (0.0, 0.0)
     for step in range(_PASSES):
         if not mapped:
             row, side_px = map_pixels(
-                camera, line_time, side, height, to_quadratic, centre, psi, velocity, omega, room.nodes, room.bend,
-                room.shape, room.window,
+                camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, room.nodes,
+                room.bend, room.shape, room.window,
             )  # fmt: skip
-        coarse = step == 0
-        inside = _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room)
+            slope = sight_slope(camera, side, height, centre, room.shape, room.window)
+        inside = _look(image, corners, cells, hidden, tally, side_px, blur, cut, step == 0, room)
         left, seen = room.products[0, 0], room.sums[0]
         if not inside or left < 3 * PARAMETERS:
             return guess, guess_psi, 0.0, row
         squares = _solve(room.products, room.factor, solution)
         level += solution[:4]
         forward, aside, spin, length = _step(side_px, level[3], solution)
-        centre += side * complex(math.cos(psi), math.sin(psi)) * complex(forward, aside)
+        centre += side * complex(math.cos(psi), math.sin(psi)) * on_level(forward, aside, tilt, slope)
         psi += spin
         if not (length >= 0.0 and abs(centre - guess) < _FURTHEST * side and abs(psi - guess_psi) < _FURTHEST):
             return guess, guess_psi, 0.0, row
-        mapped = line_time == 0.0 and length < _NEAR * side_px and (coarse or not mapped)
+        mapped = line_time == 0.0 and length < _NEAR * side_px and (step == 0 or not mapped)
         shift_map(room.shape, forward, aside, spin)
-        if coarse:
+        if step == 0:
             cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
             continue
         variance = squares / (left - PARAMETERS)
         if not asked:  # a tag is known by all of it that may be seen
             alike = likeness(room.sums)
-        steady = left > _PARTLY * seen or abs(left - before) < 0.01 * left
+        steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
         done = length < _CONVERGED_PX and steady
-        before = left
         if step == 1 and known and left < _LEARNT_FROM * seen:
             known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
         elif not known:  # cut more and more off, until that is no more than of a normal distribution
@@ -140,6 +154,7 @@ def _fit(  # type: ignore[no-untyped-def]
     _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
     variance += (_MODEL * level[3] * blur * cells / side_px) ** 2
     _covary(room.factor, variance / (level[3] * level[3]), side, psi, covariance)
+    covariance[5] += _of_tilt(slope, known_tilt)
     return centre, psi, alike, row
 
 
@@ -149,7 +164,7 @@ def _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room
     stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / _MOST)
     return side_px > 0.0 and accumulate(
         image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
-        room.level, cut, stride, room.rows, room.pixels, room.products, room.sums,
+        room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
     )  # fmt: skip
 
 
@@ -173,6 +188,70 @@ def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def
     noise = max(noise, _LEAST_NOISE)
     noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
     blurs[i] = min(max(blurs[i] + _GAIN * min(max(wider, -0.5), 0.5), _NARROWEST), _WIDEST)
+
+
+@image_kernel
+def _study(  # type: ignore[no-untyped-def]
+    image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, blur, noise,
+    tilt, known, room,
+):  # fmt: skip
+    """Learn a tag's tilt (2,) [rad] by recursive least squares, from an image in which it was just fitted; known (2, 2)
+    is the information on it [1/rad^2].
+
+    A tilt shears a tag that is seen aslant, and turns it. The size is left free: an error of the height changes it.
+    All pixels count that do not show something quite different: a tilt shows where the fit is worst.
+    """
+    _, side_px = map_pixels(
+        camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, room.nodes, room.bend,
+        room.shape, room.window,
+    )  # fmt: skip
+    slope = sight_slope(camera, side, height, centre, room.shape, room.window)
+    contrast = room.level[3]
+    inside = accumulate(
+        image, room.shape, room.window, corners, cells, np.zeros(0, np.bool_), np.zeros((0, 2), np.int64), side_px,
+        blur, room.level, _STUDY_CUT * contrast, 1 + int(side_px / _MOST), room.rows, room.pixels, room.products,
+        room.sums, slope, room.tilted,
+    )  # fmt: skip
+    if not inside or room.products[0, 0] < _STUDIED * room.sums[0]:
+        return
+    _solve(room.products, room.factor, room.solution)
+    # What the eight, and then the size, do not explain of the tilts and of what is left of the grey.
+    rows, left = np.empty((4, PARAMETERS)), np.empty((4, 4))
+    for n in range(4):
+        row = room.tilted[n] if n < 3 else room.products[PARAMETERS]
+        for i in range(PARAMETERS):
+            total = row[i]
+            for k in range(i):
+                total -= room.factor[i, k] * rows[n, k]
+            rows[n, i] = total / room.factor[i, i]
+        for m in range(n + 1):
+            left[n, m] = row[PARAMETERS] if m == n else room.tilted[m, PARAMETERS]
+            if n < 3:
+                left[n, m] = row[PARAMETERS + 1 + m]
+            for i in range(PARAMETERS):
+                left[n, m] -= rows[n, i] * rows[m, i]
+    for n in range(1, 4):
+        for m in range(1, n + 1):
+            left[n, m] -= left[n, 0] * left[m, 0] / left[0, 0]
+    variance = left[3, 3] / (room.products[0, 0] - PARAMETERS)
+    by = contrast / (_STUDY_DOUBT * max(variance, noise * noise))
+    known *= _STUDY_FORGET
+    known[0, 0] += by * contrast * left[1, 1]
+    known[0, 1] += by * contrast * left[2, 1]
+    known[1, 1] += by * contrast * left[2, 2]
+    aa, ab, bb = known[0, 0] + _PRIOR, known[0, 1], known[1, 1] + _PRIOR
+    a, b, area = by * left[3, 1], by * left[3, 2], aa * bb - ab * ab
+    tilt[0] = min(max(tilt[0] - (bb * a - ab * b) / area, -_MOST_TILT), _MOST_TILT)
+    tilt[1] = min(max(tilt[1] - (aa * b - ab * a) / area, -_MOST_TILT), _MOST_TILT)
+
+
+@image_kernel
+def _of_tilt(slope, known):  # type: ignore[no-untyped-def]
+    """Return what a tilt that is not known exactly adds to a heading's variance [rad^2]: it turns the tag by half of
+    itself times the slope under which it is seen."""
+    aa, ab, bb = known[0, 0] + _PRIOR, known[0, 1], known[1, 1] + _PRIOR
+    ahead, aside = 0.5 * slope[0], 0.5 * slope[1]
+    return (bb * aside * aside + 2.0 * ab * aside * ahead + aa * ahead * ahead) / (aa * bb - ab * ab)
 
 
 @image_kernel

@@ -9,6 +9,7 @@ from robofleet.kernels import image_kernel
 from robofleet.tracking.projection import project
 
 _NODE = 0.6  # half the square whose nodes are projected [sides]
+_ABOVE = 0.1  # the height of the point that shows under which slope a tag is seen [sides]
 
 
 def quadratic() -> NDArray[np.float64]:
@@ -19,23 +20,26 @@ def quadratic() -> NDArray[np.float64]:
 
 @image_kernel
 def map_pixels(  # type: ignore[no-untyped-def]
-    camera, line_time, side, height, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape, window
+    camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape, window
 ):
     """Fill ``shape`` (2, 6): forward and left [sides] as quadratics of a pixel from the window's origin; ``window``
     (6,): origin, first and last column, first and last row. Return the centre's row, and the side [px]; 0: no map.
 
+    tilt (2,): how far the print's forward, and its left, rise above the horizontal [rad].
     nodes (6, 9) and bend (2, 6) are overwritten.
     """
     turned = side * complex(math.cos(psi), math.sin(psi))
+    cos_a, sin_a, cos_b, sin_b = math.cos(tilt[0]), math.sin(tilt[0]), math.cos(tilt[1]), math.sin(tilt[1])
     u, v, z, missed = nodes[0], nodes[1], nodes[2:4], nodes[4:6]
     _, row = project(camera, centre.real, centre.imag, height)
     for n in range(9):
-        arm = turned * complex((n % 3 - 1) * _NODE, (n // 3 - 1) * _NODE)
-        point = centre + arm
-        u[n], v[n] = project(camera, point.real, point.imag, height)
+        a, b = (n % 3 - 1) * _NODE, (n // 3 - 1) * _NODE
+        arm = turned * complex(a * cos_a - b * sin_a * sin_b, b * cos_b)
+        point, z_point = centre + arm, height + side * (a * sin_a + b * cos_a * sin_b)
+        u[n], v[n] = project(camera, point.real, point.imag, z_point)
         if line_time > 0.0:
             point += (velocity + 1j * omega * arm) * ((v[n] - row) * line_time)
-            u[n], v[n] = project(camera, point.real, point.imag, height)
+            u[n], v[n] = project(camera, point.real, point.imag, z_point)
     scale = 0.5 / _NODE
     ua, va, ub, vb = (u[5] - u[3]) * scale, (v[5] - v[3]) * scale, (u[7] - u[1]) * scale, (v[7] - v[1]) * scale
     area = ua * vb - ub * va
@@ -71,6 +75,30 @@ def map_pixels(  # type: ignore[no-untyped-def]
         s[0] = k[0] - s[1] * x - s[2] * y + s[3] * x * x + s[4] * x * y + s[5] * y * y
         s[1], s[2] = s[1] - 2.0 * s[3] * x - s[4] * y, s[2] - 2.0 * s[5] * y - s[4] * x
     return row, math.sqrt(abs(area))
+
+
+@image_kernel
+def sight_slope(camera, side, height, centre, shape, window):  # type: ignore[no-untyped-def]
+    """Return how far forward and left of a tag's centre a point above it appears, in its height."""
+    low_u, low_v = project(camera, centre.real, centre.imag, height)
+    high_u, high_v = project(camera, centre.real, centre.imag, height + _ABOVE * side)
+    slope = np.empty(2)
+    for axis in range(2):
+        s, difference = shape[axis], 0.0
+        for u, v, sign in ((low_u, low_v, -1.0), (high_u, high_v, 1.0)):
+            x, y = u - window[0], v - window[1]
+            difference += sign * (x * (s[1] + x * s[3] + y * s[4]) + y * (s[2] + y * s[5]))
+        slope[axis] = difference / _ABOVE
+    return slope[0], slope[1]
+
+
+@image_kernel
+def on_level(forward, left, tilt, slope):  # type: ignore[no-untyped-def]
+    """Return the step at a constant height, as a complex number, that looks like a step on the plane of a tilted tag
+    that is seen under ``slope``."""
+    cos_a, sin_a, cos_b, sin_b = math.cos(tilt[0]), math.sin(tilt[0]), math.cos(tilt[1]), math.sin(tilt[1])
+    rise = forward * sin_a + left * cos_a * sin_b
+    return complex(forward * cos_a - left * sin_a * sin_b + rise * slope[0], left * cos_b + rise * slope[1])
 
 
 @image_kernel

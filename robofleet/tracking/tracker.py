@@ -25,7 +25,7 @@ from robofleet.tracking.covariance import UNKNOWN, Covariance, covariances
 from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.motion import measure, predict
-from robofleet.tracking.photometric import Fit, Found, PhotometricFit, side_px
+from robofleet.tracking.photometric import NOBODY, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.suspects import SAME, Suspects
 from robofleet.tracking.tags import Findings, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.targets import Target
@@ -44,6 +44,7 @@ _SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once ma
 _DEEP_SEARCHES = 1  # of these
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
+_OFTEN, _STUDIED_EVERY = 10, 8  # images from which each tilt is learnt at first; then one of so many
 _MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
@@ -97,6 +98,7 @@ class TagTracker:
         self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
         self._line_ns = np.array([(image_size[1] - 1) / 2.0, line_time * 1e9])  # middle row [px], from row to row
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
+        self._studies = np.zeros(n, np.int64)  # images from which each tag's tilt was learnt
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
@@ -171,7 +173,7 @@ class TagTracker:
         if not len(index):
             return set()
         centre, psi, velocity = self._predicted(index, exposure_ns)
-        fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index])
+        fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index], studied=self._studied(index))
         if (fit.alike >= CLEAR).all():
             self._measure(index, fit, exposure_ns)
             return set(index.tolist())
@@ -182,6 +184,17 @@ class TagTracker:
                 fit.centre[k], fit.psi[k], fit.covariance[k] = tag.centre, tag.psi, tag.covariance
         self._measure(index[there], fit.of(there), exposure_ns)
         return set(index[there].tolist())
+
+    def _studied(self, index: Indices) -> int:
+        """Return whose tilt is learnt from this image: of those that drive, in turn, at first often and then seldom."""
+        if self._images % _STUDIED_EVERY and self._studies[index].min() >= _OFTEN:
+            return NOBODY
+        drives = index[self._drives[index]]
+        if not len(drives):
+            return NOBODY
+        chosen = int(drives[np.argmin(self._studies[drives])])
+        self._studies[chosen] += 1
+        return chosen
 
     def _predicted(self, index: Indices, exposure_ns: int) -> tuple[Complex, Array, Complex]:
         """Return centre, heading and velocity [m/s; world] when the rows in which the tags were last are exposed."""

@@ -63,6 +63,8 @@ SCENES = {
     "cable of 2 px": Scene(cable_px=2.0),
 }
 
+_TEACHING = 10  # images
+
 
 class Placed(NamedTuple):
     """Tags of one image: what is true, and what the fit says."""
@@ -81,7 +83,8 @@ def camera(scene: Scene) -> RayCamera:
 
 
 def placed(scene: Scene, poses: int, seed: int = 1) -> Iterator[Placed]:
-    """Yield images until so many tags were placed; the first one teaches the fit blur and noise, and does not count."""
+    """Yield images until so many tags were placed; the first ones teach the fit blur, noise and tilt, and do not
+    count."""
     rng = np.random.default_rng(seed)
     eye = camera(scene)
     caster = RayCaster(eye, clutter(eye.size, rng), rng)
@@ -91,7 +94,7 @@ def placed(scene: Scene, poses: int, seed: int = 1) -> Iterator[Placed]:
     fit = PhotometricFit(geometry, targets)
     deep = DeepSearch(fit, targets)
     pixel = (2.5 - HEIGHT) / float(eye.K[0, 0])
-    for k in range(-2, math.ceil(poses / scene.tags)):
+    for k in range(-_TEACHING, math.ceil(poses / scene.tags)):
         true = _poses(scene.tags, rng)
         speed = rng.uniform(-1.0, 1.0, (scene.tags, 2)) * [0.2, 2.0] * scene.moving
         clear = scene if k >= 0 else scene._replace(covered=0.0, cable_px=0.0)
@@ -108,6 +111,8 @@ def placed(scene: Scene, poses: int, seed: int = 1) -> Iterator[Placed]:
             true[:, 2] + rng.normal(0.0, 0.009, scene.tags),
         )
         seen = fit.fit(image, np.arange(scene.tags), centre, psi)
+        for row in range(scene.tags) if k < 0 else [k % scene.tags]:
+            fit.fit(image, np.array([row]), seen.centre[[row]], seen.psi[[row]], studied=row)
         for row in np.flatnonzero(seen.alike < CLEAR).tolist():  # as the tracker does
             tag = deep.near(image, row, complex(seen.centre[row]), float(seen.psi[row]), followed=True)
             if tag is not None:

@@ -38,13 +38,13 @@ class RayCamera:
             distorted = np.stack(_pinhole(ray[:, 0], ray[:, 1], self.distortion), axis=1)
         return distorted * np.diag(self.K)[:2] + self.K[:2, 2]
 
-    def on_plane(self, pixels: Array, height: float) -> Array:
-        """Return x, y (N, 2) [m] where the rays of pixels (N, 2) meet z = height."""
+    def on_plane(self, pixels: Array, height: float | Array) -> Array:
+        """Return x, y (N, 2) [m] where the rays of pixels (N, 2) meet z = height, or each its own (N,)."""
         distorted = (pixels - self.K[:2, 2]) / np.diag(self.K)[:2]
         undo = _fisheye_ray if self.fisheye else _pinhole_ray
         ray = np.column_stack([undo(distorted, self.distortion), np.ones(len(pixels))]) @ self.T_world_camera[:3, :3].T
         eye = self.T_world_camera[:3, 3]
-        return eye[:2] + ray[:, :2] * ((height - eye[2]) / ray[:, 2:])
+        return eye[:2] + ray[:, :2] * ((np.reshape(height, (-1, 1)) - eye[2]) / ray[:, 2:])
 
     def row_time(self, v: Array) -> Array:
         """Return when rows ``v`` are in mid-exposure [s]."""

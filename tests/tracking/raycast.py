@@ -13,7 +13,7 @@ instant at which the image's middle row is in mid-exposure. Grey levels are line
 import functools
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -55,6 +55,7 @@ class Print(NamedTuple):
     cable: Cable | None = None
     family: str = "36h11"
     greys: tuple[float, float] = (BLACK, WHITE)
+    tilt: tuple[float, float] = (0.0, 0.0)  # how far its forward, and its left, rise above the horizontal [rad]
 
 
 class Patch(NamedTuple):
@@ -145,7 +146,7 @@ class RayCaster:
 
     def _exposed(self, tag: Print, u: Array, v: Array, footprint: float, instants: int) -> tuple[Floats, Floats]:
         """Return cover and light of the sub-samples in columns ``u`` and rows ``v``, averaged over the exposure."""
-        x, y = self._meet(u, v, tag.height, tag.pose)
+        x, y = self._meet(u, v, tag.height, tag.pose, tag.tilt)
         strip = None if tag.cable is None else self._cable(tag, tag.cable, u, v, footprint)
         rows, columns = np.arange(len(v))[:, None], np.arange(len(u))
         scatter = np.modf(0.7548776662466927 * columns + 0.5698402909980532 * rows)[0].astype(
@@ -168,7 +169,8 @@ class RayCaster:
         c, s, d_x, d_y = np.cos(psi), np.sin(psi), x - at_x, y - at_y
         cells, cell = _cells(tag)
         half = 0.5 * cells
-        column, row = half + (c * d_x + s * d_y) / cell, half - (c * d_y - s * d_x) / cell
+        forward, left = _on_print(c * d_x + s * d_y, c * d_y - s * d_x, tag.tilt)
+        column, row = half + forward / cell, half - left / cell
         right, to_right, on_x = _edges(column, footprint / cell, cells)
         below, to_below, on_y = _edges(row, footprint / cell, cells)
         look = np.pad(
@@ -192,7 +194,10 @@ class RayCaster:
         away = np.abs(math.cos(run) * d_y - math.sin(run) * d_x)
         return np.clip((0.5 * cable.width - away) / footprint + 0.5, 0.0, 1.0)
 
-    def _meet(self, u: Array, v: Array, height: float, origin: tuple[float, float, float]) -> tuple[Floats, Floats]:
+    def _meet(
+        self, u: Array, v: Array, height: float, origin: tuple[float, float, float],
+        tilt: tuple[float, float] = (0.0, 0.0),
+    ) -> tuple[Floats, Floats]:  # fmt: skip
         """Return x, y (V, U) from ``origin`` [m] where the rays of columns ``u`` and rows ``v`` meet a plane."""
         nodes = np.cos(math.pi * (np.arange(_NODES) + 0.5) / _NODES)
         to_nodes = np.linalg.inv(chebvander(nodes, _NODES - 1))
@@ -203,7 +208,10 @@ class RayCaster:
 
         (u_nodes, from_u), (v_nodes, from_v) = span(u), span(v)
         pixels = np.stack(np.meshgrid(u_nodes, v_nodes), axis=-1).reshape(-1, 2)
-        x, y = self.camera.on_plane(pixels, height).T.reshape(2, _NODES, _NODES)
+        there = self.camera.on_plane(pixels, height)
+        for _ in range(6 if any(tilt) else 0):  # each brings it a hundred times nearer
+            there = self.camera.on_plane(pixels, height + _rise(there - origin[:2], origin[2], tilt))
+        x, y = there.T.reshape(2, _NODES, _NODES)
         # On a busy machine BLAS's threads wait for each other longer than such a product takes: einsum has none.
         x = np.einsum("vi,ui->vu", from_v @ (x - origin[0]), from_u)
         y = np.einsum("vi,ui->vu", from_v @ (y - origin[1]), from_u)
@@ -217,6 +225,19 @@ class RayCaster:
         for k in range(9):
             pixels += blocks[k // 3 : k // 3 + h - 2, k % 3 : k % 3 + w - 2, k]
         return pixels
+
+
+def _on_print(forward: Any, left: Any, tilt: tuple[float, float]) -> tuple[Any, Any]:
+    """Return where on a tilted print points lie whose horizontal way from its centre is given."""
+    left = left / math.cos(tilt[1])
+    return (forward + left * (math.sin(tilt[0]) * math.sin(tilt[1]))) / math.cos(tilt[0]), left
+
+
+def _rise(way: Array, psi: float, tilt: tuple[float, float]) -> Array:
+    """Return how far points (N, 2) of a tilted print lie above its centre, from their horizontal way from it [m]."""
+    c, s = math.cos(psi), math.sin(psi)
+    forward, left = _on_print(way @ [c, s], way @ [-s, c], tilt)
+    return np.asarray(forward * math.sin(tilt[0]) + left * (math.cos(tilt[0]) * math.sin(tilt[1])), np.float64)
 
 
 def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
