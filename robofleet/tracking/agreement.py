@@ -11,17 +11,20 @@ is not believed any more, until they agree again for a while. Of the two it is
 4. of two that moved apart slowly, the one that was a little further away.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.tracking.joined import TOGETHER_NS, Seen
+from robofleet.tracking.measured import COLUMNS
 
 Array = NDArray[np.float64]
 
+_VARIANCES = [3, 5]  # columns of x and y
 APART_M = 0.001  # two calibrated cameras agree to some tenths of a millimetre
-_NOISES = 4.0  # of a measurement, where these are larger
+_NOISES = 4.0  # standard deviations of a measurement, where these are more
 _IMAGES = 3  # in a row: a tag that something covers for a moment is off in fewer
 _AGAIN = 30  # images in a row before a camera is believed again: a second
 _JUMPED = 2.0  # times as far from the prediction as the other
@@ -38,15 +41,17 @@ class Verdict(NamedTuple):
 class Agreement:
     """Told of every image, it says whom to believe. ``compared`` (N,): robots by which cameras are judged.
 
-    ``noise``: standard deviation of a measured position [m]. ``fixed`` (C,): cameras that see a floor tag.
+    ``noise``: standard deviation of a position at least, whatever its covariance says [m]. ``fixed`` (C,): cameras that
+    see a floor tag.
     """
 
     def __init__(self, compared: NDArray[np.bool_], noise: float, fixed: NDArray[np.bool_]) -> None:
         cameras, robots = len(fixed), len(compared)
         self.believed = np.ones(cameras, np.bool_)
         self._compared, self._fixed = compared, fixed
-        self._limit = max(APART_M, _NOISES * noise)
+        self._noise = noise
         self._off = np.full((cameras, robots, 2), np.nan)  # newest measurement minus prediction
+        self._variances = np.zeros((cameras, robots))  # of these [m^2]: the mean of x and y
         self._at_ns = np.zeros((cameras, robots), np.int64)
         self._streaks = np.zeros((cameras, cameras), np.int64)  # images in a row in which two were apart
         self._onsets = np.zeros((cameras, cameras))  # how far the first was from the prediction when that began
@@ -58,28 +63,34 @@ class Agreement:
         good = seen.measured & self._compared & np.isfinite(predicted[:, 0])
         self._off[own] = np.where(good[:, None], seen.poses[:, :2] - predicted[:, :2], np.nan)
         self._at_ns[own] = np.where(good, seen.instants_ns, 0)
+        if seen.poses.shape[1] == COLUMNS:
+            self._variances[own] = seen.poses[:, _VARIANCES].mean(axis=1)
         for other in range(len(self.believed)):
-            if other == own or np.isnan(far := self._apart(own, other)):
+            far, limit = self._apart(own, other)
+            if other == own or np.isnan(far):
                 continue
             if self.believed[own] and self.believed[other]:
-                verdict = self._judge(own, other, far)
+                verdict = self._judge(own, other, far, limit)
             elif self.believed[own] or self.believed[other]:
-                verdict = self._forgive(other if self.believed[own] else own, far)
+                verdict = self._forgive(other if self.believed[own] else own, far, limit)
             else:
                 continue
             if verdict is not None:
                 return verdict
         return None
 
-    def _apart(self, own: int, other: int) -> float:
-        """Return how far apart two cameras see the robots that both show now [m]; NaN: none."""
-        both = np.abs(self._at_ns[own] - self._at_ns[other]) < TOGETHER_NS
-        far = np.linalg.norm(self._off[own] - self._off[other], axis=1)[both]
-        far = far[np.isfinite(far)]
-        return float(np.median(far)) if len(far) else np.nan
+    def _apart(self, own: int, other: int) -> tuple[float, float]:
+        """Return how far apart two cameras see the robots that both show now, and how far they may [m]; NaN: none."""
+        far = np.linalg.norm(self._off[own] - self._off[other], axis=1)
+        both = (np.abs(self._at_ns[own] - self._at_ns[other]) < TOGETHER_NS) & np.isfinite(far)
+        if not both.any():
+            return np.nan, np.nan
+        said = np.maximum(self._variances[own], self._variances[other])[both]
+        sigma = max(self._noise, math.sqrt(float(np.median(said))))
+        return float(np.median(far[both])), max(APART_M, _NOISES * sigma)
 
-    def _judge(self, own: int, other: int, far: float) -> Verdict | None:
-        streak = self._streaks[own, other] + 1 if far > self._limit else 0
+    def _judge(self, own: int, other: int, far: float, limit: float) -> Verdict | None:
+        streak = self._streaks[own, other] + 1 if far > limit else 0
         self._streaks[own, other] = self._streaks[other, own] = streak
         if streak == 1:
             for one, its in ((own, other), (other, own)):
@@ -101,8 +112,8 @@ class Agreement:
             return other if self._fixed[one] else one
         return one if first > second else other
 
-    def _forgive(self, doubted: int, far: float) -> Verdict | None:
-        self._again[doubted] = self._again[doubted] + 1 if far < self._limit / 2 else 0
+    def _forgive(self, doubted: int, far: float, limit: float) -> Verdict | None:
+        self._again[doubted] = self._again[doubted] + 1 if far < limit / 2 else 0
         if self._again[doubted] < _AGAIN:
             return None
         self.believed[doubted] = True

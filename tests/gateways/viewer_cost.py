@@ -18,16 +18,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
+from robofleet.clock import S
 from robofleet.comms.joining import joined
 from robofleet.comms.keys import TICK, key
-from robofleet.comms.messages import TICK_RECORD
 from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from tests.processes.realrun import CLOCK, RealRun, wait
+from tests.processes.recorder_cost import heard, print_table
 
 SIDES = "without", "server", "viewer"
-FIGURES = ("late, us", "computing, us")
 _SETTLED_NS = 3 * S  # after a process was started or ended
 _WITHIN_S = 60.0
 _LOOK = (
@@ -67,10 +66,7 @@ def side(name: str, run: RealRun, folder: Path) -> Iterator[None]:
 def ticks(bus: ZenohBus, arena: str, seconds: float) -> NDArray[np.float64]:
     """Return lateness and computing time of the ticks of some seconds (K, 2) [us]."""
     CLOCK.sleep_until(CLOCK.now_ns() + _SETTLED_NS)
-    stream = bus.stream(key(arena, TICK), capacity=1 << 14)
-    CLOCK.sleep_until(CLOCK.now_ns() + round(seconds * S))
-    heads = [TICK_RECORD.decode_head(payload) for _, _, payload in stream.drain()]
-    return np.array([(head.lateness_ns, head.compute_ns) for head in heads if head is not None]) * 1e3 / MS
+    return heard(bus.stream(key(arena, TICK), capacity=1 << 14), seconds)
 
 
 def main() -> None:
@@ -99,12 +95,7 @@ def main() -> None:
             bus.close()
         finally:
             run.clean_up()
-    print(f"{'beside':<10}{'of a tick':<16}{'p50':>8}{'p99':>8}{'max':>9}   p99 of each turn")
-    for one, turns in found.items():
-        for column, figure in enumerate(FIGURES):
-            p50, p99, most = np.percentile(np.concatenate(turns)[:, column], (50, 99, 100))
-            each = " ".join(f"{np.percentile(turn[:, column], 99):.0f}" for turn in turns)
-            print(f"{one:<10}{figure:<16}{p50:>8.0f}{p99:>8.0f}{most:>9.0f}   {each}")
+    print_table("beside", found)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,11 @@ def ticks(fleet: Fleet, stream: Stream, seconds: float) -> NDArray[np.float64]:
     """Return lateness and computing time of the ticks of some seconds (K, 2) [us]."""
     fleet.drive()
     CLOCK.sleep_until(CLOCK.now_ns() + _SETTLED_NS)
+    return heard(stream, seconds)
+
+
+def heard(stream: Stream, seconds: float) -> NDArray[np.float64]:
+    """Return lateness and computing time of the ticks that come in some seconds (K, 2) [us]."""
     stream.drain()
     CLOCK.sleep_until(CLOCK.now_ns() + round(seconds * S))
     heads = [TICK_RECORD.decode_head(payload) for _, _, payload in stream.drain()]
@@ -63,7 +68,12 @@ def main() -> None:
             found = measured(fleet, Path(name), arguments.turns, arguments.seconds)
         finally:
             fleet.close()
-    print(f"{'recorder':<10}{'of a tick':<16}{'p50':>8}{'p99':>8}{'max':>9}   p99 of each turn")
+    print_table("recorder", found)
+
+
+def print_table(title: str, found: dict[str, list[NDArray[np.float64]]]) -> None:
+    """Print what was heard of ticks (K, 2) in each turn of each side."""
+    print(f"{title:<10}{'of a tick':<16}{'p50':>8}{'p99':>8}{'max':>9}   p99 of each turn")
     for side, turns in found.items():
         for column, figure in enumerate(FIGURES):
             p50, p99, most = np.percentile(np.concatenate(turns)[:, column], (50, 99, 100))

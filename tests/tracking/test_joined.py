@@ -110,6 +110,21 @@ def test_cameras_that_agree_are_believed() -> None:
     assert judge.images(300) == []
 
 
+@pytest.mark.parametrize(("said", "verdicts"), [(0.001, 0), (0.0, 1)])
+def test_a_camera_that_says_how_unsure_it_is_is_not_accused_of_it(said: float, verdicts: int) -> None:
+    """Its tags are faint: a millimetre of noise, which its covariances tell, or do not."""
+    judge, rng = Judge(2), np.random.default_rng(4)
+    covariance = np.tile([said**2, 0.0, said**2, 0.0, 0.0, 1e-6], (3, 1))
+    heard = []
+    for k in range(200):
+        true = np.array([pose(k, robot) for robot in range(3)])
+        for camera, sigma in enumerate((0.0, 0.001)):
+            poses = np.column_stack([true + rng.normal(0.0, sigma, (3, 3)), covariance])
+            heard.append(judge.its.look(Seen(camera, poses, np.full(3, S + k * TICK)), true))
+    assert len([verdict for verdict in heard if verdict is not None]) >= verdicts
+    assert verdicts or not any(heard)
+
+
 @pytest.mark.parametrize("knocked", [0, 1])
 def test_the_one_that_jumped_is_not_believed_until_it_agrees_again(knocked: int) -> None:
     judge = Judge(2)
