@@ -3,6 +3,7 @@
 import signal
 import subprocess
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from tests.hosts.network import Host, Network
-from tests.processes.realrun import PLATOON, newest
+from tests.processes.realrun import PLATOON, newest, wait
 
 PORT = 7447
 ALONE = "desk", "phone"
@@ -90,6 +91,21 @@ class Fleet:
         run = lab.begin("run", str(file), "--out", str(lab.folder / name), *words, log=lab.folder / f"{name}.log")
         self._stack.callback(ended, run)
         return run
+
+    def drive(self, file: Path, name: str, *words: str) -> tuple["subprocess.Popen[bytes]", str]:
+        """Start a run that drives; returns it and its folder's name.
+
+        A firmware's twin is a process here: where a busy machine does not run it for a while, its robot stops late, and
+        the checks before the start rightly refuse a robot that travels further than it should. Then it is started anew.
+        """
+        for attempt in ("", "-2", "-3"):
+            run, its = self.run(file, name + attempt, *words, *(["--reset"] if attempt else [])), name + attempt
+            said = partial(self.log, its)
+            assert wait(lambda run=run, its=its: self.tells(its, "running") or run.poll() is not None, 150), said()
+            if run.poll() is None:
+                return run, its
+            assert "it travels" in said(), said()
+        raise AssertionError("three starts were refused")
 
     def phase(self) -> str:
         """Return where the run is, as the laboratory sees it."""

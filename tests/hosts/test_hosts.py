@@ -38,9 +38,7 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
     file = configuration(net, *robots, duration_s=300.0)
     with ExitStack() as stack:
         fleet = Fleet(net, robots, stack)
-        run = fleet.run(file, "first", "--set", "tracker.source=truth")
-        assert wait(lambda: fleet.tells("first", "running") or run.poll() is not None, 150), fleet.log("first")
-        assert run.poll() is None, fleet.log("first")
+        run, name = fleet.drive(file, "first", "--set", "tracker.source=truth")
 
         hosts = yaml.safe_load(said(net["lab"], "hosts", "--json"))["units"]
         assert [one["unit"] for one in hosts] == list(robots)
@@ -51,28 +49,28 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
         assert all(one["state"] == "drives" and one["round_trip_ms"] for one in seen)
 
         assert net["phone"].robofleet("hold").stdout.startswith("ok")
-        assert wait(lambda: fleet.tells("first", "held: hold requested"), 20), fleet.log("first")
+        assert wait(lambda: fleet.tells(name, "held: hold requested"), 20), fleet.log(name)
         assert fleet.phase() == "hold"
         refused = net["phone"].robofleet("resume")
         assert refused.returncode == 1
         assert fleet.phase() == "hold"
         assert net["desk"].robofleet("resume").stdout.startswith("ok")
-        assert wait(lambda: fleet.tells("first", "running"), 20), fleet.log("first")
+        assert wait(lambda: fleet.tells(name, "running"), 20), fleet.log(name)
 
         with net.cut("r2"):
-            assert wait(lambda: fleet.tells("first", "held"), 20), "a robot that nobody reaches does not stop the run"
+            assert wait(lambda: fleet.tells(name, "held"), 20), "a robot that nobody reaches does not stop the run"
         assert wait(lambda: net["desk"].robofleet("resume").stdout.startswith("ok"), 30)
-        assert wait(lambda: fleet.tells("first", "running"), 20), "a robot whose link is back drives again"
+        assert wait(lambda: fleet.tells(name, "running"), 20), "a robot whose link is back drives again"
 
         stopped = net["desk"].robofleet("stop")
         acknowledged = stopped.stdout.startswith("emergency stop of platoon: every robot acknowledged")
-        assert acknowledged or was_busy(fleet.log("first")), stopped.stderr
+        assert acknowledged or was_busy(fleet.log(name)), stopped.stderr
         assert wait(lambda: run.poll() is not None, 60)
-        recording = read(net["lab"].folder / "first")
+        recording = read(net["lab"].folder / name)
         assert all(recording.of_robot(STATUS, robot)["latch"].max() >= Latch.EMERGENCY_STOP for robot in robots)
 
-        again = fleet.run(file, "second", "--set", "tracker.source=truth", "--reset", "--duration", "1")
-        assert again.wait(100) == 0, fleet.log("second")
+        again, name = fleet.drive(file, "again", "--set", "tracker.source=truth", "--reset", "--duration", "4")
+        assert again.wait(100) == 0, fleet.log(name)
         assert all(daemon.poll() is None for daemon in fleet.daemons.values())
 
 
