@@ -157,7 +157,7 @@ def test_a_node_that_is_killed_lets_its_robot_stand(
     after = (stamps > node.middle) & (stamps < min(ends))
     ages = run.told[0].figures["command_age"][:, 0]
     assert ages[after & (wheels > 0.0)].max() <= SILENT_S + 1e-6
-    assert ages[after].max() > SILENT_S
+    assert not (ages[after] <= SILENT_S).all(), "it became too old, or was gone with its node"
     assert wheels[after][-1] == 0.0
     held = [line for line in stand.run.said.splitlines() if line.startswith("held: ")]
     assert all("hold requested" in line or "goes on by itself" in line for line in held), held
