@@ -175,6 +175,7 @@ class Launcher:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         held.callback(bus.close)  # after the router has ended: leaving one that is stopped takes many seconds
         self._bus, self._fleet = bus, fleet
+        self._phase = READY
         self._watch(self.recording, READY)  # who loads something for the run to come does it now
         self.began = True
         self._faults = ChildFaults(self._config, self._clock, fleet)
@@ -200,10 +201,10 @@ class Launcher:
     def _follow(self) -> Outcome:
         """See the run through its checks and its laps; returns how it ended."""
         waits = self._config.run.start == "operator"
-        self._phase = "waiting" if waits else "arming"
         self._wait_for_daemons()
         if self._reset:
             self._ask(b"reset")
+        self._phase = "waiting" if waits else "arming"
         if not waits:
             self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
@@ -326,7 +327,8 @@ class Launcher:
         keys = self._terminal.keys(self._clock, self._clock.now_ns() + _POLL_NS)
         if self._phase != _EMERGENCY:
             self._obey(keys)
-            self._ask_by_key(keys)
+            if self._phase != READY:  # no key's wish overtakes the reset that the command line asked for
+                self._ask_by_key(keys)
             self._heed()
             self._attend()
         heard_ns = 0
