@@ -38,7 +38,7 @@ class Sighting:
         self._said = 0
 
     def begin(self, fleet_filter: FleetFilter, bystanders: Bystanders) -> None:
-        """Know nothing, and tell this filter, and who stands there."""
+        """Start anew with this filter and these bystanders."""
         self._filter, self._bystanders = fleet_filter, bystanders
         self.taken = [(0, 0)] * len(self._images)  # epoch and seq of the newest poses of each camera
         self.exposure_ns = 0  # of the newest image used [tracker's clock]

@@ -1,4 +1,4 @@
-"""What viewers look at, as its launcher has it. The run does not need it: whatever becomes of it, the run goes on."""
+"""The launcher's side of a viewers' process. If that process fails, the run goes on."""
 
 import socket
 import subprocess

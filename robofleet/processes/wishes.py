@@ -37,9 +37,9 @@ class Wishes:
         self._some = any(self._groups)
 
     def at(self, tick: int, phase: Phase) -> tuple[Wish | None, ...]:
-        """Return what is wished at a tick; while nobody may drive, whatever comes is forgotten.
+        """Return the wishes at a tick; while no robot may drive, wishes are dropped.
 
-        In HOLD the wish of a person counts who drives one robot out, and no other.
+        In HOLD only a person's wish counts that drives one robot out.
         """
         if not self._some:
             return self.nobody

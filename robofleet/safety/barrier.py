@@ -18,7 +18,7 @@ The turn (right-hand rule) changes only what is asked for, and every row is kept
 second asks for the same speed 80 degrees to the right. All who press each other do so: they form a roundabout. If it
 does not get on for half a second, it asks for the straight way again. But if one of those who hold it stands (it is
 asked for nothing, or it stalls: it moves less than a fifth of what it was commanded), it first turns by 110 and then by
-140 degrees, to go round that one. An obstacle stands.
+140 degrees, to go round that one. An obstacle stands; at one it then tries the left.
 
 A robot is blocked that stands for three seconds, or turns and goes round for eighteen without getting on, because of
 somebody who does not wait: one that stands, or stalls. Robots that press each other and all wait are blocked, too,

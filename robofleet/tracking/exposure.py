@@ -86,7 +86,7 @@ class ExposureController:
         return exposure if near else Exposure(time_s, gain)
 
     def _wanted_db(self, light: Light) -> float:
-        """Return by how much the image should be brighter; 0 in the band, and on the way to its middle's end."""
+        """Return the change of brightness that is wanted [dB]; 0 while white is inside its band."""
         share = light.white / self._aim
         low, high = _BAND[0], _BAND[1]
         if self._correcting > 0:
