@@ -52,7 +52,7 @@ _COLLECT_AFTER = 50_000  # objects: loading libraries makes hundreds of thousand
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Drive fleets of differential-drive robots under an overhead camera.",
+    help="Drive fleets of differential-drive robots under overhead cameras.",
     epilog="First: robofleet check configs/platoon.yaml, then: robofleet run configs/platoon.yaml. "
     "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you, or results were lost; "
     "2: bad input.",
@@ -105,7 +105,7 @@ def run(
     duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; default: run.duration_s.")] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Default: run.seed.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer copies it
-    faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults of simulated robots.")] = None,
+    faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults: configs/faults.")] = None,
     reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
     takeover: Annotated[
         bool, typer.Option("--takeover", help="Take over robots that another controller holds.")

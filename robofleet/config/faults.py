@@ -220,7 +220,7 @@ def no_errors(robot: int) -> Complaint:
 
 
 def _sensors(config: Config) -> Iterator[Complaint]:
-    """Whoever is to tell what its sensors measure has some."""
+    """Yield robots with ``sensors: true`` whose kind has no sensors."""
     for i, robot in enumerate(config.robots):
         kind = robot.vehicle.sensors
         if robot.sensors and (kind is None or not kind.model_dump(exclude={"period_s"}, exclude_none=True)):

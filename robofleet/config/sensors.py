@@ -66,7 +66,7 @@ class DistancePlace(Model):
 
 
 class Distances(Model):
-    """Sensors of the distance to what is first on a ray: an arena's wall, or another robot's body."""
+    """Sensors of the distance to what is first on a ray: an arena's wall, an obstacle, or another robot's body."""
 
     range_m: Length
     """Farthest distance that is seen."""

@@ -83,8 +83,8 @@ def build(config: Config) -> int:
 
 
 def _unused(config: Config) -> dict[str, Any]:
-    """Return the sensors that nobody reads, walls that nobody sees, obstacles that are not there, what is said of light
-    and exposure where both stay, and the name that a camera has anyway: a run without them is the same one."""
+    """Return the keys that change nothing in this run, for ``build`` to leave out: unread sensors, unseen walls,
+    empty lists of obstacles, settings of an exposure or a light that stays, a camera's default name."""
     camera: dict[str, Any] = {} if config.camera.adjusts_exposure else {"exposure_control": True, "exposure": True}
     if config.camera.name == OVERHEAD:
         camera["name"] = True

@@ -239,7 +239,7 @@ class Config(Model):
     tracker: TrackerSettings
     """How the robots' poses are measured."""
     camera: CameraSettings
-    """The overhead camera, if there is one: either this key or ``cameras``."""
+    """The overhead camera. Required, unless there is ``cameras``; both are refused."""
     cameras: Annotated[tuple[CameraSettings, ...], Field(max_length=CAMERAS, strict=False)] = ()
     """Several overhead cameras, each with a name of its own. Their views may overlap."""
     run: RunSettings

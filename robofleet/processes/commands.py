@@ -155,9 +155,7 @@ def _process(row: "Row") -> None:
 
 def tracker(
     config: ConfigPath,
-    camera: Annotated[
-        str, typer.Option(metavar="NAME", help="Whose tracker this is, where CONFIG has several cameras.")
-    ] = "",
+    camera: Annotated[str, typer.Option(metavar="NAME", help="The tracker's camera, if CONFIG has several.")] = "",
     lifeline: LifelineFd = None,
 ) -> None:
     """Be a camera's tracker."""

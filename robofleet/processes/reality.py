@@ -1,4 +1,4 @@
-"""Who can know where a robot is: an image shows it, or it says so itself. What nobody would ever see is refused."""
+"""Refuses robots whose pose no source can give: neither a camera or motion capture, nor the robot itself."""
 
 from collections.abc import Iterator
 

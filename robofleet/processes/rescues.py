@@ -20,7 +20,7 @@ _MOST_WORDS = 64  # between two steps, of all groups
 
 
 class Way(IntEnum):
-    """By which way a person commands; in the wish it stands where a script's counts its journeys."""
+    """Where a person's command comes from. The wish's field ``order`` holds it."""
 
     PAGE = 1
     GAMEPAD = 2

@@ -39,7 +39,7 @@ class Drawn:
     def __init__(
         self, config: Config, said: tuple[described.Group, ...], *, epoch_ns: int = 0, batch: int = BATCH
     ) -> None:
-        """Take what makes instants of the caller's clock dates, and how many of a robot's ticks are told at once."""
+        """``epoch_ns``: added to the caller's clock, it gives dates; ``batch``: ticks of a robot in one message."""
         self._epoch_ns = epoch_ns
         self._scene = Scene(config, said, epoch_ns=epoch_ns)
         self._ticks = RobotTicks(config, said, batch)

@@ -1,4 +1,4 @@
-"""What a run was worth: ``summary.json`` from the messages of the run.
+"""Computes ``summary.json`` from the messages of a run.
 
 What is each group's own its behaviour measures (``gauge.py``). A figure that was not measured is None.
 """

@@ -1,4 +1,4 @@
-"""A motion-capture system that isn't there: it measures simulated robots, behind the interface of the real ones.
+"""A simulated motion-capture system: it measures simulated robots, behind the interface of the real ones.
 
 Its frames are its own: ``tracker.mocap.rate_hz`` in a second, each ``latency_s`` late, with the noise that the settings
 give, in the axes, units and frame that they say. ``camera.simulated.tag_offsets`` say where the bodies sit.

@@ -25,10 +25,10 @@ def teleop(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
     ] = None,
-    group: Annotated[str | None, typer.Option(metavar="NAME", help="Which group, if several are driven so.")] = None,
+    group: Annotated[str | None, typer.Option(metavar="NAME", help="The group, if several can be driven.")] = None,
     out: Annotated[
         str | None,
-        typer.Option(metavar="ROBOT", help="Whom it drives out of a held run; default: the group's first robot."),
+        typer.Option(metavar="ROBOT", help="Robot to drive out of a held run; default: the group's first."),
     ] = None,
     device: Annotated[
         Path | None, typer.Option(metavar="PATH", help="/dev/input/event*; default: the only gamepad.")
