@@ -47,7 +47,7 @@ class Gateway:
         if config.tracker.source == "camera":
             self._parts += [Camera(graph, name, view, robots, bus, wake) for name, view in config.trackers.items()]
         self._markers = graph.publisher(topics.MARKERS)
-        self._markers.publish(markers(config, names))
+        self._markers.publish(markers(config, names, graph.frames))
         self._say_places(graph, config, names)
         if not there():
             node.get_logger().warning(f"no /tf: the package {PACKAGE} is not installed here; every ROS 2 has it")
@@ -63,9 +63,8 @@ class Gateway:
         """Say where everything is that does not move."""
         self._fixed = Transforms(graph, topics.FIXED)
         stamp = graph.stamp(graph.clock.now_ns())
-        found = [frame for robot in config.robots for frame in places(robot, names[robot.id], stamp)]
+        found = [frame for robot in config.robots for frame in places(robot, names[robot.id], graph.frames, stamp)]
         for view in config.views if config.tracker.source == "camera" else ():
-            frame = topics.optical_frame(topics.ros_name(view.camera.name))
-            seen = camera.place(view.camera.model, stamp, frame)
+            seen = camera.place(view.camera, graph.frames, stamp)
             found += [] if seen is None else [seen]
         self._fixed.say(found)

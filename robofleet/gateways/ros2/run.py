@@ -16,6 +16,7 @@ from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.topics import Frames
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
@@ -105,15 +106,15 @@ def _values(**told: Any) -> list[KeyValue]:
     return [KeyValue(key=key, value=str(value)) for key, value in told.items()]
 
 
-def markers(config: Config, names: dict[str, str]) -> MarkerArray:
+def markers(config: Config, names: dict[str, str], frames: Frames) -> MarkerArray:
     """Return what is drawn: the arena's edge, and each robot's body and name, which move with its frame."""
     x, y = (size / 2.0 for size in config.arena.size_m)
-    edge = _marker("arena", 0, topics.MAP, Marker.LINE_STRIP)
+    edge = _marker("arena", 0, frames.map, Marker.LINE_STRIP)
     edge.scale.x = 0.01
     edge.points = [Point(x=a * x, y=b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
     drawn = [edge]
     for number, robot in enumerate(config.bodies):
-        frame, radius = topics.base_frame(names[robot.id]), robot.vehicle.body_radius_m
+        frame, radius = frames.base(names[robot.id]), robot.vehicle.body_radius_m
         body, nose, title = (
             _marker(kind, number, frame, shape)
             for kind, shape in (("body", Marker.CYLINDER), ("ahead", Marker.ARROW), ("name", Marker.TEXT_VIEW_FACING))
