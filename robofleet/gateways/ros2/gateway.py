@@ -17,6 +17,7 @@ from robofleet.gateways.ros2.run import Run, markers
 from robofleet.gateways.ros2.sensing import Sensing, places
 from robofleet.gateways.ros2.transforms import PACKAGE, Transforms, there
 from robofleet.gateways.ros2.velocities import Velocities
+from robofleet.gateways.served import Served
 
 NODE = "robofleet"
 
@@ -31,7 +32,9 @@ class Part(Protocol):
 class Gateway:
     """What a run says, on a ROS 2 graph; and what ROS 2 nodes wish."""
 
-    def __init__(self, node: Node, config: Config, bus: Bus, clock: Clock, epoch_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, node: Node, config: Config, bus: Bus, clock: Clock, epoch_ns: Callable[[], int], served: Served
+    ) -> None:  # fmt: skip
         graph = self._graph = Graph(node, clock, epoch_ns)
         came = node.create_guard_condition(self.step)
 
@@ -41,9 +44,10 @@ class Gateway:
         names = topics.ros_names(robot.id for robot in config.robots)
         self._ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
         robots = Robots(graph, config, names, bus, self._ticks, wake)
-        self.run = Run(graph, config, bus, wake)
         self.velocities = Velocities(graph, config, names, bus, self._ticks)
-        self._parts: list[Part] = [self.velocities, robots, self.run, Sensing(graph, config, names, bus, wake)]
+        self._parts: list[Part] = [
+            self.velocities, robots, Run(graph, config, bus, served, wake), Sensing(graph, config, names, bus, wake)
+        ]  # fmt: skip
         if config.tracker.source == "camera":
             self._parts += [Camera(graph, name, view, robots, bus, wake) for name, view in config.trackers.items()]
         self._markers = graph.publisher(topics.MARKERS)

@@ -1,6 +1,7 @@
 """The table of the ROS 2 graph: name, type, frame and quality of service of each topic and service.
 
-``{}`` in a name is a robot, or a camera; after ``range_`` it is a sensor's number. The README has the same table, and a test holds it against a live graph.
+``{}`` in a name is a robot, or a camera; after ``range_`` it is a sensor's number. The README has the same table, and
+a test holds it against a live graph.
 """
 
 import re
