@@ -69,7 +69,7 @@ def ros2(
 
     $ robofleet ros2 configs/ros2.yaml --lockstep
 
-    $ robofleet ros2 --rviz > lab.rviz
+    $ robofleet ros2 --rviz
 
     It needs your ROS 2 Jazzy, or newer. The run does not need it: start and end it at any time.
     """
