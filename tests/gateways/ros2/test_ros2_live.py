@@ -47,6 +47,7 @@ class Stand:
         command = [sys.executable, "-m", "robofleet", "ros2", "ros2"]  # its packages warn
         with self._said.open("w") as said:
             self.gateway = subprocess.Popen(command, env=self.environment, stderr=said)
+        assert wait(lambda: "ROS 2 hears" in self.gateway_said, WITHIN_S), self.gateway_said
 
     @property
     def gateway_said(self) -> str:
@@ -181,7 +182,7 @@ def test_a_node_that_is_killed_lets_its_robot_stand(
 
 
 def test_ctrl_c_lets_the_robots_stand_and_says_nothing_else(stand: Stand) -> None:
-    """Nothing that comes while it ends is a traceback. The next gateway drives at once."""
+    """What comes while it ends is no traceback."""
     with stand.node("drive", "TwistStamped") as node:
         assert node.stdout is not None
         for _ in range(40):
@@ -191,7 +192,7 @@ def test_ctrl_c_lets_the_robots_stand_and_says_nothing_else(stand: Stand) -> Non
         ended_ns = CLOCK.now_ns()
         said = stand.gateway_said.strip().splitlines()
         stand.serve()
-        wait(lambda: Run(read(stand.run.folder)).ticks["stamp_ns"][-1] > ended_ns, WITHIN_S)
+        assert wait(lambda: Run(read(stand.run.folder)).ticks["stamp_ns"][-1] > ended_ns, WITHIN_S), "it is recorded"
         node.kill()
     assert [line for line in said if "[WARN]" not in line] == [
         "ROS 2 hears the run of ros2: Ctrl-C ends this, and not the run"
