@@ -158,10 +158,10 @@ class Lockstep:
             return "fault", why(self.recording, self.status)
 
         def until(done: Callable[[], bool]) -> None:
-            there = False
-            while not there:
-                there = self._run_until(done, S)
-                watch(self.recording, _UNDER_WAY.get(self.status.phase, "running"))
+            while not done():
+                phase = _UNDER_WAY.get(self.status.phase, "running")
+                self._run_until(done, S)
+                watch(self.recording, phase)
 
         until(lambda: self.status.phase is not Phase.POSITIONING)
         return self.lap(until, _OVER)
