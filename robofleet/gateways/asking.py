@@ -16,21 +16,21 @@ Ask = Callable[[str], "Future[Asked]"]
 
 
 class Asking:
-    """Asks in a thread of its own: an answer may take two seconds."""
+    """Asks in threads of its own: an answer may take two seconds. The emergency stop waits for none."""
 
     def __init__(self, bus: Bus, clock: Clock, config: Config) -> None:
         self._bus, self._clock, self._config = bus, clock, config
         self._thread = ThreadPoolExecutor(1, "robofleet-asking")
+        self._urgent = ThreadPoolExecutor(1, "robofleet-stopping")
 
     def __call__(self, what: str) -> "Future[Asked]":
         """Ask; the emergency stop tells every gate itself, too."""
-        return self._thread.submit(self._stop if what == "stop" else partial(self._ask, what))
+        if what == "stop":
+            return self._urgent.submit(_answered, self._stop)
+        return self._thread.submit(_answered, partial(self._ask, what))
 
     def _ask(self, what: str) -> Asked:
-        try:
-            answer = asked(self._bus, self._clock, "supervisor", what.encode()).decode(errors="replace")
-        except TimeoutError as error:
-            return False, str(error)
+        answer = asked(self._bus, self._clock, "supervisor", what.encode()).decode(errors="replace")
         return answer.startswith("ok"), answer
 
     def _stop(self) -> Asked:
@@ -38,5 +38,14 @@ class Asking:
         return not stopped.silent, stopped.describe()
 
     def close(self) -> None:
-        """End the thread."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        """End the threads."""
+        for thread in (self._thread, self._urgent):
+            thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _answered(ask: Callable[[], Asked]) -> Asked:
+    """Return what came of it: whoever asked is told in any case."""
+    try:
+        return ask()
+    except Exception as error:  # noqa: BLE001 - of the bus, too
+        return False, str(error)

@@ -16,7 +16,7 @@ class Place(NamedTuple):
     endpoint: str | tuple[str, ...]
     credentials: "Credentials | None"  # None: a run of this computer
     role: str  # in which this user meets it
-    folder: Path | None = None  # of the run, where it is this computer's
+    folder: Path | None = None  # of the run, as its arena file has it, where it is this computer's
 
 
 def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
@@ -43,4 +43,5 @@ def is_over(config: "Config", place: Place) -> bool:
     """Return whether a run has ended whose supervisor is silent."""
     from robofleet.processes.arena_file import running  # noqa: PLC0415
 
-    return place.credentials is not None or all(run.arena != config.arena.name for run in running())
+    mine = config.arena.name, str(place.folder)
+    return place.credentials is not None or all((run.arena, run.folder) != mine for run in running())

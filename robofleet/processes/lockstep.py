@@ -6,7 +6,7 @@ fixed order. Same seed, config, machine and versions: same bytes on the bus.
 
 import gc
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 
 import numpy as np
@@ -35,8 +35,7 @@ _ANSWER_WITHIN_NS = S  # to the request for a start
 _ARMED_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
 _TIMED = table.CONTROLLER, table.TRACKER
 _REST_NS = S  # after the stop: wheels come to rest
-
-
+_OVER = frozenset(Phase) - {Phase.RUNNING, Phase.PARKING}  # nobody is there who resumes a held run
 _UNDER_WAY = {Phase.POSITIONING: "positioning", Phase.PARKING: "parking"}
 
 
@@ -155,31 +154,35 @@ class Lockstep:
         return outcome
 
     def _lap(self, watch: Watch) -> tuple[str, str | None]:
-        last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
         if self.status.phase not in (Phase.RUNNING, Phase.POSITIONING):
             return "fault", why(self.recording, self.status)
-        if not self._under_way(Phase.POSITIONING, watch):
-            return "fault", self.status.describe(self._config.ids)
-        while self._run_tick < last_tick:
-            self._run_until(lambda: self.status.phase is not Phase.RUNNING or self._run_tick >= last_tick, S)
-            watch(self.recording, "running")
-            if self.status.phase is not Phase.RUNNING:
-                break
-        else:
-            if self._config.run.end == "park":
-                self.request(b"park")
-                self._run_until(lambda: self.status.phase is not Phase.RUNNING, _ANSWER_WITHIN_NS)
-        done = self._under_way(Phase.PARKING, watch) and self.status.cause in (Event.ACCOMPLISHED, Event.PARKED)
-        if not done and self.status.phase is not Phase.RUNNING:
+
+        def until(done: Callable[[], bool]) -> None:
+            while not done():
+                phase = _UNDER_WAY.get(self.status.phase, "running")
+                self._run_until(done, S)
+                watch(self.recording, phase)
+
+        until(lambda: self.status.phase is not Phase.POSITIONING)
+        return self.lap(until, _OVER)
+
+    def lap(self, until: Callable[[Callable[[], bool]], object], over: Collection[Phase]) -> tuple[str, str | None]:
+        """Let a run go on that has begun, to its end; returns (outcome, cause).
+
+        ``until`` lets time pass until something is true; ``over``: the phases that end the run.
+        """
+        last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
+        until(lambda: self.status.phase in (*over, Phase.PARKING) or self._run_tick >= last_tick)
+        if self._config.run.end == "park" and self.status.phase is Phase.RUNNING:
+            self.request(b"park")
+            answered_ns = self.clock.now_ns() + _ANSWER_WITHIN_NS
+            until(lambda: self.status.phase is not Phase.RUNNING or self.clock.now_ns() >= answered_ns)
+        if self.status.phase is Phase.PARKING:
+            until(lambda: self.status.phase in (*over, Phase.RUNNING))
+        parked = self.status.phase is Phase.IDLE and self.status.cause in (Event.ACCOMPLISHED, Event.PARKED)
+        if self.status.phase in over and not parked:
             return "fault", self.status.describe(self._config.ids)
         return "completed", None
-
-    def _under_way(self, phase: Phase, watch: Watch) -> bool:
-        """Let the robots come to their start, or to the park; returns whether nothing held them."""
-        while self.status.phase is phase:
-            self._run_until(lambda: self.status.phase is not phase, S)
-            watch(self.recording, _UNDER_WAY[phase])
-        return self.status.phase in (Phase.RUNNING, Phase.IDLE)
 
     def _run_until(self, done: Callable[[], bool], within_ns: int) -> bool:
         """Step whatever is due next, until something is true or simulated time has passed; returns which."""

@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.gateways.asking import SERVICES, Asked
+from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, Address, completed
-from robofleet.gateways.viewers.foxglove.server import Server
+from robofleet.gateways.viewers.foxglove.server import Server, written
 from robofleet.gateways.viewers.foxglove.services import services
 from robofleet.gateways.viewers.kept import Kept
 from robofleet.gateways.viewers.live import Opened, Viewers
@@ -52,7 +53,7 @@ async def looked_at(folder: Path) -> Seen:
         servers.append(Server(heard.config.arena.name, HERE, None, channels, []))
         return Opened(servers[0], "")
 
-    with closing(Viewers(heard.config, heard, opened, EPOCH_NS)) as viewers:
+    with closing(Viewers(heard.config, heard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
         (server,) = servers
 
         async def subscribed(of: Viewer, already: int) -> None:
@@ -148,6 +149,33 @@ def answered(asked: list[str], requests: Sequence[tuple[str, object]]) -> list[d
 
     with closing(Server("nobody", HERE, None, [], services(ask, KEY))) as server:
         return asyncio.run(call(server.port))
+
+
+def test_all_servers_of_a_run_have_one_key(tmp_path: Path) -> None:
+    """The buttons of a layout that is open already go on being served."""
+    config = load_config(PLATOON)
+    file, key = written(config, tmp_path, asks=True)
+    before = file.read_bytes()
+    assert written(config, tmp_path, asks=True) == (file, key) and key.encode() in before
+    assert file.read_bytes() == before and file.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize("there", ["another arena's", "another's", "a link", "others read it"])
+def test_a_layout_that_is_not_this_runs_is_not_replaced(there: str, tmp_path: Path) -> None:
+    """Beside another computer's arena it stands in the folder that one happens to be in."""
+    config, file = load_config(PLATOON), tmp_path / "foxglove.json"
+    if there == "another arena's":
+        written(load_config(PLATOON.with_name("ros2.yaml")), tmp_path, asks=True)
+    elif there == "others read it":
+        written(config, tmp_path, asks=True)[0].chmod(0o644)
+    elif there == "a link":
+        file.symlink_to(PLATOON)
+    else:
+        file.write_text("{}")
+    before = file.read_bytes()
+    with pytest.raises(RefusedError, match=r"foxglove\.json.*move it away"):
+        written(config, tmp_path, asks=True)
+    assert file.read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.clock import S
 from robofleet.config.load import load_config
+from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import DEFAULTS, RERUN, Address, completed
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.gateways.viewers.rerun.server import Server
@@ -53,7 +54,7 @@ class Seen:
             servers.append(Server(heard.config.arena.name, HERE, shown, channels))
             return Opened(servers[0], "")
 
-        with closing(Viewers(heard.config, heard, opened, EPOCH_NS)) as viewers:
+        with closing(Viewers(heard.config, heard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
             with closing(Saving(servers[0].url, folder / "early.rrd")) as early:
                 early.connected()
                 assert heard.run.run() == ("completed", None)

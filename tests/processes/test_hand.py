@@ -10,8 +10,9 @@ import pytest
 from selenium.webdriver import Chrome
 
 from robofleet.behaviours.interface import WishKind
-from robofleet.comms.keys import STATUS, TICK, WISH, key
-from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, ScriptWish
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import STATE, STATUS, TICK, WISH, key
+from robofleet.comms.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import driving
@@ -19,7 +20,7 @@ from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_SOUTH, BTN_TR, EV_
 from robofleet.processes.hand import Hand, Hands, Stick
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.rescues import Way
-from robofleet.safety.supervisor import Event, Phase
+from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.processes.browser import chromium
 from tests.processes.openpage import Fleet, Seen, opened
 from tests.processes.realrun import CLOCK, wait
@@ -220,6 +221,24 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
         thread.join(10.0)
     assert not thread.is_alive()
     assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+
+def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> None:
+    """Its supervisor is another one; its bus may be in the same place."""
+    config, pad = load_config(TELEOP), Pipe()
+    bus = MemoryBus(config.arena.name, CLOCK, 0)
+    say = bus.publisher(STATE)
+    thread = threading.Thread(target=driving.drive, args=(pad, config, bus, CLOCK, GROUP, lambda: False), daemon=True)
+    thread.start()
+
+    def ends(epoch: int) -> bool:
+        say(RUN_STATE.encode(RunState(epoch, 1, Phase.RUNNING, 0, NOBODY, 0.0, 0, ())))
+        thread.join(0.05)
+        return not thread.is_alive()
+
+    pad.happens((EV_KEY, BTN_TR, 0))
+    assert not any(ends(1) for _ in range(10))
+    assert wait(lambda: ends(2), 5.0)
 
 
 def driven(said: Callable[[int], Stick | None]) -> np.ndarray:

@@ -27,7 +27,7 @@ def drive(
     """
     hand, state = Hand(bus, config, group, Way.GAMEPAD), bus.newest(STATE)
     out = out or next(its.robots[0] for its in config.groups if its.title == group)
-    held = False  # the run
+    held, epoch = False, 0  # of the run; of its supervisor: another one is another run's
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
     stick = pad.read()
     newest, heard_ns = 0, clock.now_ns()
@@ -38,7 +38,9 @@ def drive(
                 stick = pad.read()
             ticks.update()
             if (payload := state.take()) is not None and (said := RUN_STATE.view(payload)) is not None:
-                held = said[0].phase == Phase.HOLD
+                held, epoch = said[0].phase == Phase.HOLD, epoch or said[0].epoch
+                if said[0].epoch != epoch:
+                    return
             if held:
                 hand.drive_out(out, stick, ticks.newest)
             else:

@@ -13,10 +13,12 @@ from robofleet.comms.bus import Bus, Inbox, Wake
 from robofleet.comms.keys import PICTURE, SAFE_REQUEST
 from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.calibrated import CameraModel
+from robofleet.config.camera import CameraSettings
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, wanted
 from robofleet.gateways.ros2.robots import Robots
+from robofleet.gateways.ros2.topics import Frames
 from robofleet.processes.pictures import REQUESTED
 from robofleet.tracking.pictures import picture_size
 
@@ -34,7 +36,7 @@ class Camera:
             graph.publisher(topic, topics.ros_name(self._name))
             for topic in (topics.IMAGE, topics.COMPRESSED, topics.CAMERA_INFO)
         )
-        self._frame = topics.optical_frame(topics.ros_name(self._name))
+        self._frame = graph.frames.optical(topics.ros_name(self._name))
         self._info = camera_info(view.camera.model, self._frame)
         self._pictures = Inbox(bus.newest(PICTURE, self._name, wake), PICTURE_LAYOUT.decode)
         self._asked_ns: int | None = None
@@ -68,9 +70,11 @@ class Camera:
 def camera_info(model: CameraModel, frame: str) -> CameraInfo:
     """Return what is known of the lens, for pictures that may be smaller than the camera's images."""
     width, height = picture_size(model.width, model.height)
-    part = -(-model.width // width)  # pixels' centres are at whole numbers
-    f_x, f_y = (focal / part for focal in model.focal_px)
-    c_x, c_y = ((centre + 0.5) / part - 0.5 for centre in model.centre_px)
+    scale = width / model.width, height / model.height
+    f_x, f_y = (focal * part for focal, part in zip(model.focal_px, scale, strict=True))
+    c_x, c_y = (  # pixels' centres are at whole numbers
+        (centre + 0.5) * part - 0.5 for centre, part in zip(model.centre_px, scale, strict=True)
+    )
     known = list(model.distortion)
     if model.lens == "fisheye":
         kind, coefficients = "equidistant", known
@@ -88,13 +92,13 @@ def camera_info(model: CameraModel, frame: str) -> CameraInfo:
     return info
 
 
-def place(model: CameraModel, stamp: Any, frame: str) -> TransformStamped | None:
+def place(camera: CameraSettings, frames: Frames, stamp: Any) -> TransformStamped | None:
     """Return where the camera is in the map; None where nobody measured it."""
-    there = model.T_world_camera
+    there = camera.model.T_world_camera
     if there is None:
         return None
-    message = TransformStamped(child_frame_id=frame)
-    message.header.stamp, message.header.frame_id = stamp, topics.MAP
+    message = TransformStamped(child_frame_id=frames.optical(topics.ros_name(camera.name)))
+    message.header.stamp, message.header.frame_id = stamp, frames.map
     way, turn = message.transform.translation, message.transform.rotation
     way.x, way.y, way.z = map(float, there.position_m)
     axis = np.array(there.rotation_rad, dtype=np.float64)

@@ -1,5 +1,7 @@
 """The command ``ros2``."""
 
+import os
+import subprocess
 import sys
 from importlib import import_module
 from importlib.util import find_spec
@@ -20,10 +22,12 @@ if TYPE_CHECKING:
     from robofleet.gateways.place import Place
 
 app = typer.Typer()
-SHARE = Path(__file__).parent / "share"  # the launch file, and RViz's configuration
+SHARE = Path(__file__).parent / "share"  # the launch file
 
-_PACKAGES = sorted({"rclpy", *(kind.split("/")[0] for row in topics.TOPICS for kind in row.type.split(" or "))})
+_TYPES = topics.SERVICE, *(kind for row in topics.TOPICS for kind in row.type.split(" or "))
+_PACKAGES = sorted({"rclpy", *(kind.split("/")[0] for kind in _TYPES)})
 _SLOWEST, _FASTEST = 0.01, 100.0  # simulated seconds a second
+_RAISED = 1  # exit code of a Python that could not import
 _OPTIONAL = "tf2_msgs"  # which PyPI does not have
 
 
@@ -51,8 +55,11 @@ def ros2(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
     ] = None,
-    namespace: Annotated[str, typer.Option(metavar="NS", help="ROS namespace of the run's topics.")] = "",
-    share: Annotated[bool, typer.Option("--share", help="Print the folder of the launch and RViz files.")] = False,
+    namespace: Annotated[str, typer.Option(metavar="NS", help="ROS namespace of the run's topics and frames.")] = "",
+    rviz: Annotated[
+        bool, typer.Option("--rviz", help="Print a configuration of RViz for the run, or for CONFIG.")
+    ] = False,
+    share: Annotated[bool, typer.Option("--share", help="Print the folder of the launch file.")] = False,
 ) -> None:
     """Be a ROS 2 node: a run's poses, odometry, images and state for ROS 2; cmd_vel of groups with behaviour ros2.
 
@@ -62,14 +69,19 @@ def ros2(
 
     $ robofleet ros2 configs/ros2.yaml --lockstep
 
+    $ robofleet ros2 --rviz
+
     It needs your ROS 2 Jazzy, or newer. The run does not need it: start and end it at any time.
     """
     if share:
         print(SHARE)
         return
     with bad_input():
-        _need_ros()
         need_extra("lab", *LAB_MODULES)
+        if rviz:
+            print(_rviz(arena, overrides, config, namespace), end="")
+            return
+        _need_ros()
         if lockstep:
             _simulate(arena, overrides, out, namespace, speed)
             return
@@ -83,6 +95,11 @@ def ros2(
 
 def _need_ros() -> None:
     """Refuse where there is no rclpy, or one of another Python."""
+    chosen = os.environ.get("RMW_IMPLEMENTATION")
+    if chosen:  # rclpy ends the process that imports it and has no such one
+        tried = subprocess.run([sys.executable, "-c", "import rclpy"], stderr=subprocess.DEVNULL, check=False)
+        if tried.returncode not in (0, _RAISED):
+            raise RefusedError(f"RMW_IMPLEMENTATION={chosen}: this rclpy does not start with it: unset it")
     missing = [package for package in _PACKAGES if package != _OPTIONAL and find_spec(package) is None]
     broken = ""
     if not missing:
@@ -95,6 +112,17 @@ def _need_ros() -> None:
             f"this needs {', '.join(missing)} of ROS 2{' '.join(broken.split())}: source your ROS 2 where robofleet is "
             f"installed for the same Python, or {how_to_install('ros2')}"
         )
+
+
+def _rviz(arena: str | None, overrides: list[str], copy: Path | None, namespace: str) -> str:
+    """Return what RViz shows of a run that is on, or of a configuration's."""
+    from robofleet.config.load import load_config  # noqa: PLC0415
+    from robofleet.gateways.ros2 import rviz  # noqa: PLC0415
+
+    named = arena is not None and Path(arena).suffix in CONFIGURATIONS
+    tree = load_config(Path(arena or ""), overrides) if named else run_of(arena or None, copy)[0]
+    _check_names(tree)
+    return rviz.configuration(tree, namespace)
 
 
 def _check_names(config: "Config") -> None:
@@ -110,12 +138,15 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
         raise RefusedError(f"--lockstep: {file or 'CONFIG'}: name a configuration, for example configs/ros2.yaml")
     if not _SLOWEST <= speed <= _FASTEST:
         raise RefusedError(f"--speed {speed:g}: must be {_SLOWEST:g} to {_FASTEST:g}")
+    from robofleet.gateways.ros2.live import node  # noqa: PLC0415
     from robofleet.gateways.ros2.simulated import Simulated  # noqa: PLC0415
     from robofleet.processes.check import load_checked  # noqa: PLC0415
     from robofleet.processes.script_link import FleetError  # noqa: PLC0415
 
     tree = load_checked(Path(file), overrides, lockstep=True)
     _check_names(tree)
+    with node(namespace):
+        pass  # what ROS refuses is refused before anything begins
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{Path(file).stem}"
     new_folder(folder)
     try:
@@ -130,8 +161,6 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
 
 
 def _serve(config: "Config", place: "Place", namespace: str) -> None:
-    from rclpy.exceptions import InvalidNamespaceException  # noqa: PLC0415
-
     from robofleet.gateways.ros2 import live  # noqa: PLC0415
 
     try:
@@ -139,5 +168,3 @@ def _serve(config: "Config", place: "Place", namespace: str) -> None:
     except TimeoutError as error:
         print(f"the run of {config.arena.name}: {error}", file=sys.stderr)
         raise typer.Exit(1) from error
-    except InvalidNamespaceException as error:
-        raise RefusedError(f"--namespace {namespace}: {' '.join(str(error).split())}") from error

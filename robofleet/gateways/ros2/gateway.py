@@ -17,6 +17,7 @@ from robofleet.gateways.ros2.run import Run, markers
 from robofleet.gateways.ros2.sensing import Sensing, places
 from robofleet.gateways.ros2.transforms import PACKAGE, Transforms, there
 from robofleet.gateways.ros2.velocities import Velocities
+from robofleet.gateways.served import Served
 
 NODE = "robofleet"
 
@@ -31,7 +32,9 @@ class Part(Protocol):
 class Gateway:
     """What a run says, on a ROS 2 graph; and what ROS 2 nodes wish."""
 
-    def __init__(self, node: Node, config: Config, bus: Bus, clock: Clock, epoch_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, node: Node, config: Config, bus: Bus, clock: Clock, epoch_ns: Callable[[], int], served: Served
+    ) -> None:  # fmt: skip
         graph = self._graph = Graph(node, clock, epoch_ns)
         came = node.create_guard_condition(self.step)
 
@@ -41,13 +44,14 @@ class Gateway:
         names = topics.ros_names(robot.id for robot in config.robots)
         self._ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
         robots = Robots(graph, config, names, bus, self._ticks, wake)
-        self.run = Run(graph, config, bus, wake)
         self.velocities = Velocities(graph, config, names, bus, self._ticks)
-        self._parts: list[Part] = [self.velocities, robots, self.run, Sensing(graph, config, names, bus, wake)]
+        self._parts: list[Part] = [
+            self.velocities, robots, Run(graph, config, bus, served, wake), Sensing(graph, config, names, bus, wake)
+        ]  # fmt: skip
         if config.tracker.source == "camera":
             self._parts += [Camera(graph, name, view, robots, bus, wake) for name, view in config.trackers.items()]
         self._markers = graph.publisher(topics.MARKERS)
-        self._markers.publish(markers(config, names))
+        self._markers.publish(markers(config, names, graph.frames))
         self._say_places(graph, config, names)
         if not there():
             node.get_logger().warning(f"no /tf: the package {PACKAGE} is not installed here; every ROS 2 has it")
@@ -63,9 +67,8 @@ class Gateway:
         """Say where everything is that does not move."""
         self._fixed = Transforms(graph, topics.FIXED)
         stamp = graph.stamp(graph.clock.now_ns())
-        found = [frame for robot in config.robots for frame in places(robot, names[robot.id], stamp)]
+        found = [frame for robot in config.robots for frame in places(robot, names[robot.id], graph.frames, stamp)]
         for view in config.views if config.tracker.source == "camera" else ():
-            frame = topics.optical_frame(topics.ros_name(view.camera.name))
-            seen = camera.place(view.camera.model, stamp, frame)
+            seen = camera.place(view.camera, graph.frames, stamp)
             found += [] if seen is None else [seen]
         self._fixed.say(found)

@@ -7,8 +7,8 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
-from robofleet.clock import Clock, S, WallClock, epoch_ns
-from robofleet.gateways.ros2.topics import Quality, Topic, load
+from robofleet.clock import Clock, S, WallClock
+from robofleet.gateways.ros2.topics import Frames, Quality, Topic, load
 
 _WALL = WallClock()
 
@@ -20,20 +20,20 @@ class Graph:
     """
 
     def __init__(self, node: Node, clock: Clock, epoch_ns: Callable[[], int]) -> None:
-        self.node = node
+        self.node, self.frames = node, Frames(node.get_namespace())
         self.clock, self._epoch_ns = clock, epoch_ns
 
-    def publisher(self, topic: Topic, name: str = "") -> Any:
-        """Return the publisher of a row, of a robot or camera."""
-        return self.node.create_publisher(load(topic.type), topic.name.format(name), profile(topic.quality))
+    def publisher(self, topic: Topic, *names: object) -> Any:
+        """Return the publisher of a row, of a robot or camera; of a distance sensor by its number, too."""
+        return self.node.create_publisher(load(topic.type), topic.name.format(*names), profile(topic.quality))
 
     def now_ns(self) -> int:
         """Return the time that ROS has [ns]."""
         return self.clock.now_ns() + self._epoch_ns()
 
-    def date_ns(self) -> int:
-        """Return the date of this computer [ns], also in simulated time."""
-        return _WALL.now_ns() + epoch_ns()
+    def real_ns(self) -> int:
+        """Return an instant of real time, also in simulated time: no date, so nobody sets it [ns]."""
+        return _WALL.now_ns()
 
     def stamp(self, instant_ns: int) -> Time:
         """Return the stamp of an instant of the run's clock."""

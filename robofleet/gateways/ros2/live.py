@@ -3,14 +3,15 @@
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 
 import rclpy
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from robofleet.clock import S, WallClock, epoch_ns
+from robofleet.clock import WallClock, epoch_ns
 from robofleet.comms.joining import joined
 from robofleet.comms.permissions import SCRIPT
 from robofleet.config.tree import Config
@@ -18,20 +19,29 @@ from robofleet.gateways.asking import Asking
 from robofleet.gateways.place import Place, is_over
 from robofleet.gateways.ros2 import services
 from robofleet.gateways.ros2.gateway import NODE, Gateway
+from robofleet.gateways.served import Served
+from robofleet.processes.refusal import RefusedError
 
 _JOINED_WITHIN_S = 3.0
 _LOOK_S = 0.05  # at least so often it is seen what came
-_SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
 
 
 @contextmanager
 def node(namespace: str) -> Iterator[Node]:
-    """Be a node of the graph. Signals are ours: SIGINT and SIGTERM end the gateway in order."""
+    """Be a node of the graph; RefusedError where there can be none.
+
+    Signals are ours: SIGINT and SIGTERM end the gateway in order.
+    """
     context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        made = rclpy.create_node(NODE, namespace=namespace, context=context)
+        try:
+            rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+            made = rclpy.create_node(NODE, namespace=namespace, context=context)
+        except InvalidNamespaceException as error:
+            raise RefusedError(f"--namespace {namespace}: {_line(error)}") from error
+        except RuntimeError as error:  # RCLError: what ROS reads of the environment
+            raise RefusedError(f"ROS 2 does not start: {_line(error)}: see `env | grep ROS`") from error
         try:
             yield made
         finally:
@@ -41,23 +51,31 @@ def node(namespace: str) -> Iterator[Node]:
         rclpy.try_shutdown(context=context)
 
 
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()).partition(", at /")[0]
+
+
 def serve(config: Config, place: Place, namespace: str) -> None:
-    """Serve a run until it ends, or until SIGINT; TimeoutError where its bus does not answer."""
+    """Serve a run until it ends, or until SIGINT; TimeoutError where its bus does not answer, RefusedError as ``node``.
+
+    The bus wakes the node, so it is left before the node is destroyed.
+    """
     clock = WallClock()
-    bus = joined(
-        config.arena.name, place.endpoint, SCRIPT, clock, _JOINED_WITHIN_S, credentials=place.credentials
-    )  # fmt: skip
-    asking = Asking(bus, clock, config)
-    try:
-        with node(namespace) as made, suppress(KeyboardInterrupt, ExternalShutdownException):
-            executor = SingleThreadedExecutor(context=made.context)
-            executor.add_node(made)
-            gateway = Gateway(made, config, bus, clock, epoch_ns)
-            services.serve(made, asking)
-            made.create_timer(_LOOK_S, gateway.step)
-            print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
-            while clock.now_ns() - gateway.run.state_ns < _SILENT_NS or not is_over(config, place):
-                executor.spin_once(timeout_sec=_LOOK_S)
-    finally:
-        asking.close()
-        bus.close()
+    with ExitStack() as held:
+        made = held.enter_context(node(namespace))
+        held.enter_context(suppress(KeyboardInterrupt, ExternalShutdownException))
+        bus = held.enter_context(
+            closing(joined(config.arena.name, place.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
+                           credentials=place.credentials))
+        )  # fmt: skip
+        asking = held.enter_context(closing(Asking(bus, clock, config)))
+        executor = SingleThreadedExecutor(context=made.context)
+        executor.add_node(made)
+        served = Served(lambda: is_over(config, place), clock.now_ns())
+        gateway = Gateway(made, config, bus, clock, epoch_ns, served)
+        held.callback(gateway.velocities.stand)
+        services.serve(made, asking)
+        made.create_timer(_LOOK_S, gateway.step)
+        print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
+        while not served.is_over(clock.now_ns()):
+            executor.spin_once(timeout_sec=_LOOK_S)

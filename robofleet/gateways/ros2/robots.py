@@ -125,13 +125,14 @@ class _Robot:
     """One robot's publishers, and the messages that it says again and again."""
 
     def __init__(self, graph: Graph, name: str) -> None:
-        odom, base = topics.odom_frame(name), topics.base_frame(name)
+        frames = graph.frames
+        odom, base = frames.odom(name), frames.base(name)
         self._pose = graph.publisher(topics.POSE, name)
         self._odom = graph.publisher(topics.ODOM, name)
         self._joints = graph.publisher(topics.JOINTS, name)
         self._battery = graph.publisher(topics.BATTERY, name)
         self._seen = PoseWithCovarianceStamped()
-        self._seen.header.frame_id = topics.MAP
+        self._seen.header.frame_id = frames.map
         self._moved = OdometryMessage(child_frame_id=base)
         self._moved.header.frame_id = odom
         self._turned = JointState(name=_WHEELS)
@@ -142,7 +143,7 @@ class _Robot:
         )  # fmt: skip
         self._charged.header.frame_id = base
         self._from_map, self._from_odom = TransformStamped(child_frame_id=odom), TransformStamped(child_frame_id=base)
-        self._from_map.header.frame_id, self._from_odom.header.frame_id = topics.MAP, odom
+        self._from_map.header.frame_id, self._from_odom.header.frame_id = frames.map, odom
 
     def say_pose(self, stamp: Any, pose: Sequence[float], covariance: Sequence[float]) -> None:
         said, whole = self._seen, np.zeros(36)

@@ -9,13 +9,15 @@ from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from robofleet.clock import MS, S
-from robofleet.comms.bus import Bus, Inbox, Wake
+from robofleet.comms.bus import Bus, Wake
 from robofleet.comms.keys import STATE, TICK
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD, RunState
 from robofleet.comms.statuses import Statuses
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.topics import Frames
+from robofleet.gateways.served import Served
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
@@ -31,9 +33,9 @@ _HEIGHT_M = 0.08  # of the bodies as they are drawn
 class Run:
     """A run's state and diagnostics."""
 
-    def __init__(self, graph: Graph, config: Config, bus: Bus, wake: Wake) -> None:
-        self._graph, self._config = graph, config
-        self._states = Inbox(bus.newest(STATE, wake=wake), RUN_STATE.decode)
+    def __init__(self, graph: Graph, config: Config, bus: Bus, served: Served, wake: Wake) -> None:
+        self._graph, self._config, self._served = graph, config, served
+        self._states = bus.newest(STATE, wake=wake)
         self._ticks = bus.newest(TICK)
         self._robots = [robot.id for robot in config.bodies]
         self._statuses = Statuses(bus, config.units, self._robots)
@@ -41,15 +43,16 @@ class Run:
         self._state = graph.publisher(topics.STATE)
         self._diagnostics = graph.publisher(topics.DIAGNOSTICS)
         self._newest: RunState | None = None
-        self.state_ns = graph.clock.now_ns()  # when the supervisor was heard last
         self._phase = ""
         self._said_ns = 0
 
     def step(self, now_ns: int) -> None:
         """Say what is new."""
-        state = self._states.take()
-        if state is not None:
-            self._newest, self.state_ns = state, now_ns
+        payload = self._states.take()
+        state = None if payload is None else RUN_STATE.decode(payload)
+        if payload is not None and state is not None:
+            self._newest = state
+            self._served.take(payload, now_ns)
             phase = named(Phase, state.phase)
             if phase != self._phase:
                 self._phase = phase
@@ -105,15 +108,15 @@ def _values(**told: Any) -> list[KeyValue]:
     return [KeyValue(key=key, value=str(value)) for key, value in told.items()]
 
 
-def markers(config: Config, names: dict[str, str]) -> MarkerArray:
+def markers(config: Config, names: dict[str, str], frames: Frames) -> MarkerArray:
     """Return what is drawn: the arena's edge, and each robot's body and name, which move with its frame."""
     x, y = (size / 2.0 for size in config.arena.size_m)
-    edge = _marker("arena", 0, topics.MAP, Marker.LINE_STRIP)
+    edge = _marker("arena", 0, frames.map, Marker.LINE_STRIP)
     edge.scale.x = 0.01
     edge.points = [Point(x=a * x, y=b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
     drawn = [edge]
     for number, robot in enumerate(config.bodies):
-        frame, radius = topics.base_frame(names[robot.id]), robot.vehicle.body_radius_m
+        frame, radius = frames.base(names[robot.id]), robot.vehicle.body_radius_m
         body, nose, title = (
             _marker(kind, number, frame, shape)
             for kind, shape in (("body", Marker.CYLINDER), ("ahead", Marker.ARROW), ("name", Marker.TEXT_VIEW_FACING))

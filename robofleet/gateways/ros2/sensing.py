@@ -16,6 +16,7 @@ from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.robots import heading
+from robofleet.gateways.ros2.topics import Frames
 from robofleet.vehicles.interface import SensorReading
 
 _NOT_MEASURED = -1.0  # in the first place of a covariance: sensor_msgs/Imu
@@ -57,46 +58,48 @@ class _Sensors:
     def __init__(self, graph: Graph, name: str, robot: Robot) -> None:
         kind = robot.vehicle.sensors
         assert kind is not None
-        base = topics.base_frame(name)
+        self._kind, self._base = kind, graph.frames.base(name)
         self._imu = graph.publisher(topics.IMU, name) if kind.gyro or kind.accelerometer else None
         self._magnetic = graph.publisher(topics.MAGNETIC, name) if kind.magnetometer else None
-        self._ranges = graph.publisher(topics.RANGES, name) if kind.distances else None
-        self._inertial, self._field, self._far = _imu(kind, base), _field(kind, base), _ranges(kind, name)
+        self._field = _field(kind, self._base)
+        self._ranges = [
+            (graph.publisher(topics.RANGE, name, number), message)
+            for number, message in enumerate(_ranges(kind, graph.frames, name))
+        ]
 
     def say(self, stamp: Any, reading: SensorReading) -> None:
-        if self._imu is not None:
-            said = self._inertial
-            said.header.stamp = stamp
-            if reading.gyro is not None:
-                turning = said.angular_velocity
-                turning.x, turning.y, turning.z = reading.gyro
-            if reading.accelerometer is not None:
-                force = said.linear_acceleration
-                force.x, force.y, force.z = reading.accelerometer
+        if self._imu is not None and not (reading.gyro is None and reading.accelerometer is None):
+            said = _imu(self._kind, reading)
+            said.header.stamp, said.header.frame_id = stamp, self._base
             self._imu.publish(said)
         if self._magnetic is not None and reading.magnetometer is not None:
             self._field.header.stamp, field = stamp, self._field.magnetic_field
             field.x, field.y, field.z = reading.magnetometer
             self._magnetic.publish(self._field)
-        if self._ranges is not None and reading.distances is not None:
-            for said, distance in zip(self._far, reading.distances, strict=False):
-                said.header.stamp = stamp
-                said.range = math.inf if math.isnan(distance) else distance  # REP 117: it sees nothing
-                self._ranges.publish(said)
+        for (publisher, said), distance in zip(self._ranges, reading.distances or (), strict=False):
+            said.header.stamp = stamp
+            said.range = math.inf if math.isnan(distance) else distance  # REP 117: it sees nothing
+            publisher.publish(said)
 
 
-def _imu(kind: SensorSettings, frame: str) -> Imu:
+def _imu(kind: SensorSettings, reading: SensorReading) -> Imu:
+    """Return what a reading tells; a part that it does not tell is not measured."""
     message = Imu()
-    message.header.frame_id = frame
     message.orientation_covariance[0] = _NOT_MEASURED
-    if kind.gyro is None:
+    if reading.gyro is None:
         message.angular_velocity_covariance[0] = _NOT_MEASURED
     else:
-        message.angular_velocity_covariance[:] = np.diag(np.square(kind.gyro.noise_rad_s)).ravel()
-    if kind.accelerometer is None:
+        turning = message.angular_velocity
+        turning.x, turning.y, turning.z = reading.gyro
+        if kind.gyro is not None:
+            message.angular_velocity_covariance[:] = np.diag(np.square(kind.gyro.noise_rad_s)).ravel()
+    if reading.accelerometer is None:
         message.linear_acceleration_covariance[0] = _NOT_MEASURED
     else:
-        message.linear_acceleration_covariance[:] = np.diag(np.square(kind.accelerometer.noise_m_s2)).ravel()
+        force = message.linear_acceleration
+        force.x, force.y, force.z = reading.accelerometer
+        if kind.accelerometer is not None:
+            message.linear_acceleration_covariance[:] = np.diag(np.square(kind.accelerometer.noise_m_s2)).ravel()
     return message
 
 
@@ -109,27 +112,27 @@ def _field(kind: SensorSettings, frame: str) -> MagneticField:
     return message
 
 
-def _ranges(kind: SensorSettings, name: str) -> list[Range]:
+def _ranges(kind: SensorSettings, frames: Frames, name: str) -> list[Range]:
     """Return a message of each distance sensor: a ray."""
     if kind.distances is None:
         return []
     found = []
     for number in range(len(kind.distances.places)):
         message = Range(radiation_type=Range.INFRARED, max_range=kind.distances.range_m)
-        message.header.frame_id = topics.range_frame(name, number)
+        message.header.frame_id = frames.range(name, number)
         found.append(message)
     return found
 
 
-def places(robot: Robot, name: str, stamp: Any) -> list[TransformStamped]:
+def places(robot: Robot, name: str, frames: Frames, stamp: Any) -> list[TransformStamped]:
     """Return where a robot's distance sensors are."""
     kind = robot.vehicle.sensors
     if kind is None or kind.distances is None or not robot.sensors:
         return []
     found = []
     for number, at in enumerate(kind.distances.places):
-        message = TransformStamped(child_frame_id=topics.range_frame(name, number))
-        message.header.stamp, message.header.frame_id = stamp, topics.base_frame(name)
+        message = TransformStamped(child_frame_id=frames.range(name, number))
+        message.header.stamp, message.header.frame_id = stamp, frames.base(name)
         message.transform.translation.x, message.transform.translation.y = at.x_m, at.y_m
         message.transform.rotation = heading(math.radians(at.heading_deg))
         found.append(message)

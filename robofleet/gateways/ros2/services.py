@@ -15,7 +15,7 @@ def serve(node: Node, ask: Ask) -> None:
 
     async def answer(what: str, _request: Any, response: Any) -> Any:
         told: Future = Future(executor=node.executor)
-        ask(what).add_done_callback(lambda done: told.set_result(done.result()))
+        ask(what).add_done_callback(lambda done: None if done.cancelled() else told.set_result(done.result()))
         response.success, response.message = await told
         return response
 

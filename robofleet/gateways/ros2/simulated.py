@@ -3,6 +3,7 @@
 Simulated time passes as fast as is asked for, and stands while this process is busy: it never races to make up for it.
 """
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
@@ -13,13 +14,13 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from robofleet.clock import MS, S, WallClock
-from robofleet.comms.messages import TICK_RECORD
 from robofleet.config.tree import Config
 from robofleet.gateways.asking import Asked
 from robofleet.gateways.ros2 import services, topics
 from robofleet.gateways.ros2.gateway import Gateway
 from robofleet.gateways.ros2.graph import profile, stamped
 from robofleet.gateways.ros2.live import node
+from robofleet.gateways.served import Served
 from robofleet.processes.script_link import FleetError
 from robofleet.processes.script_lockstep import LockstepLink
 from robofleet.safety.supervisor import Phase
@@ -34,7 +35,6 @@ class Simulated:
     """A run in lockstep that begins here, and is recorded in a folder."""
 
     def __init__(self, config: Config, name: str, folder: Path) -> None:
-        self._config = config
         self._link = LockstepLink(config, config.groups[0].title, name, folder)
 
     def serve(self, namespace: str, speed: float) -> dict[str, Any]:
@@ -48,37 +48,37 @@ class Simulated:
             outcome: tuple[str, str | None] = "stopped", "the operator interrupted"
             try:
                 with suppress(KeyboardInterrupt):
-                    outcome = self._lap(made, speed)
+                    outcome = link.run.lap(_Passing(link, made, speed).until, _OVER)
             finally:
                 summary = link.end(*outcome)  # whose last messages the node still hears
         return summary
 
-    def _lap(self, made: Node, speed: float) -> tuple[str, str | None]:
-        """Let time pass; returns how the run ended."""
-        link, config, run = self._link, self._config, self._link.run
-        executor = SingleThreadedExecutor(context=made.context)
-        executor.add_node(made)
-        gateway = Gateway(made, config, run.bus, run.clock, lambda: 0)
-        services.serve(made, self._asked)
-        ticking = made.create_publisher(Clock, topics.CLOCK.name, profile(topics.CLOCK.quality))
-        pace = _Pace(speed, run.clock.now_ns())
-        while link.status.phase not in _OVER:
-            if self._elapsed_s >= config.run.duration_s:
-                return "completed", None
-            run.advance(_STEP_S)
-            now_ns = run.clock.now_ns()
-            ticking.publish(Clock(clock=stamped(now_ns)))
-            gateway.step()
-            executor.spin_once(timeout_sec=max(0.0, pace.left_s(now_ns)))
-            while (left_s := pace.left_s(now_ns)) > 0.0:
-                executor.spin_once(timeout_sec=left_s)
-        return "fault", link.status.describe(config.ids)
 
-    @property
-    def _elapsed_s(self) -> float:
-        """Time since the run's first tick [s]."""
-        ticks: int = TICK_RECORD.head_of(self._link.tick, "run_tick")
-        return ticks * self._config.controller.tick_s
+class _Passing:
+    """Lets simulated time pass, while a node hears of it."""
+
+    def __init__(self, link: LockstepLink, made: Node, speed: float) -> None:
+        self._link, self._run = link, link.run
+        self._executor = SingleThreadedExecutor(context=made.context)
+        self._executor.add_node(made)
+        clock = self._run.clock
+        served = Served(lambda: False, clock.now_ns())
+        self._gateway = Gateway(made, link.config, self._run.bus, clock, lambda: 0, served)
+        services.serve(made, self._asked)
+        self._ticking = made.create_publisher(Clock, topics.CLOCK.name, profile(topics.CLOCK.quality))
+        self._pace = _Pace(speed, clock.now_ns())
+
+    def until(self, done: Callable[[], bool]) -> None:
+        """Let time pass until something is true."""
+        spin, left_s = self._executor.spin_once, self._pace.left_s
+        while not done():
+            self._run.advance(_STEP_S)
+            now_ns = self._run.clock.now_ns()
+            self._ticking.publish(Clock(clock=stamped(now_ns)))
+            self._gateway.step()
+            spin(timeout_sec=max(0.0, left_s(now_ns)))
+            while (rest_s := left_s(now_ns)) > 0.0:
+                spin(timeout_sec=rest_s)
 
     def _asked(self, what: str) -> "Future[Asked]":
         answer: Future[Asked] = Future()

@@ -1,6 +1,7 @@
 """The table of the ROS 2 graph: name, type, frame and quality of service of each topic and service.
 
-``{}`` in a name is a robot, or a camera. The README has the same table, and a test holds it against a live graph.
+``{}`` in a name is a robot, or a camera; after ``range_`` it is a sensor's number. The README has the same table, and
+a test holds it against a live graph.
 """
 
 import re
@@ -47,15 +48,15 @@ POSE = Topic("{}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", MAP, PLAI
 ODOM = Topic("{}/odom", "nav_msgs/msg/Odometry", "{}/odom -> {}/base_link", PLAIN, "each status, 20 ms")
 JOINTS = Topic("{}/joint_states", "sensor_msgs/msg/JointState", "{}/base_link", PLAIN, "each status, 20 ms")
 BATTERY = Topic("{}/battery_state", "sensor_msgs/msg/BatteryState", "{}/base_link", PLAIN, "1 s")
-IMU = Topic("{}/imu/data_raw", "sensor_msgs/msg/Imu", "{}/base_link", SENSOR, "each reading")
-MAGNETIC = Topic("{}/imu/mag", "sensor_msgs/msg/MagneticField", "{}/base_link", SENSOR, "each reading")
-RANGES = Topic("{}/range", "sensor_msgs/msg/Range", "{}/range_0 ...", SENSOR, "each reading, of each sensor")
+IMU = Topic("{}/imu/data_raw", "sensor_msgs/msg/Imu", "{}/base_link", SENSOR, "each reading with it")
+MAGNETIC = Topic("{}/imu/mag", "sensor_msgs/msg/MagneticField", "{}/base_link", SENSOR, "each reading with it")
+RANGE = Topic("{}/range_{}", "sensor_msgs/msg/Range", "{}/range_{}", SENSOR, "each reading with it")
 COMMAND = Topic(
     "{}/cmd_vel", "geometry_msgs/msg/TwistStamped or geometry_msgs/msg/Twist", "{}/base_link", NEWEST, "yours", "in"
 )
 TRANSFORMS = Topic("/tf", "tf2_msgs/msg/TFMessage", "map -> {}/odom -> {}/base_link", MANY, "each status, 20 ms")
 FIXED = Topic(
-    "/tf_static", "tf2_msgs/msg/TFMessage", "map -> {}_optical_frame, {}/base_link -> {}/range_0 ...", LATCHED, "once"
+    "/tf_static", "tf2_msgs/msg/TFMessage", "map -> {}_optical_frame, {}/base_link -> {}/range_{}", LATCHED, "once"
 )
 IMAGE = Topic("{}/image", "sensor_msgs/msg/Image", "{}_optical_frame", SENSOR, "5 Hz while somebody looks")
 COMPRESSED = Topic(
@@ -68,7 +69,7 @@ DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "", P
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", "", SENSOR, "5 ms of simulated time, with `--lockstep`")
 
 OF_ROBOTS = POSE, ODOM, JOINTS, BATTERY, COMMAND
-OF_SENSORS = IMU, MAGNETIC, RANGES
+OF_SENSORS = IMU, MAGNETIC, RANGE
 OF_CAMERAS = IMAGE, COMPRESSED, CAMERA_INFO
 OF_RUN = TRANSFORMS, FIXED, MARKERS, STATE, DIAGNOSTICS, CLOCK
 TOPICS = (*OF_ROBOTS, *OF_SENSORS, *OF_CAMERAS, *OF_RUN)
@@ -97,24 +98,28 @@ def ros_names(robots: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def odom_frame(robot: str) -> str:
-    """Return the frame in which a robot's odometry is continuous."""
-    return f"{robot}/odom"
+class Frames:
+    """The frames of a run: with its namespace in front, so several arenas share one tree of frames."""
 
+    def __init__(self, namespace: str = "") -> None:
+        self._prefix = f"{namespace.strip('/')}/".lstrip("/")
+        self.map = f"{self._prefix}{MAP}"
 
-def base_frame(robot: str) -> str:
-    """Return a robot's own frame: on the floor under the middle of its axle, x ahead, y to the left, z up."""
-    return f"{robot}/base_link"
+    def odom(self, robot: str) -> str:
+        """Return the frame in which a robot's odometry is continuous."""
+        return f"{self._prefix}{robot}/odom"
 
+    def base(self, robot: str) -> str:
+        """Return a robot's own frame: on the floor under the middle of its axle, x ahead, y to the left, z up."""
+        return f"{self._prefix}{robot}/base_link"
 
-def range_frame(robot: str, number: int) -> str:
-    """Return the frame of a distance sensor: x is the direction in which it looks."""
-    return f"{robot}/range_{number}"
+    def range(self, robot: str, number: int) -> str:
+        """Return the frame of a distance sensor: x is the direction in which it looks."""
+        return f"{self._prefix}{robot}/range_{number}"
 
-
-def optical_frame(camera: str) -> str:
-    """Return a camera's frame: x to the right of the image, y down, z ahead."""
-    return f"{camera}_optical_frame"
+    def optical(self, camera: str) -> str:
+        """Return a camera's frame: x to the right of the image, y down, z ahead."""
+        return f"{self._prefix}{camera}_optical_frame"
 
 
 def load(name: str) -> Any:

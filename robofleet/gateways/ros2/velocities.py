@@ -21,7 +21,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
-from robofleet.gateways.ros2.ages import Ages
+from robofleet.gateways.ros2.ages import UNKNOWN_NS, Ages
 from robofleet.gateways.ros2.graph import Graph, profile
 from robofleet.gateways.ros2.topics import load
 
@@ -44,16 +44,15 @@ class Velocities:
             for group in config.groups
             if group.title in titles
         ]
-        self._node, self._looked_ns = graph.node, -_LOOK_NS
+        self._looked_ns = -_LOOK_NS
         self.step(graph.clock.now_ns())
 
     def step(self, now_ns: int) -> None:
         """Listen to each robot's commands by the type that their publisher has."""
         if self._groups and now_ns - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now_ns
-            there = {name: set(kinds) for name, kinds in self._node.get_topic_names_and_types()}
             for group in self._groups:
-                group.listen(there)
+                group.listen()
 
     def stand(self) -> None:
         """Say that nothing is wished any more."""
@@ -81,9 +80,9 @@ class _Group:
         self._topics = [_Commands(graph, robot, partial(self._heard, row)) for row, robot in enumerate(robots)]
         self.changed = False
 
-    def listen(self, there: dict[str, set[str]]) -> None:
+    def listen(self) -> None:
         for topic in self._topics:
-            topic.listen(there)
+            topic.listen()
 
     def _heard(self, row: int, v: float, omega: float, age_ns: int) -> None:
         self._told["told"][row] = 1
@@ -111,22 +110,25 @@ class _Commands:
         self._graph, self._node, self._heard = graph, graph.node, heard
         self._name = graph.node.resolve_topic_name(topics.COMMAND.name.format(robot))
         self._kinds = topics.COMMAND.type.split(" or ")
-        self._ages = Ages()
-        self._heard_ns = 0  # the date when something was heard last
+        self._ages, self._senders = Ages(), set[bytes]()
+        self._heard_ns = -_SILENT_NS  # when something was heard last, in real time
         self._kind = self._kinds[0]
         self._subscription = self._subscribed()
 
-    def listen(self, there: dict[str, set[str]]) -> None:
+    def listen(self) -> None:
         """Take the other type where somebody publishes that one, and nobody is heard by this one.
 
-        DDS holds a node that was killed for alive for twenty seconds.
+        DDS holds a node that was killed for alive for twenty seconds. When all are gone that were there, others
+        are expected, with clocks of their own.
         """
-        others = there.get(self._name, set()) & set(self._kinds) - {self._kind}
-        if not others:
-            return
-        kinds = {one.topic_type for one in self._node.get_publishers_info_by_topic(self._name)}
-        silent = self._graph.date_ns() - self._heard_ns > _SILENT_NS
-        if (self._kind not in kinds or silent) and (wanted := kinds & others):
+        senders = self._node.get_publishers_info_by_topic(self._name)
+        ids = {bytes(one.endpoint_gid) for one in senders}
+        if ids and self._senders.isdisjoint(ids):
+            self._ages.expect_another()
+        self._senders = self._senders & ids or ids or self._senders
+        kinds = {one.topic_type for one in senders}
+        silent = self._graph.real_ns() - self._heard_ns > _SILENT_NS
+        if (self._kind not in kinds or silent) and (wanted := kinds & set(self._kinds) - {self._kind}):
             self._node.destroy_subscription(self._subscription)
             self._kind = wanted.pop()
             self._subscription = self._subscribed()
@@ -148,5 +150,12 @@ class _Commands:
                 throttle_duration_sec=1.0,
             )
             v = omega = 0.0
-        self._heard_ns = self._graph.date_ns()
-        self._heard(v, omega, max(age_ns, self._ages.age_ns(told["source_timestamp"], self._heard_ns)))
+        self._heard_ns = self._graph.real_ns()
+        age_ns = max(age_ns, self._ages.age_ns(told["source_timestamp"], self._heard_ns))
+        if age_ns >= UNKNOWN_NS:
+            self._node.get_logger().warning(
+                f"{self._name}: of another node, or of one whose clock was set: the robot stands until one node alone "
+                "has commanded it for a second",
+                throttle_duration_sec=1.0,
+            )
+        self._heard(v, omega, age_ns)

@@ -93,4 +93,5 @@ def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:
 
     tree, line = load_config(file), Lifeline(lifeline)
     with line.logged(viewer, tree.arena.name):
-        live.serve(viewer, tree, Place(tree.bus.endpoint, None, MAY_ALL), at, file.absolute().parent, line)
+        folder = file.absolute().parent
+        live.serve(viewer, tree, Place(tree.bus.endpoint, None, MAY_ALL, folder), at, folder, line)

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from robofleet.clock import MS, S, WallClock, epoch_ns
+from robofleet.clock import MS, WallClock, epoch_ns
 from robofleet.comms.bus import Stream
 from robofleet.comms.joining import joined
 from robofleet.comms.keys import STATE
@@ -16,6 +16,7 @@ from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.gateways.asking import Asking
 from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import RERUN, Address
 from robofleet.processes.node import Lifeline
 from robofleet.processes.refusal import RefusedError
@@ -27,7 +28,6 @@ _JOIN_WITHIN_S = 60.0  # the router is the first process of a run
 _QUEUE = 65536  # messages
 _PERIOD_NS = 40 * MS
 _BATCH = 15  # ticks of a robot at once: half a second
-_SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
 
 
 class Server(Protocol):
@@ -88,15 +88,13 @@ def serve(
         except OSError as error:
             raise RefusedError(f"{at}: {error}: name another HOST:PORT") from error
 
+    served = Served(lambda: is_over(config, place), clock.now_ns())
     try:
         stream = bus.stream(*keys(config), capacity=_QUEUE)
-        with closing(Viewers(config, stream, opened, epoch_ns())) as viewers:
+        with closing(Viewers(config, stream, served, opened, epoch_ns())) as viewers:
             lifeline.ready(viewers.line)
-            while not lifeline.cut:
-                now_ns = clock.now_ns()
+            while not lifeline.cut and not served.is_over(now_ns := clock.now_ns()):
                 viewers.step(now_ns)
-                if now_ns - viewers.state_ns > _SILENT_NS and is_over(config, place):
-                    break
                 clock.sleep_until(now_ns + _PERIOD_NS)
             viewers.rest(clock.now_ns())
     finally:
@@ -119,23 +117,25 @@ class Viewers:
     """Tells viewers what the bus says, and what is drawn of it."""
 
     def __init__(
-        self, config: Config, stream: Stream, opened: Callable[[Sequence[Channel]], Opened], epoch_ns: int
-    ) -> None:
+        self, config: Config, stream: Stream, served: Served, opened: Callable[[Sequence[Channel]], Opened],
+        epoch_ns: int,
+    ) -> None:  # fmt: skip
         """Take all that is said, what opens a server of channels, and what makes its instants dates."""
-        self._stream, self._epoch_ns = stream, epoch_ns
+        self._stream, self._served, self._epoch_ns = stream, served, epoch_ns
         self._drawn = Drawn(config, groups.descriptions(config), epoch_ns=epoch_ns, batch=_BATCH)
         self._server, self.line = opened([*map(of_key, keys(config)), *self._drawn.channels])
         self._state = key_of(config.arena.name, STATE)
-        self.state_ns = 0  # when the supervisor was heard last
 
     def step(self, now_ns: int) -> None:
         """Tell what came."""
         for at_ns, full, payload in self._stream.drain():
+            if full == self._state:
+                self._served.take(payload, at_ns)
+                if self._served.is_over(at_ns):
+                    return  # what comes now is another run's
             self._server.tell(full, at_ns + self._epoch_ns, payload)
             for told in self._drawn.update(full, payload, at_ns):
                 self._server.tell(*told)
-            if full == self._state:
-                self.state_ns = at_ns
         self._server.step(now_ns + self._epoch_ns)
 
     def rest(self, now_ns: int) -> None:

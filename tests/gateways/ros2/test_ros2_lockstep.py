@@ -56,10 +56,52 @@ def test_a_node_drives_in_simulated_time(tmp_path: Path) -> None:
         ([str(CONFIG)], "start `robofleet run"),
         ([str(CONFIG), "--lockstep", "--speed", "0"], "--speed 0: must be"),
         ([str(CONFIG), "--lockstep", "--set", "groups.0.settings.silent_s=no"], "silent_s"),
+        ([str(CONFIG), "--lockstep", "--namespace", "1 bad"], "--namespace 1 bad: "),
         (["nowhere"], "robofleet run|has no run"),
     ],
 )
-def test_what_cannot_be_is_said_in_a_line(arguments: list[str], said: str) -> None:
+def test_what_cannot_be_is_said_in_a_line(
+    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["ros2", *arguments])
     assert done.exit_code == 2 and done.stdout == ""
     assert re.search(said, done.stderr) and len(done.stderr.strip().splitlines()) == 1
+    assert not any(tmp_path.iterdir()), "nothing has begun"
+
+
+@needs_ros
+@pytest.mark.parametrize(("variable", "value"), [("ROS_DOMAIN_ID", "abc"), ("RMW_IMPLEMENTATION", "rmw_nowhere_cpp")])
+def test_what_ros_does_not_start_with_is_said_in_a_line(
+    variable: str, value: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(variable, value)
+    done = CliRunner().invoke(app, ["ros2", str(CONFIG), "--lockstep", "--out", str(tmp_path / "run")])
+    assert done.exit_code == 2 and done.stdout == ""
+    assert variable in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "run").exists()
+
+
+@needs_ros
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of ROS's own packages
+@pytest.mark.parametrize("end", ["accomplished", "parked"])
+def test_a_run_that_has_done_what_it_should_has_completed(
+    end: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """By itself, as the behaviour go_to does; and where the robots park after the run's duration."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(101 + os.getpid() % 100))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    near = {"x_m": -0.8, "y_m": 0.5, "heading_deg": 0}
+    robot = {"id": "r1", "tag": 1, "vehicle": "gternal", "start": near | {"x_m": -0.9}, "park": near}
+    group = {"behaviour": "go_to", "robots": ["r1"], "settings": {"goals": {"r1": near}}}
+    changes = {"tracker.source": "truth", "robots": json.dumps([robot])}
+    if end == "accomplished":
+        changes["groups"] = json.dumps([group])
+    else:
+        changes |= {"groups.0.robots": "[r1]", "run.end": "park", "run.duration_s": "1"}
+    sets = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    command = ["ros2", str(CONFIG), "--lockstep", "--speed", "100", "--out", str(tmp_path / "run"), *sets]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["outcome"] == "completed" and summary["duration_s"] < 60.0

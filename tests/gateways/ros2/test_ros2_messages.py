@@ -4,6 +4,7 @@ import copy
 import math
 import sys
 from collections import defaultdict
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -14,8 +15,10 @@ import pytest
 pytest.importorskip("rclpy", reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own")
 
 from robofleet.behaviours.interface import WishKind
-from robofleet.clock import S
-from robofleet.comms.keys import WISH
+from robofleet.clock import S, SimulatedClock
+from robofleet.comms import sensors
+from robofleet.comms.bus import MemoryBus
+from robofleet.comms.keys import SENSORS, WISH
 from robofleet.comms.messages import SCRIPT_WISH, UNIT_TRUTH
 from robofleet.comms.ticks import TickFollower
 from robofleet.config import groups
@@ -28,6 +31,9 @@ from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.sensing import Sensing
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
+from robofleet.tracking.pictures import picture_size
+from robofleet.vehicles.interface import SensorReading
+from tests.gateways.ros2 import user
 
 TRUTH = "tracker.source=truth", "tracker.truth.position_noise_m=0", "tracker.truth.heading_noise_rad=0"
 
@@ -55,11 +61,12 @@ class Heard:
 class Paper:
     """A graph that keeps what is said."""
 
-    def __init__(self) -> None:
+    def __init__(self, namespace: str = "") -> None:
+        self.frames = topics.Frames(namespace)
         self.topics: dict[str, Heard] = defaultdict(Heard)
 
-    def publisher(self, topic: topics.Topic, name: str = "") -> Heard:
-        return self.topics[topic.name.format(name)]
+    def publisher(self, topic: topics.Topic, *names: object) -> Heard:
+        return self.topics[topic.name.format(*names)]
 
     def stamp(self, instant_ns: int) -> Any:
         return stamped(instant_ns)
@@ -170,30 +177,75 @@ def test_sensors_are_said_in_their_frames(graph: Paper) -> None:
     turning = [one.angular_velocity.z for one in graph.topics["r1/imu/data_raw"].said]
     assert turning[-1] == pytest.approx(0.5, abs=0.15)
     assert graph.topics["r1/imu/data_raw"].said[-1].linear_acceleration.z == pytest.approx(9.8, abs=0.5)
-    ranges = graph.topics["r1/range"].said
-    frames = {one.header.frame_id for one in ranges}
-    fixed = {one.child_frame_id for one in sensing.places(config.robot("r1"), "r1", stamped(0))}
-    assert frames == fixed and len(frames) == len(kind.distances.places)
-    assert all(0.0 < one.range <= one.max_range or math.isinf(one.range) for one in ranges)
-    assert not sensing.places(config.robot("r2"), "r2", stamped(0))
+    fixed = {one.child_frame_id for one in sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))}
+    assert len(fixed) == len(kind.distances.places)
+    for frame in fixed:
+        ranges = graph.topics[frame].said
+        assert {one.header.frame_id for one in ranges} == {frame}, "a topic for each sensor, called as its frame"
+        assert len(ranges) > 10
+        assert all(0.0 < one.range <= one.max_range or math.isinf(one.range) for one in ranges)
+    assert not sensing.places(config.robot("r2"), "r2", graph.frames, stamped(0))
 
 
-@pytest.mark.parametrize("size", [(1280, 720), (2560, 1440), (3840, 2160)])
-def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int]) -> None:
+def told(readings: Sequence[SensorReading]) -> Paper:
+    """Return what is said of readings of r1."""
+    config = load_config(SHIPPED / "ros2.yaml", ["robots.0.sensors=true"])
+    graph, clock = Paper(), SimulatedClock()
+    bus = MemoryBus(config.arena.name, clock, 0)
+    part = Sensing(graph, config, topics.ros_names(config.ids), bus, lambda _: None)  # type: ignore[arg-type]
+    say = bus.publisher(SENSORS, config.sensing[0])
+    for seq, reading in enumerate(readings, 1):
+        say(sensors.encoded(seq, 0, sensors.said([(0, reading)])))
+        part.step(0)
+    return graph
+
+
+def test_an_imu_says_what_its_reading_has_and_nothing_of_an_older_one() -> None:
+    """A GTernal's firmware tells heading and distances alone."""
+    turning, force = (0.1, 0.2, 0.3), (0.0, 0.0, 9.8)
+    silent = SensorReading(heading=0.5, distances=(0.2,) * 7)
+    graph = told([SensorReading(gyro=turning, accelerometer=force), silent, SensorReading(gyro=turning),
+                  SensorReading(accelerometer=force)])  # fmt: skip
+    said = graph.topics["r1/imu/data_raw"].said
+    gyros = [(one.angular_velocity.x, one.angular_velocity.y, one.angular_velocity.z) for one in said]
+    forces = [(one.linear_acceleration.x, one.linear_acceleration.y, one.linear_acceleration.z) for one in said]
+    nothing = (0.0, 0.0, 0.0)
+    assert gyros == [turning, turning, nothing] and forces == [force, nothing, force]
+    assert [one.angular_velocity_covariance[0] == -1.0 for one in said] == [False, False, True]
+    assert [one.linear_acceleration_covariance[0] == -1.0 for one in said] == [False, True, False]
+    assert all(one.orientation_covariance[0] == -1.0 for one in said)
+    assert not told([silent]).topics["r1/imu/data_raw"].said
+
+
+@pytest.mark.parametrize(
+    ("size", "small_size"),
+    [
+        ((1280, 720), (1280, 720)), ((2560, 1440), (1280, 720)), ((3840, 2160), (1280, 720)),
+        ((3088, 2064), (1029, 688)),  # whose width no whole number of pixels divides
+    ],
+)  # fmt: skip
+def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int], small_size: tuple[int, int]) -> None:
     """A point that the camera sees at a pixel is at the same place of the small picture, pixels' edges counted."""
-    model = load_config(SHIPPED / "ros2.yaml").camera.model
-    part = size[0] // 1280
-    centre = tuple((c + 0.5) * part - 0.5 for c in model.centre_px)
+    its = load_config(SHIPPED / "ros2.yaml").camera.model
+    model = its.model_copy(
+        update={
+            "width": small_size[0],
+            "height": small_size[1],
+            "centre_px": (0.4 * small_size[0], 0.6 * small_size[1]),
+        }
+    )
+    parts = [whole / small for whole, small in zip(size, small_size, strict=True)]
     larger = model.model_copy(
         update={
             "width": size[0],
             "height": size[1],
-            "focal_px": tuple(f * part for f in model.focal_px),
-            "centre_px": centre,
+            "focal_px": tuple(f * part for f, part in zip(model.focal_px, parts, strict=True)),
+            "centre_px": tuple((c + 0.5) * part - 0.5 for c, part in zip(model.centre_px, parts, strict=True)),
         }
     )
+    assert picture_size(*size) == small_size
     info = camera.camera_info(larger, "overhead_optical_frame")
-    assert (info.width, info.height) == (1280, 720)
+    assert (info.width, info.height) == small_size
     rays = np.array([[0.1, -0.2, 1.0], [-0.3, 0.25, 1.0], [0.0, 0.0, 1.0]])
     small, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(info.k).reshape(3, 3), np.array(info.d))
     plain = np.array(
@@ -205,8 +257,8 @@ def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int]) -> None:
 
 
 def test_a_camera_hangs_where_it_was_measured() -> None:
-    model = load_config(SHIPPED / "ros2.yaml").camera.model
-    there = camera.place(model, stamped(0), "overhead_optical_frame")
+    settings = load_config(SHIPPED / "ros2.yaml").camera
+    model, there = settings.model, camera.place(settings, topics.Frames(), stamped(0))
     assert there is not None and model.T_world_camera is not None
     q, way = there.transform.rotation, there.transform.translation
     assert (way.x, way.y, way.z) == pytest.approx(model.T_world_camera.position_m)
@@ -217,6 +269,20 @@ def test_a_camera_hangs_where_it_was_measured() -> None:
 
 def test_markers_are_in_frames_that_are_said() -> None:
     config = load_config(SHIPPED / "ros2.yaml")
-    drawn = run.markers(config, topics.ros_names(robot.id for robot in config.robots)).markers
+    drawn = run.markers(config, topics.ros_names(robot.id for robot in config.robots), topics.Frames()).markers
     assert {one.header.frame_id for one in drawn} == {"map", *(f"r{k}/base_link" for k in (1, 2, 3, 4))}
     assert len({(one.ns, one.id) for one in drawn}) == len(drawn)
+
+
+def test_a_namespace_is_in_front_of_every_frame(graph: Paper) -> None:
+    """So several arenas share one tree of frames."""
+    graph.frames = topics.Frames("/lab")
+    config = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"])
+    driven(config, graph, 1.0)
+    names = topics.ros_names(robot.id for robot in config.robots)
+    said = [one for topic in graph.topics.values() for one in topic.said]
+    said += [*run.markers(config, names, graph.frames).markers, camera.place(config.camera, graph.frames, stamped(0))]
+    said += sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))
+    found = {frame for message in said for frame in user.frames(message)}
+    assert {"lab/map", "lab/r1/odom", "lab/r1/base_link", "lab/overhead_optical_frame", "lab/r1/range_0"} <= found
+    assert all(frame.startswith("lab/") for frame in found)

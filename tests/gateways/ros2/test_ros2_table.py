@@ -3,9 +3,10 @@
 import re
 import runpy
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,7 +14,8 @@ import yaml
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.comms.keys import CAMERA
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2 import command, topics
 
@@ -31,44 +33,72 @@ def test_the_readme_has_the_table() -> None:
     assert sorted(name for names in services for name in names) == sorted(SERVICES)
 
 
-def test_rviz_shows_what_is_said() -> None:
-    """Each display's topic is a row that it can hear; every latched row and the image are shown, and the frames."""
-    shown = yaml.safe_load((SHARE / "robofleet.rviz").read_text())["Visualization Manager"]
-    assert shown["Global Options"]["Fixed Frame"] == topics.MAP
-    displays = {one["Class"].rpartition("/")[2]: one for one in shown["Displays"]}
-    rows = {"MarkerArray": topics.MARKERS, "Image": topics.IMAGE}
-    for kind, row in rows.items():
-        its = displays[kind]["Topic"]
-        assert its["Value"].lstrip("/") == row.name.format(topics.ros_name(CAMERA)) and row.type.endswith(kind)
-        assert its["Reliability Policy"] == ("Reliable" if row.quality.reliable else "Best Effort")
-        assert its["Durability Policy"] == ("Transient Local" if row.quality.latched else "Volatile")
-    assert set(displays) == {*rows, "TF", "Grid"} and all(one["Enabled"] for one in displays.values())
+@pytest.mark.parametrize("namespace", ["", "lab", "/a/b"])
+@pytest.mark.parametrize("name", ["ros2", "two-cameras"])
+def test_rviz_shows_what_is_said(name: str, namespace: str) -> None:
+    """Each display's topic is a row that it can hear; every latched row and image are shown, frames, and distances."""
+    changes = ["--set", "robots.0.sensors=true"]
+    file = str(SHIPPED / f"{name}.yaml")
+    done = CliRunner().invoke(app, ["ros2", file, "--rviz", "--namespace", namespace, *changes])
+    assert done.exit_code == 0, done.output
+    shown, config = yaml.safe_load(done.stdout)["Visualization Manager"], load_config(SHIPPED / f"{name}.yaml")
+    prefix = namespace.strip("/") + "/" if namespace else ""
+    assert shown["Global Options"]["Fixed Frame"] == shown["Views"]["Current"]["Target Frame"] == f"{prefix}map"
+    sensors = config.robot("r1").vehicle.sensors
+    assert sensors is not None and sensors.distances is not None
+    rows = {"markers": topics.MARKERS, **{f"{camera}/image": topics.IMAGE for camera in config.camera_names}}
+    rows |= {f"r1/range_{number}": topics.RANGE for number in range(len(sensors.distances.places))}
+    displays = {one["Topic"]["Value"]: one for one in shown["Displays"] if "Topic" in one}
+    assert set(displays) == {f"/{prefix}{topic}" for topic in rows}
+    for topic, row in rows.items():
+        one = displays[f"/{prefix}{topic}"]
+        assert one["Class"].rpartition("/")[2] == row.type.rpartition("/")[2]
+        assert one["Topic"]["Reliability Policy"] == ("Reliable" if row.quality.reliable else "Best Effort")
+        assert one["Topic"]["Durability Policy"] == ("Transient Local" if row.quality.latched else "Volatile")
+    assert {one["Name"] for one in shown["Displays"] if "Topic" not in one} == {"Grid", "Frames"}
+    assert all(one["Enabled"] for one in shown["Displays"])
 
 
-def test_the_launch_file_starts_the_gateway_and_rviz(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("rviz", ["true", "false"])
+def test_the_launch_file_starts_the_gateway_and_rviz(
+    rviz: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Without ROS 2's ``launch`` it is read with a stand-in, which keeps what would be started."""
     started: list[dict[str, Any]] = []
+    program = tmp_path / "robofleet"
+    program.write_text('#!/bin/sh\necho "$@"\n')
+    program.chmod(0o755)
+    given = {"arena": "lab", "namespace": "ns", "rviz": rviz, "robofleet": str(program)}
 
     def keep(kind: str) -> Callable[..., Any]:
         return lambda *arguments, **told: started.append({"kind": kind, "arguments": arguments, **told})
 
+    def chosen(name: str) -> Any:
+        return SimpleNamespace(perform=lambda _: given[name])
+
     for module, names in {
         "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess"],
-        "launch.conditions": ["IfCondition"],
+        "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction"],
         "launch.substitutions": ["LaunchConfiguration"],
         "launch_ros.actions": ["Node"],
     }.items():
         stand_in = ModuleType(module)
         for name in names:
-            setattr(stand_in, name, str if name == "LaunchConfiguration" else keep(name))
+            setattr(stand_in, name, chosen if name == "LaunchConfiguration" else keep(name))
         monkeypatch.setitem(sys.modules, module, stand_in)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     runpy.run_path(str(SHARE / "robofleet.launch.py"))["generate_launch_description"]()
-    (gateway,) = (one for one in started if one["kind"] == "ExecuteProcess")
-    (rviz,) = (one for one in started if one["kind"] == "Node")
+    (function,) = (one["function"] for one in started if one["kind"] == "OpaqueFunction")
+    function(None)
     declared = {one["arguments"][0] for one in started if one["kind"] == "DeclareLaunchArgument"}
-    assert gateway["cmd"] == ["robofleet", "ros2", "arena"] and {"robofleet", "arena", "rviz"} == declared
-    assert (rviz["package"], rviz["arguments"][0]) == ("rviz2", "-d") and Path(rviz["arguments"][1]).is_file()
+    assert declared == set(given)
+    (gateway,) = (one for one in started if one["kind"] == "ExecuteProcess")
+    assert gateway["cmd"] == [str(program), "ros2", "lab", "--namespace", "ns"]
+    shown = [one for one in started if one["kind"] == "Node"]
+    assert len(shown) == (rviz == "true")
+    for one in shown:
+        assert (one["package"], one["arguments"][0]) == ("rviz2", "-d")
+        assert Path(one["arguments"][1]).read_text() == "ros2 lab --namespace ns --rviz\n"
 
 
 @pytest.mark.parametrize("name", ["r1", "robot-1", "1st", "a_b", "camera.7"])
@@ -89,6 +119,14 @@ def test_without_rclpy_a_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -
     assert done.exit_code == 2 and done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith("this needs nav_msgs") and "rclpy" in line and "[ros2]" in line
+
+
+@pytest.mark.parametrize("package", ["rclpy", "std_srvs"])
+def test_every_package_that_is_missing_is_named(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = command.find_spec
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else there(name) or name)
+    done = CliRunner().invoke(app, ["ros2"])
+    assert (done.exit_code, done.stdout) == (2, "") and f"this needs {package} of ROS 2" in done.stderr
 
 
 def test_rclpy_of_another_python_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ The library writes to each viewer in threads of its own. A viewer that is too sl
 
 import logging
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from queue import SimpleQueue
@@ -16,17 +17,20 @@ from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 from robofleet.comms.credentials import credentials
 from robofleet.comms.permissions import OPERATOR, PAGE
 from robofleet.config.tree import Config
-from robofleet.files import replaced
+from robofleet.files import read_plain, replaced
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.viewers.address import Address
 from robofleet.gateways.viewers.foxglove.services import new_key, services
 from robofleet.gateways.viewers.kept import Kept
 from robofleet.gateways.viewers.live import Opened, Run
+from robofleet.processes.refusal import RefusedError
 from robofleet.recording.drawn import Channel as Described
 from robofleet.recording.run import Recording
 from robofleet.recording.viewers import foxglove as layouts
 
 LAYOUT = "foxglove.json"
+_LARGEST = 1 << 26  # of a layout [bytes]
+_KEY = re.compile(rb'\\"key\\": ?\\"([0-9a-f]{32})\\"')  # in a button's request
 _BACKLOG = 16384  # messages for a viewer: half a second of a hundred robots comes at once
 
 
@@ -94,11 +98,10 @@ class Server(ServerListener):
 
 
 def opened(run: Run, at: Address, channels: Sequence[Described]) -> Opened:
-    """Open the server of a run, and write its layout; OSError where its address cannot be used."""
-    key = new_key() if run.place.role == OPERATOR else ""
+    """Open the server of a run, and write its layout; OSError where its address cannot be used, RefusedError."""
+    layout, key = written(run.config, run.folder, asks=run.place.role == OPERATOR)
     offered = services(run.ask, key) if key else []
     server = Server(run.config.arena.name, at, _certificate(run.config, at), channels, offered)
-    layout = _layout(run.config, run.folder, key)
     return Opened(server, f"Foxglove, Lichtblick: open {at.url(server.port)}, with the layout {layout}")
 
 
@@ -109,10 +112,29 @@ def _certificate(config: Config, at: Address) -> Keys | None:
     return Keys(own.certificate.read_bytes(), own.key.read_bytes())
 
 
-def _layout(config: Config, folder: Path, key: str) -> Path:
-    """Write the layout of a run, for this user alone: whoever has it may drive."""
-    file = folder / LAYOUT
-    with replaced(file) as stream:
-        os.fchmod(stream.fileno(), 0o600)
-        stream.write(layouts.layout(Recording(config), SERVICES if key else (), {"key": key}))
-    return file
+def written(config: Config, folder: Path, *, asks: bool) -> tuple[Path, str]:
+    """Write the layout of a run, for this user alone: whoever has it may drive. Returns it and its key, if one asks.
+
+    One that is there stays, so all servers of a run have one key; RefusedError where something else is there.
+    """
+    file, recording = folder / LAYOUT, Recording(config)
+
+    def layout(key: str) -> bytes:
+        return layouts.layout(recording, SERVICES if asks else (), {"key": key})
+
+    try:
+        found, its = read_plain(file, _LARGEST), file.lstat()
+    except FileNotFoundError:
+        key = new_key() if asks else ""
+        with replaced(file) as stream:
+            os.fchmod(stream.fileno(), 0o600)
+            stream.write(layout(key))
+        return file, key
+    except OSError as error:
+        raise RefusedError(f"{file}: {error.strerror}: move it away, or start this in another folder") from error
+    kept = _KEY.search(found)
+    own = kept[1].decode() if kept is not None else ""
+    private = its.st_uid in (os.geteuid(), folder.stat().st_uid) and not its.st_mode & 0o077
+    if not private or bool(own) != asks or found != layout(own):
+        raise RefusedError(f"{file} is not the layout of this run: move it away, or start this in another folder")
+    return file, own

@@ -42,7 +42,10 @@ def _schema(name: str, described: object) -> MessageSchema:
 
 
 def _answer(ask: Ask, key: str, what: str, request: ServiceRequest) -> bytes:
-    done, said = ask(what).result(_WITHIN_S) if _permitted(request.payload, key) else (False, _STRANGER)
+    try:
+        done, said = ask(what).result(_WITHIN_S) if _permitted(request.payload, key) else (False, _STRANGER)
+    except TimeoutError:
+        done, said = False, f"no answer within {_WITHIN_S:g} s: the requests before it wait, too"
     return dumps({"success": done, "message": said}).encode()
 
 

@@ -1,0 +1,93 @@
+"""A gateway ends with the run that it serves, also where the arena's next run takes the same place on the bus."""
+
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from robofleet.clock import S
+from robofleet.comms.bus import Arrival
+from robofleet.comms.keys import STATE, key
+from robofleet.comms.messages import RUN_STATE, RunState
+from robofleet.comms.permissions import OPERATOR
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
+from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.served import Served
+from robofleet.gateways.viewers.live import Opened, Viewers
+from robofleet.processes.arena_file import claimed
+from robofleet.recording.drawn import Channel
+from robofleet.safety.supervisor import NOBODY, Phase
+from tests.endpoints import short_folder
+
+CONFIG = load_config(SHIPPED / "ros2.yaml", ["bus.endpoint=unixsock-stream//run/lab/bus.sock"])
+STATES = key(CONFIG.arena.name, STATE)
+
+
+def state(epoch: int) -> bytes:
+    return RUN_STATE.encode(RunState(epoch, 1, Phase.RUNNING, 0, NOBODY, 0.0, 0, ()))
+
+
+def test_a_run_is_over_when_another_supervisor_is_heard() -> None:
+    served = Served(lambda: False, 0)
+    assert not served.is_over(S)
+    for at_s in range(1, 9):
+        served.take(state(1), at_s * S)
+        assert not served.is_over(at_s * S)
+    served.take(state(2), 9 * S)
+    assert served.is_over(9 * S)
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_run_that_is_silent_is_over_if_it_has_ended(ended: bool) -> None:
+    served = Served(lambda: ended, 0)
+    served.take(state(1), S)
+    assert not served.is_over(3 * S) and served.is_over(5 * S) == ended
+
+
+def test_the_next_run_of_an_arena_is_another_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    folder = short_folder()
+    for name, variable in (("tmp", "TMPDIR"), ("run", "XDG_RUNTIME_DIR")):
+        (folder / name).mkdir()
+        (folder / name).chmod(0o1777 if name == "tmp" else 0o700)
+        monkeypatch.setenv(variable, str(folder / name))
+    places = [Place(CONFIG.bus.endpoint, None, OPERATOR, tmp_path / name) for name in ("this", "next")]
+    with claimed(CONFIG, tmp_path / "this"):
+        assert [is_over(CONFIG, place) for place in places] == [False, True]
+    with claimed(CONFIG, tmp_path / "next"):
+        assert [is_over(CONFIG, place) for place in places] == [True, False]
+
+
+class Said:
+    """What comes of a bus, and what a viewer is told of it."""
+
+    dropped = 0
+
+    def __init__(self, epochs: Sequence[int]) -> None:
+        self._said = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate(epochs, 1)]
+        self.told: list[bytes] = []
+
+    def drain(self) -> list[Arrival]:
+        said, self._said = self._said, []
+        return said
+
+    def tell(self, topic: str, _log_ns: int, message: bytes) -> None:
+        self.told += [message] if topic == STATES else []
+
+    def step(self, log_ns: int) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_viewers_see_nothing_of_the_next_run() -> None:
+    said, served = Said([1, 1, 2, 2]), Served(lambda: False, 0)
+
+    def opened(_: Sequence[Channel]) -> Opened:
+        return Opened(said, "")
+
+    with closing(Viewers(CONFIG, said, served, opened, 0)) as viewers:
+        viewers.step(4 * S)
+    assert said.told == [state(1)] * 2 and served.is_over(4 * S)
