@@ -79,13 +79,22 @@ def test_cameras_that_nothing_ties_together_are_refused() -> None:
     assert not [line for line in refusals(load_config(EXAMPLE), lockstep=True) if "survey" in line[1]]
 
 
-@pytest.mark.parametrize(("surveys", "refused"), [(("a", "a"), 0), (("a", "b"), 1)])
-def test_two_cameras_of_one_lens_share_no_survey_by_that(surveys: tuple[str, str], refused: int) -> None:
+def test_tags_that_are_too_small_are_told_once_of_the_worst_camera_and_with_a_size_that_is_enough() -> None:
+    line = refused("tracker.tag_side_m=0.02", "cameras.1.model.T_world_camera.position_m=[1.5, 0.0, 2.9]")
+    assert "tracker.tag_side_m" in line
+    assert "right" in line
+    least_m = float(line.partition("print it ")[2].split()[0])
+    load_config(EXAMPLE, [f"tracker.tag_side_m={least_m}", "cameras.1.model.T_world_camera.position_m=[1.5, 0.0, 2.9]"])
+
+
+@pytest.mark.parametrize(("surveys", "count"), [(("a", "a"), 0), (("a", "b"), 1)])
+def test_two_cameras_of_one_lens_share_no_survey_by_that(surveys: tuple[str, str], count: int) -> None:
     """Their files were copies, so the hashes of these are one; only the survey places them."""
     placed = [
-        f"cameras.{k}.model.arena={{date: today, tool: t, figures: {{}}, inputs: {{{name}.yaml: copied, survey.yaml: {by}}}}}"
+        f"cameras.{k}.model.arena={{date: today, tool: t, figures: {{}}, "
+        f"inputs: {{{name}.yaml: copied, survey.yaml: {by}}}}}"
         for k, (name, by) in enumerate(zip(("left", "right"), surveys, strict=True))
     ]
     apart = "cameras.1.model.T_world_camera.position_m=[5.5, 0.0, 2.6]"
     found = [why for _, why in refusals(load_config(EXAMPLE, [apart, *placed]), lockstep=True) if "no survey" in why]
-    assert len(found) == refused
+    assert len(found) == count
