@@ -144,8 +144,8 @@ def _on_the_way(before: Seen, after: Seen, instants_ns: NDArray[np.int64]) -> Ar
     share = (instants_ns - before.instants_ns) / np.maximum(after.instants_ns - before.instants_ns, 1)
     (x, y, _), (dx, dy, turned) = before.poses[:, :3].T, (after.poses - before.poses)[:, :3].T
     turned = np.remainder(turned + math.pi, math.tau) - math.pi
-    turned = 1j * np.where(np.abs(turned) < _STRAIGHT_RAD, _STRAIGHT_RAD, turned)
-    at = x + 1j * y + (dx + 1j * dy) * np.expm1(share * turned) / np.expm1(turned)
+    turned = 1j * np.where(np.abs(turned) > _STRAIGHT_RAD, turned, _STRAIGHT_RAD)  # also of those that were not seen
+    at = x + 1j * y + (dx + 1j * dy) * (np.expm1(share * turned) / np.expm1(turned))
     return np.stack([at.real, at.imag], axis=1)
 
 
