@@ -113,7 +113,8 @@ def calibrate_together(
     agreements = agree_together(views, None if wanted.survey_mm is None else wanted.survey_mm / 1e3)
     judged = []
     for k, (camera, model, view, agreement) in enumerate(zip(cameras, models, views, agreements, strict=True)):
-        notes = [note for note in looks[k].notes if "in no image" not in note]  # another camera sees it
+        others = {name for other in looks if other is not looks[k] for name in other.marks.names}
+        notes = [note for note in looks[k].notes if "in no image" not in note or note.partition(":")[0] not in others]
         seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
         judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
     return [_kept(its, report.with_name(f"{report.stem}-{its.camera.stem}{report.suffix}")) for its in judged]

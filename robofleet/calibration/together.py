@@ -6,6 +6,7 @@ deviation, the survey's or a metre, and the poses of all cameras are fitted at o
 then known of one camera counts what the others may be off by.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -40,8 +41,7 @@ def agree_together(views: Sequence[View], survey_m: float | None) -> list[Agreem
     CalibrationError where a camera cannot be placed: it sees too few marks that are surveyed, or that others see.
     """
     found = _begun(views, survey_m)
-    sigma = survey_m or max(LEAST_SURVEY_M, float(np.median([its.placement.survey_m for its in found])))
-    placements = _place([view.lens for view in views], _used(views, found), [its.placement for its in found], sigma)
+    placements = _place([view.lens for view in views], _used(views, found), [its.placement for its in found], survey_m)
     agreements = []
     for view, its, placement in zip(views, found, placements, strict=True):
         marks = _placed(view.marks, its.placement, known={})
@@ -71,6 +71,10 @@ def _begun(views: Sequence[View], survey_m: float | None) -> list[Agreement]:
             raise CalibrationError(
                 f"{view.name}: sees {its.sum()} tags that are surveyed or that a camera which is placed sees; {LEAST} "
                 "or more are needed: survey more there, or lay more where the views overlap"
+            )
+        if survey_m is None and its.sum() == LEAST:
+            raise CalibrationError(
+                f"{view.name}: four marks do not tell how well they were surveyed: state it with --survey-mm"
             )
         marks = _placed(view.marks, None, known).chosen(its)
         try:
@@ -109,14 +113,17 @@ def _used(views: Sequence[View], found: Sequence[Agreement]) -> list[Marks]:
     return [view.marks.chosen(its.inside) for view, its in zip(views, found, strict=True)]
 
 
-def _place(lenses: Sequence[Lens], marks: list[Marks], begun: Sequence[Placement], survey_m: float) -> list[Placement]:
-    """Fit all poses at once."""
+def _place(
+    lenses: Sequence[Lens], marks: list[Marks], begun: Sequence[Placement], survey_m: float | None
+) -> list[Placement]:
+    """Fit all poses at once; ``survey_m`` None: estimated from what is left over."""
     cameras, ends = len(lenses), np.cumsum([2 * len(its) for its in marks])
     parts = [slice(end - 2 * len(its), end) for end, its in zip(ends, marks, strict=True)]
     names = [name for its in marks for name in its.names]
     open_ = np.concatenate([np.isnan(its.points[:, 0]) for its in marks])
     shared = np.array([[one == other for other in names] for one in names], np.float64)
-    prior = np.kron(shared * np.where(open_, _ANYWHERE_M, survey_m) ** 2, np.eye(2))
+    freedom = 2 * len(names) - 6 * cameras - 2 * len({name for name, its in zip(names, open_, strict=True) if its})
+    sigma = LEAST_SURVEY_M if survey_m is None else survey_m
     slopes = [lens.slopes(its.pixels) for lens, its in zip(lenses, marks, strict=True)]
     by_pixel = [lens.by_pixel(its.pixels) for lens, its in zip(lenses, marks, strict=True)]
     by_lens = [lens.by_lens(its.pixels) for lens, its in zip(lenses, marks, strict=True)]
@@ -126,7 +133,7 @@ def _place(lenses: Sequence[Lens], marks: list[Marks], begun: Sequence[Placement
     r, P, weighted, covariance = (np.zeros(0),) * 4
     seen = surveyed
     for last in [False] * _STEPS + [True]:
-        V[:] = prior
+        V[:] = np.kron(shared * np.where(open_, _ANYWHERE_M, sigma) ** 2, np.eye(2))
         places = []
         for c, (its, part) in enumerate(zip(marks, parts, strict=True)):
             place, J_c, by_slope = on_plane(T[c], slopes[c], its.points[:, 2])
@@ -141,14 +148,15 @@ def _place(lenses: Sequence[Lens], marks: list[Marks], begun: Sequence[Placement
         if not last:
             change = (covariance @ (weighted.T @ r)).reshape(-1, 6)
             T = [moved(at, step) for at, step in zip(T, change, strict=True)]
+            if survey_m is None:
+                sigma = max(LEAST_SURVEY_M, sigma * math.sqrt(float(r @ P @ r) / freedom))
     off, off_covariance = left_out(P, r, np.zeros(len(names), np.bool_))
     off[open_], off_covariance[open_] = np.nan, np.nan
-    freedom = len(r) - 6 * cameras - 2 * len({name for name, its in zip(names, open_, strict=True) if its})
     found = []
     for c, (its, part, placement) in enumerate(zip(marks, parts, begun, strict=True)):
         rows, own = slice(part.start // 2, part.stop // 2), slice(6 * c, 6 * c + 6)
         found.append(replace(
-            placement, T_world_camera=T[c], covariance=covariance[own, own], survey_m=survey_m,
+            placement, T_world_camera=T[c], covariance=covariance[own, own], survey_m=sigma,
             error=-r[part].reshape(-1, 2), left_out=-off[rows], left_out_covariance=off_covariance[rows],
             heading_error=np.full(len(its), np.nan), turned=np.zeros(len(its), np.bool_),
             chi_square=float(r @ P @ r), freedom=freedom,

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from robofleet.comms import messages
 from robofleet.comms.layouts import BlobLayout, Layout, ListLayout
-from robofleet.patterns import OVERHEAD, driver_role
+from robofleet.patterns import OVERHEAD, TRACKER, driver_role, tracker_role
 
 AnyLayout = Layout[Any] | ListLayout[Any] | BlobLayout[Any]
 
@@ -31,7 +31,10 @@ STATUS = Topic("unit/{}/status", "unit", "all", 0.020, "DATA_HIGH", _LONG, messa
 ENABLE = Topic("unit/{}/enable", "supervisor", "unit", 0.040, "REAL_TIME", _FLEET, messages.UNIT_ENABLE)
 LEASE = Topic("unit/{}/lease", "controller", "unit", 0.0, "REAL_TIME", _FLEET, messages.LEASE_REQUEST, reliable=True)
 POSES = Topic("poses/{}", "tracker", "controller viewers script", 0.033, "REAL_TIME", _LONG, messages.FLEET_POSES)
-NEWS = Topic("poses/{}/news", "tracker", "all", 0.0, "DATA_HIGH", _FIXED, messages.TRACKER_NEWS, reliable=True)
+# The controller tells which of several cameras it does not believe.
+NEWS = Topic(
+    "poses/{}/news", "tracker controller", "all", 0.0, "DATA_HIGH", _FIXED, messages.TRACKER_NEWS, reliable=True
+)
 PICTURE = Topic("poses/{}/picture", "tracker", "viewers script", 1.0, "DATA_LOW", 1_000_000, messages.PICTURE)
 TICK = Topic("tick", "controller", "all", 0.033, "DATA", _LONG, messages.TICK_RECORD)
 RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
@@ -67,6 +70,13 @@ OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each
 def key(arena: str, topic: Topic, name: str = "") -> str:
     """Return the full key of a topic."""
     return f"rf/{arena}/{topic.key.format(name)}"
+
+
+def said_by(topic: Topic, name: str) -> tuple[str, ...]:
+    """Return the names that the process may have which says what is said on a topic; the first of several senders."""
+    role = topic.sender.split()[0]
+    own = {"unit": (driver_role(name),), TRACKER: (TRACKER, tracker_role(name))}
+    return own.get(role, (role,))
 
 
 def served_by(topic: Topic, name: str) -> str:

@@ -33,6 +33,7 @@ def complaints(config: Config) -> Iterator[Complaint]:
                 yield f"{path}.{key}", message
     for path, lying in _lying(config):
         yield from unknown_id(config, f"{path}.tag", lying.tag)
+    yield from _small(config)
     for path, camera in config.camera_keys:
         yield from _tag_sizes(config, path, camera)
 
@@ -108,30 +109,49 @@ def _tag_sizes(config: Config, own: str, camera: CameraSettings) -> Iterator[Com
     if model.T_world_camera is None:
         return
     eye_m, least_px = model.T_world_camera.position_m[2], min(model.width, model.height)
-    tags = [("tracker.tag_height_m", tracker.tag_side_m, tracker.tag_height_m)]
     family = FAMILIES[tracker.family]
     largest_m = least_px * (eye_m - tracker.tag_height_m) / max(model.focal_px) / family.whole
     if hint := units.meant(tracker.tag_side_m, largest_m, "tag_side_m"):
         yield "tracker.tag_side_m", f"a tag of {tracker.tag_side_m:g} m fills the image{hint}: mend it"
         return
-    for i, robot in enumerate(config.robots):
-        if robot.tag_height_m is not None:
-            tags.append((f"robots.{i}.tag_height_m", tracker.tag_side_m, robot.tag_height_m))
-    at = ("tracker.", own)
-    tags += [(path, tag.side_m, tag.height_m) for path, tag in _lying(config) if path.startswith(at)]
-    for path, side_m, height_m in tags if tracker.source == "camera" else ():
-        cell_px = min(model.focal_px) * side_m / family.square / max(eye_m - height_m, 1e-9)
-        if 0.0 < cell_px < LEAST_CELL_PX:
-            least_m = side_m * LEAST_CELL_PX / cell_px
-            yield (
-                path.replace("tracker.tag_height_m", "tracker.tag_side_m"),
-                f"a cell of a {tracker.family} tag of {side_m:g} m has {cell_px:.2g} px, {LEAST_CELL_PX:g} are needed: "
-                f"print it {least_m:.2g} m large, hang the camera lower, or take a family with fewer cells",
-            )
-    for path, side_m, height_m in tags:
+    for path, side_m, height_m in _tags(config, own):
         if max(model.focal_px) * side_m * family.whole >= least_px * (eye_m - height_m):
             tag = f"a tag of {side_m:g} m at {height_m:g} m"
             yield path, f"{tag} fills the image of a camera that hangs at {eye_m:g} m: mend one"
+
+
+def _tags(config: Config, own: str) -> Iterator[tuple[str, float, float]]:
+    """Yield the tags that a camera sees: path, side and height [m] of each."""
+    tracker = config.tracker
+    yield "tracker.tag_height_m", tracker.tag_side_m, tracker.tag_height_m
+    for i, robot in enumerate(config.robots):
+        if robot.tag_height_m is not None:
+            yield f"robots.{i}.tag_height_m", tracker.tag_side_m, robot.tag_height_m
+    at = ("tracker.", own)
+    yield from ((path, tag.side_m, tag.height_m) for path, tag in _lying(config) if path.startswith(at))
+
+
+def _small(config: Config) -> Iterator[Complaint]:
+    """Yield tags whose cells have too few pixels, each once: of the camera to which it looks smallest."""
+    tracker, square = config.tracker, FAMILIES[config.tracker.family].square
+    worst: dict[str, tuple[float, float, str]] = {}
+    for own, camera in config.camera_keys if tracker.source == "camera" else ():
+        if camera.model.T_world_camera is None:
+            continue
+        for path, side_m, height_m in _tags(config, own):
+            below_m = camera.model.T_world_camera.position_m[2] - height_m
+            cell_px = min(camera.model.focal_px) * side_m / square / max(below_m, 1e-9)
+            worst[path] = min(worst.get(path, (math.inf, 0.0, "")), (cell_px, side_m, camera.name))
+    for path, (cell_px, side_m, name) in worst.items():
+        if 0.0 < cell_px < LEAST_CELL_PX:
+            least_mm = math.ceil(1e3 * side_m * LEAST_CELL_PX / cell_px)
+            whose = f" in the image of {name}" if config.cameras else ""
+            yield (
+                path.replace("tracker.tag_height_m", "tracker.tag_side_m"),
+                f"a cell of a {tracker.family} tag of {side_m:g} m has {math.floor(100 * cell_px) / 100:g} px"
+                f"{whose}, {LEAST_CELL_PX:g} are needed: print it {least_mm / 1e3:g} m large, hang the camera "
+                "lower, or take a family with fewer cells",
+            )
 
 
 def unknown_id(config: Config, path: str, tag: int) -> Iterator[Complaint]:

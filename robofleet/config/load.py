@@ -144,6 +144,8 @@ class ConfigFile:
         several = self._root.child("cameras")
         if several is not None and self._root.child("camera") is not None:
             self._complain(("cameras",), "camera is written, too: write one of the two", at_key=True)
+        elif several is not None and several.plain() == []:
+            self._complain(("cameras",), "it has none: name one or more cameras, or write camera in its place")
         try:
             self.config = Config.model_validate(self._root.plain())
         except ValidationError as invalid:

@@ -11,7 +11,7 @@ from robofleet.config.tree import Config
 from robofleet.tracking import measured
 from robofleet.tracking.agreement import Agreement, Verdict
 from robofleet.tracking.bystanders import Bystanders
-from robofleet.tracking.estimator import FleetFilter, ages
+from robofleet.tracking.estimator import FleetFilter
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.tracking.joined import Joined, Seen
 
@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
 
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
-_FRESH_S = 0.2  # since a robot was measured: an older prediction says nothing of a camera
 
 
 class Sighting:
@@ -42,7 +41,7 @@ class Sighting:
         self._filter, self._bystanders = fleet_filter, bystanders
         self.taken = [(0, 0)] * len(self._images)  # epoch and seq of the newest poses of each camera
         self.exposure_ns = 0  # of the newest image used [tracker's clock]
-        self._joined = Joined(fleet_filter)
+        self._joined = Joined(fleet_filter, self._believed)
         self._agreement = _agreement(self._config) if len(self._images) > 1 else None
 
     @property
@@ -65,17 +64,19 @@ class Sighting:
         return self._read_several(self._agreement, [seen for seen in images if seen is not None])
 
     def _read_several(self, agreement: Agreement, images: list[Seen]) -> Instants | None:
-        believed = []
-        for seen in sorted(images, key=lambda seen: int(seen.instants_ns.min())):
-            own = Seen(seen.camera, seen.poses[: self._members], seen.instants_ns[: self._members])
-            verdict = agreement.look(own, self._predicted(own))
-            if verdict is not None:
-                self._say(verdict)
-            believed.append((seen, own))
-        believed = [(seen, own) for seen, own in believed if agreement.believed[seen.camera]]
-        for seen, _ in believed:
+        n = self._members
+        used = self._joined.observe([Seen(k, poses[:n], instants_ns[:n]) for k, poses, instants_ns in images])
+        believed = [seen for seen in images if agreement.believed[seen.camera]]
+        for seen in sorted(believed, key=lambda seen: seen.exposed_ns):
             self._watch_bystanders(seen)
-        return self._joined.observe([own for _, own in believed]) if believed else None
+        return used if believed else None
+
+    def _believed(self, seen: Seen, expected: Array) -> bool:
+        """Return whether an image's camera is believed, and say where that changes."""
+        assert self._agreement is not None
+        if (verdict := self._agreement.look(seen, expected)) is not None:
+            self._say(verdict)
+        return bool(self._agreement.believed[seen.camera])
 
     def _next(
         self, camera: int, index: int, grid: TickGrid, poses: Array | None = None, instants_ns: Instants | None = None
@@ -101,14 +102,6 @@ class Sighting:
         if self._bodies > self._members:
             poses = np.ascontiguousarray(seen.poses[self._members :, :3])
             self._bystanders.observe(seen.instants_ns[self._members :], poses)
-
-    def _predicted(self, seen: Seen) -> Array:
-        """Return where the filter expects the robots (N, 3), each at its own mid-exposure; NaN: it cannot know."""
-        first_ns, last_ns = int(seen.instants_ns.min()), int(seen.instants_ns.max()) + 1
-        (there, *_), (then, *_) = self._filter.predict(first_ns), self._filter.predict(last_ns)
-        share = (seen.instants_ns - first_ns) / (last_ns - first_ns)
-        known = (seen.instants_ns > self._filter.instants_ns) & (ages(self._filter.measured_ns, last_ns) < _FRESH_S)
-        return np.where(known[:, None], there + share[:, None] * (then - there), np.nan)
 
     def _say(self, verdict: Verdict) -> None:
         self._said += 1

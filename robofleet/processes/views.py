@@ -12,7 +12,24 @@ from robofleet.tracking.camera import CameraGeometry
 
 Array = NDArray[np.float64]
 
+_SURVEY = slice(1, 2)  # among the inputs of a place: after the camera's own file, before the images
 _SAMPLES = 60  # along each side of the arena
+
+
+class FloorView:
+    """The floor at the height of the tags, as one camera sees it."""
+
+    def __init__(self, config: Config, camera: CameraSettings) -> None:
+        self._geometry, self._size = CameraGeometry.from_model(camera.model), (camera.width, camera.height)
+        self._height_m = config.tracker.tag_height_m
+
+    def sees(self, places: Array, reach_m: float = 0.0) -> NDArray[np.bool_]:
+        """Return which places (N, 2) [m] it sees, with all that is within ``reach_m`` along x and y."""
+        found = np.ones(len(places), np.bool_)
+        for corner in np.unique(reach_m * np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]), axis=0):
+            points = np.column_stack([places + corner, np.full(len(places), self._height_m)])
+            found &= self._geometry.sees(points, self._size)
+        return found
 
 
 def complaints(config: Config) -> Iterator[Complaint]:
@@ -21,7 +38,7 @@ def complaints(config: Config) -> Iterator[Complaint]:
     if len(cameras) < 2 or any(camera.model.T_world_camera is None for _, camera in cameras):
         return
     floor = _of_floor(config)
-    seen = [_sees(camera, floor) for _, camera in cameras]
+    seen = [FloorView(config, camera).sees(floor) for _, camera in cameras]
     surveys = [_surveys(config, camera) for _, camera in cameras]
     tied, more = set[int](), {0}
     while more:
@@ -38,9 +55,9 @@ def complaints(config: Config) -> Iterator[Complaint]:
 
 
 def _of_floor(config: Config) -> Array:
-    """Return points (N, 3) all over the arena, at the height of the tags."""
+    """Return points (N, 2) all over the arena."""
     x, y = (np.linspace(-side / 2, side / 2, _SAMPLES) for side in config.arena.size_m)
-    return np.stack([*map(np.ravel, np.meshgrid(x, y)), np.full(_SAMPLES**2, config.tracker.tag_height_m)], axis=1)
+    return np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
 
 
 def _sees(camera: CameraSettings, points: Array) -> NDArray[np.bool_]:
@@ -48,8 +65,9 @@ def _sees(camera: CameraSettings, points: Array) -> NDArray[np.bool_]:
 
 
 def _surveys(config: Config, camera: CameraSettings) -> set[str]:
-    """Return the hashes of what a camera was placed by; ``floor tags`` where it sees some of ``tracker.floor_tags``."""
+    """Return the hash of the survey that a camera was placed by; ``floor tags`` where it sees some of
+    ``tracker.floor_tags``."""
     arena, tags = camera.model.arena, config.tracker.floor_tags
-    surveys = set() if arena is None else {digest for name, digest in arena.inputs.items() if name != "images"}
+    surveys = set() if arena is None else set(list(arena.inputs.values())[_SURVEY])
     at = np.array([(tag.x_m, tag.y_m, tag.height_m) for tag in tags])
     return surveys | ({"floor tags"} if tags and _sees(camera, at).any() else set())

@@ -116,13 +116,13 @@ def watch(
     for row in range(count) if suspects is None else suspects.robots:
         robot = view.robots[row]
         if not robot.driven:
-            happenings += _bystander(row, before.robots[row], robot, settings, phase, view)
+            happenings += _bystander(row, before.robots[row], robot, settings, phase)
             continue
         told = _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
         happenings += _over_the_network(told, robot) if row in settings.elsewhere else told
         happenings += _body(row, robot, phase, runs=bool(rolling) and rolling[row].runs)
         happenings += _jump(row, before.robots[row], robot, settings)
-        happenings += _place(row, robot, settings, view)
+        happenings += _place(row, robot, settings)
         if infeasible_ns and infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
             happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
         if running and robot.blocked:
@@ -240,7 +240,7 @@ def _told(happening: Happening, view: FleetView) -> Happening:
 
 
 def _bystander(
-    row: int, before: RobotView, robot: RobotView, settings: MonitorSettings, phase: Phase, view: FleetView
+    row: int, before: RobotView, robot: RobotView, settings: MonitorSettings, phase: Phase
 ) -> Iterator[Happening]:
     """Look at a robot that only stands there. Its e-stop stops the run as everybody's, and so do wheels that turn by
     themselves; what else it says of itself, its driver and the arena's edge concern nobody."""
@@ -250,7 +250,7 @@ def _bystander(
         yield Happening(Event.RUNAWAY, row)
     for jumped in _jump(row, before, robot, settings):
         yield jumped._replace(event=Event.BYSTANDER_MOVED)
-    if robot.unseen_ns >= LOST_NS and not view.cameras_out:
+    if robot.unseen_ns >= LOST_NS and not robot.camera_out:
         yield Happening(Event.BYSTANDER_LOST, row)
 
 
@@ -274,13 +274,13 @@ def _jump(row: int, before: RobotView, robot: RobotView, settings: MonitorSettin
         yield Happening(Event.POSE_JUMPED, row, jump)
 
 
-def _place(row: int, robot: RobotView, settings: MonitorSettings, view: FleetView) -> Iterator[Happening]:
+def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:
     """Look at where a robot is; where it was seen long ago says nothing of the walls."""
     if robot.seen_ns == NEVER:
         return
     if robot.unseen_ns >= LOST_NS:
-        out = view.cameras_out  # where only that one looks it is not lost: it stands, and the others drive
-        yield Happening(Event.CAMERA_OUT, row, out[0].detail) if out else Happening(Event.TAG_LOST, row)
+        out = robot.camera_out  # where only that one looks it is not lost: it stands, and the others drive
+        yield Happening(Event.CAMERA_OUT, row, out - 1) if out else Happening(Event.TAG_LOST, row)
     elif robot.unseen_ns >= LATE_NS or robot.lost:
         yield Happening(Event.TAG_LATE, row)
     else:

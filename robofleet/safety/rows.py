@@ -20,7 +20,7 @@ ROBOT = np.dtype(
         )),
         ("seen_ns", "<i8"), ("unseen_ns", "<i8"), ("image", "<u8"),
         *((name, "<f8") for name in ("x", "y", "psi", "estimate_x", "estimate_y", "estimate_psi")),
-        *((name, "<i8") for name in ("lost", "filtered", "blocked", "failed", "driven")),
+        *((name, "<i8") for name in ("lost", "filtered", "blocked", "failed", "driven", "camera_out")),
     ]
 )  # fmt: skip
 _PLACES = {name: place for place, name in enumerate(ROBOT.names or ())}
@@ -62,9 +62,10 @@ class Rows(Sequence[RobotView]):
 
 
 def _robot(v: tuple[Any, ...]) -> RobotView:
-    lost, filtered, blocked, failed, driven = v[_LOST:]
+    lost, filtered, blocked, failed, driven, camera_out = v[_LOST:]
     poses = v[_POSE : _POSE + 3], v[_POSE + 3 : _LOST]
-    return RobotView._make([*v[:_POSE], *poses, bool(lost), filtered, bool(blocked), failed, bool(driven)])
+    said = bool(lost), filtered, bool(blocked), failed, bool(driven), camera_out
+    return RobotView._make([*v[:_POSE], *poses, *said])
 
 
 def _values(robot: RobotView) -> tuple[Any, ...]:

@@ -37,6 +37,7 @@ class RobotView(NamedTuple):
     blocked: bool = False  # held by the barrier for long
     failed: int = 0  # Event by which its group's behaviour failed at that tick; 0: it did not
     driven: bool = True  # by this run; else a bystander
+    camera_out: int = 0  # 1 + the number of a camera that is out, without which nobody would see it; 0: none
 
     @property
     def at_rest(self) -> bool:

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Answer, Arrival, Bus, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named
+from robofleet.comms.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named, said_by
 from robofleet.comms.layouts import ListLayout
 from robofleet.comms.messages import TICK_RECORD, UNIT_TRUTH
-from robofleet.patterns import driver_role
 from robofleet.simulation.faults import Injection, Schedule, struck
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}
@@ -112,11 +111,11 @@ class FaultyBus:
 
     def _cuts(self, topic: Topic, name: str) -> tuple[Injection, ...]:
         """Return the cuts that lie between this process and the sender of a topic."""
-        sender = driver_role(name) if topic.sender == "unit" else topic.sender
+        senders = said_by(topic, name)
         cuts = tuple(
             cut
             for cut in self._schedule.of("network_cut")
-            if (sender in cut.fault.processes) != (self._process in cut.fault.processes)
+            if any(its in cut.fault.processes for its in senders) != (self._process in cut.fault.processes)
         )
         return cuts + (self._schedule.of("killed", "stopped", process="router") if self._simulated_router else ())
 

@@ -34,6 +34,7 @@ Memory = tuple[NDArray[Any], ...]
 UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away
 
 _HISTORY = 64  # commands
+_KNOWN_S = 0.5  # since a robot was measured: an older expectation says nothing
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
 
 
@@ -118,6 +119,22 @@ class FleetFilter:
             self._state, self._wheels, self._instants_ns, tick_ns, self._ticks_ns, self._delays_ns, self._commands,
             self._motion,
         )  # fmt: skip
+
+    def expected(self, memory: Memory, instants_ns: Instants) -> Array:
+        """Return where the robots (N, 3) are, each at its own instant (N,), as far as an earlier ``memory`` knows it.
+
+        NaN where it does not: of a robot that was not measured for long by then.
+        """
+        state, _, wheels, since_ns, *_, measured_ns = memory
+        first_ns, last_ns = int(instants_ns.min()), int(instants_ns.max()) + 1
+        there, then = (
+            reckoning.predict(state, wheels, since_ns, at_ns, self._ticks_ns, self._delays_ns, self._commands,
+                              self._motion)[0]
+            for at_ns in (first_ns, last_ns)
+        )  # fmt: skip
+        share = (instants_ns - first_ns) / (last_ns - first_ns)
+        known = (instants_ns > since_ns) & (ages(measured_ns, last_ns) < _KNOWN_S)
+        return np.where(known[:, None], there + share[:, None] * (then - there), np.nan)
 
     @property
     def instants_ns(self) -> Instants:

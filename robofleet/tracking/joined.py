@@ -3,10 +3,13 @@
 Two cameras that are triggered together expose at one instant, and each has its own delay: of two images of one tick one
 may come a tick later than the other. The filter takes nothing that is older than what it has taken. So it is brought
 back to where it was before its newest images, and takes those again, the late one among them.
+
+Each image is judged once, before the filter takes it: by where the robots were expected before its camera's image
+before. So neither that camera nor one that exposes in between has moved the expectation.
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +20,9 @@ from robofleet.tracking.estimator import UNUSED, FleetFilter, Memory
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
 
-TOGETHER_NS = 20_000_000  # between images of one instant: less than a tick
-_BATCHES = 5  # so many ticks may one camera be later than another
+_TOGETHER_NS = 20_000_000  # between images of one instant: less than a tick
+_BACK_NS = 200_000_000  # so much later than another may one camera be
+_LEAST_BATCHES = 5  # or so many images, where these took longer
 _UNSEEN = np.iinfo(np.int64).max
 
 
@@ -30,21 +34,35 @@ class Seen(NamedTuple):
     instants_ns: Instants  # (N,) each robot's own mid-exposure; the image's where it was not measured
 
     @property
+    def exposed_ns(self) -> int:
+        """The first instant of the image."""
+        return int(self.instants_ns.min())
+
+    @property
     def measured(self) -> NDArray[np.bool_]:
         """Which robots (N,) it shows."""
         return np.isfinite(self.poses[:, 0])
 
 
-class Joined:
-    """Hands images to a filter; ``observe`` takes those that came since its last call."""
+Judge = Callable[
+    [Seen, Array], bool
+]  # of an image, and where it was expected to see the robots (N, 3): is it believed?
 
-    def __init__(self, fleet_filter: FleetFilter) -> None:
-        self._filter = fleet_filter
+
+def _believe(_seen: Seen, _expected: Array) -> bool:
+    return True
+
+
+class Joined:
+    """Hands images to a filter; ``observe`` takes those that came since its last call, and that ``judge`` believes."""
+
+    def __init__(self, fleet_filter: FleetFilter, judge: Judge = _believe) -> None:
+        self._filter, self._judge = fleet_filter, judge
         # The images that were taken last, those of one instant together, and the filter as it was before each.
-        self._batches: deque[tuple[Memory, list[Seen]]] = deque(maxlen=_BATCHES)
+        self._batches: deque[tuple[Memory, list[Seen]]] = deque()
 
     def observe(self, images: list[Seen]) -> NDArray[np.int64]:
-        """Use images; returns what ``FleetFilter.observe`` does, of all of them."""
+        """Use images; returns what ``FleetFilter.observe`` does, of all of them that are believed."""
         anew = list(images)
         while self._batches and any(map(self._late, images)):
             before, batch = self._batches.pop()
@@ -52,9 +70,27 @@ class Joined:
             anew += batch
         used = np.full(len(self._filter.instants_ns), UNUSED)
         for batch in _together(anew):
-            self._batches.append((self._filter.memory(), batch))
-            used = np.maximum(used, self._take(batch))
+            before = self._filter.memory()
+            believed = [seen for seen in batch if self._judged(seen, images, before)]
+            if believed:
+                self._batches.append((before, believed))
+                used = np.maximum(used, self._take(believed))
+        while len(self._batches) > _LEAST_BATCHES and self._age_ns() > _BACK_NS:
+            self._batches.popleft()
         return used
+
+    def _judged(self, seen: Seen, images: list[Seen], before: Memory) -> bool:
+        """Return whether an image is believed; one that is not among the new ``images`` was believed already."""
+        if not any(seen is new for new in images):
+            return True
+        of_camera = (memory for memory, batch in reversed(self._batches) if any(s.camera == seen.camera for s in batch))
+        since = next(of_camera, self._batches[0][0] if self._batches else before)
+        return self._judge(seen, self._filter.expected(since, seen.instants_ns))
+
+    def _age_ns(self) -> int:
+        """Return for how long images are kept now."""
+        (_, oldest), (_, newest) = self._batches[0], self._batches[-1]
+        return newest[0].exposed_ns - oldest[0].exposed_ns
 
     def _late(self, seen: Seen) -> bool:
         """Return whether the filter would not take all of an image any more."""
@@ -81,8 +117,8 @@ class Joined:
 def _together(images: list[Seen]) -> Iterator[list[Seen]]:
     """Yield images that were exposed at about one instant, the oldest first."""
     batch: list[Seen] = []
-    for seen in sorted(images, key=lambda seen: int(seen.instants_ns.min())):
-        if batch and seen.instants_ns.min() - batch[0].instants_ns.min() > TOGETHER_NS:
+    for seen in sorted(images, key=lambda seen: seen.exposed_ns):
+        if batch and seen.exposed_ns - batch[0].exposed_ns > _TOGETHER_NS:
             yield batch
             batch = []
         batch.append(seen)

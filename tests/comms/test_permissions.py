@@ -17,6 +17,7 @@ from robofleet.comms.keys import (
     CAMERA,
     COMMAND,
     ENABLE,
+    NEWS,
     NOTE,
     REQUEST,
     SAFE_REQUEST,
@@ -261,6 +262,8 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     assert [one.name for one in who if may[one.name, SAYS] & wishes] == ["web", "operator", "script"]
     assert may["script", SAYS] - wishes == {key(ARENA, NOTE, group) for group in NAMES["group"]}
     assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
+    news = {full for full, topic in KEYS.items() if topic is NEWS}
+    assert [one.name for one in who if may[one.name, SAYS] & news] == ["controller", "tracker"], "who doubts a camera"
     assert may["viewer", SAYS] == set()
     assert may["operator", SAYS] == may["web", SAYS] == wishes, "a gamepad's, in groups that a person drives"
     assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])

@@ -52,6 +52,7 @@ def test_what_is_written_out_is_read_back(tmp_path: Path) -> None:
     ("overrides", "where", "why"),
     [
         (["camera={model: left}"], "cameras: ", "write one of the two"),
+        (["cameras=[]"], "cameras: ", "name one or more"),
         (["cameras.1.name=left"], "cameras.1.name: ", "left is cameras.0's already"),
         (["cameras.0.source=v4l2", "cameras.1.source=v4l2"], "cameras.1.v4l2.device: ", "name another device"),
         (["cameras.0.source=basler", "cameras.1.source=basler", "cameras.0.basler.serial='1'"],
@@ -76,3 +77,24 @@ def test_cameras_that_nothing_ties_together_are_refused() -> None:
     assert len(found) == 1
     assert "shares no survey" in found[0][1]
     assert not [line for line in refusals(load_config(EXAMPLE), lockstep=True) if "survey" in line[1]]
+
+
+def test_tags_that_are_too_small_are_told_once_of_the_worst_camera_and_with_a_size_that_is_enough() -> None:
+    line = refused("tracker.tag_side_m=0.02", "cameras.1.model.T_world_camera.position_m=[1.5, 0.0, 2.9]")
+    assert "tracker.tag_side_m" in line
+    assert "right" in line
+    least_m = float(line.partition("print it ")[2].split()[0])
+    load_config(EXAMPLE, [f"tracker.tag_side_m={least_m}", "cameras.1.model.T_world_camera.position_m=[1.5, 0.0, 2.9]"])
+
+
+@pytest.mark.parametrize(("surveys", "count"), [(("a", "a"), 0), (("a", "b"), 1)])
+def test_two_cameras_of_one_lens_share_no_survey_by_that(surveys: tuple[str, str], count: int) -> None:
+    """Their files were copies, so the hashes of these are one; only the survey places them."""
+    placed = [
+        f"cameras.{k}.model.arena={{date: today, tool: t, figures: {{}}, "
+        f"inputs: {{{name}.yaml: copied, survey.yaml: {by}}}}}"
+        for k, (name, by) in enumerate(zip(("left", "right"), surveys, strict=True))
+    ]
+    apart = "cameras.1.model.T_world_camera.position_m=[5.5, 0.0, 2.6]"
+    found = [why for _, why in refusals(load_config(EXAMPLE, [apart, *placed]), lockstep=True) if "no survey" in why]
+    assert len(found) == count

@@ -384,6 +384,21 @@ def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
     assert len(delivered("{kind: network_cut, processes: [controller, driver-r1]}")) == 200
 
 
+def test_a_cut_around_the_tracker_of_one_camera_stops_what_it_says_alone() -> None:
+    config = load_config(
+        PLATOON.with_name("two-cameras.yaml"), ["faults=[{kind: network_cut, processes: [tracker-left]}]"]
+    )
+    clock = SimulatedClock()
+    clock.advance_to(S)
+    bus = MemoryBus(config.arena.name, clock, 0)
+    faulty = FaultyBus(bus, Schedule(config, clock), "controller", clock, simulated_router=True)
+    heard = {(topic, name): faulty.newest(topic, name) for topic in (POSES, NEWS) for name in ("left", "right")}
+    for topic, name in heard:
+        bus.publisher(topic, name)(b"said")
+    clock.advance_to(2 * S)
+    assert {where for where, its in heard.items() if its.take() is not None} == {(POSES, "right"), (NEWS, "right")}
+
+
 def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_often() -> None:
     lossy = PLATOON.parent / "faults" / "lossy.yaml"
     run = Lockstep(

@@ -1,5 +1,7 @@
 """Images of several cameras in the filter, in any order; and which camera is believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from robofleet.tracking.agreement import Agreement, Verdict
 from robofleet.tracking.estimator import CARRIED, USED, FilterNoise, FleetFilter
 from robofleet.tracking.joined import Joined, Seen
 from tests.robots import GTERNAL
+
+Pair = tuple[int, int]  # of what two cameras have
 
 TICK = 33 * MS
 NOISE = FilterNoise(position=0.0004, heading=0.006, position_drift=0.0015, heading_drift=0.06, gate_sigma=5.0)
@@ -150,3 +154,102 @@ def test_of_two_that_moved_apart_slowly_the_one_that_sees_a_floor_tag_is_believe
     judge.images(10)
     judge.errors = [0.0006, -0.0005]
     assert [v.camera for v in judge.images(30)] == [1]
+
+
+class Hall:
+    """Three robots that drive at up to 0.2 m/s and 2 rad/s in the views of two cameras; camera 1 may be knocked.
+
+    ``offsets`` and ``latencies`` of the cameras: from a period's begin to the exposure, from there to the poses.
+    ``radius``: of the robots' wheels over that which the filter believes.
+    """
+
+    def __init__(
+        self, period_ns: int, offsets: Pair, latencies: Pair, radius: float = 1.0, noise: float = 2e-5
+    ) -> None:
+        self.period_ns, self.offsets, self.latencies, self.noise = period_ns, offsets, latencies, noise
+        drive = replace(GTERNAL, wheel_radius=GTERNAL.wheel_radius * radius)
+        self.truth, self.its = FleetFilter((drive,) * 3, (2 * MS,) * 3, NOISE), fleet()
+        self.agreement = Agreement(np.ones(3, np.bool_), 0.0002, np.zeros(2, np.bool_))
+        self.joined = Joined(self.its, self.judge)
+        self.said: list[tuple[float, int, bool]] = []  # when, of which camera, whether it is believed
+        self.rng = np.random.default_rng(7)
+        self.k, self.knock, self.knocked_ns = 0, np.zeros(3), 0
+        self.blocked = False
+        self.sent = [0, 0]  # images of each camera so far
+        at = np.array([[0.0, 0.5 * robot, 0.3] for robot in range(3)])
+        for each in (self.truth, self.its):
+            each.observe(np.full(3, S), at)
+
+    def judge(self, seen: Seen, expected: np.ndarray) -> bool:
+        if (verdict := self.agreement.look(seen, expected)) is not None:
+            self.said.append(((self.now_ns - self.knocked_ns) / S, verdict.camera, verdict.believed))
+        return bool(self.agreement.believed[seen.camera])
+
+    @property
+    def now_ns(self) -> int:
+        return S + self.k * TICK
+
+    def drive(self, seconds: float) -> float:
+        """Drive on; returns the largest error of a position [m]."""
+        worst = 0.0
+        for _ in range(round(seconds * S / TICK)):
+            self.k += 1
+            images = [self.image(camera) for camera in range(2)]
+            self.joined.observe([seen for seen in images if seen is not None])
+            off = self.its.predict(self.now_ns)[0] - self.truth.predict(self.now_ns)[0]
+            worst = max(worst, float(np.hypot(off[:, 0], off[:, 1]).max()))
+            t = self.k * TICK / S
+            v, omega = 0.1 + 0.1 * np.sin(1.3 * t + np.arange(3)), 2.0 * np.sin(1.9 * t + 2.0 * np.arange(3))
+            half = omega * GTERNAL.wheel_base / 2
+            wheels = np.stack([v - half, v + half], axis=1) / GTERNAL.wheel_radius
+            self.its.command(self.now_ns, wheels)
+            self.truth.command(self.now_ns, np.zeros((3, 2)) if self.blocked else wheels)
+            self.truth.observe(np.full(3, self.now_ns - 500 * MS), np.full((3, 3), np.nan))
+        return worst
+
+    def image(self, camera: int) -> Seen | None:
+        """Return the newest image whose poses have come by now; None if it came before."""
+        count = (self.now_ns - S - self.offsets[camera] - self.latencies[camera]) // self.period_ns
+        if count <= self.sent[camera]:
+            return None
+        self.sent[camera] = count
+        exposed_ns = S + count * self.period_ns + self.offsets[camera]
+        poses = self.truth.predict(exposed_ns)[0] + self.rng.normal(0.0, self.noise, (3, 3))
+        moved = self.knock if camera == 1 and exposed_ns >= self.knocked_ns else 0.0
+        return Seen(camera, poses + moved, np.full(3, exposed_ns))
+
+
+CAMERAS = {
+    "same tick": (TICK, (0, 0), (20 * MS, 20 * MS)),
+    "one tick late": (TICK, (0, 0), (20 * MS, 20 * MS + TICK)),
+    "webcams": (TICK, (0, 7 * MS), (30 * MS, 70 * MS)),
+    "10 Hz, 25 ms apart": (100 * MS, (0, 25 * MS), (20 * MS, 20 * MS)),
+}
+
+
+@pytest.mark.parametrize("knock", [0.02, 0.002])
+@pytest.mark.parametrize("cameras", CAMERAS.values(), ids=CAMERAS)
+def test_a_knocked_camera_is_named_whenever_its_images_come(cameras: tuple[int, Pair, Pair], knock: float) -> None:
+    hall = Hall(*cameras)
+    hall.drive(2.0)
+    hall.knocked_ns, hall.knock = hall.now_ns, np.array([knock, 0.0, 0.0])
+    hall.drive(1.0)
+    ((after_s, camera, believed),) = hall.said
+    assert (camera, believed) == (1, False)
+    assert after_s <= 1.0
+    assert hall.drive(2.0) <= 2e-4
+    hall.knock = np.zeros(3)
+    hall.drive(4.0)
+    assert [(camera, believed) for _, camera, believed in hall.said[1:]] == [(1, True)]
+
+
+@pytest.mark.parametrize("cameras", CAMERAS.values(), ids=CAMERAS)
+def test_cameras_that_hang_well_are_believed_for_long(cameras: tuple[int, Pair, Pair]) -> None:
+    """Though the wheels are larger than believed, and the robots are held for a while."""
+    hall = Hall(*cameras, radius=1.05, noise=1e-4)
+    hall.drive(8.0)
+    hall.blocked = True
+    hall.drive(3.0)
+    hall.blocked = False
+    hall.drive(4.0)
+    assert hall.said == []

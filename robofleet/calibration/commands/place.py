@@ -62,6 +62,8 @@ def arena(
     cameras, with commas between them, are placed at once, by one survey and by the tags that two of them see.
     """
     files = [known_camera(name, configs, live) for name in camera.split(",")]
+    if twice := [file.stem for k, file in enumerate(files) if file.resolve() in [its.resolve() for its in files[:k]]]:
+        raise CalibrationError(f"{camera}: {twice[0]} is written twice: name each camera once")
     config = live_camera(live, overrides)
     sides = size(arena_m, "--arena-m") if arena_m else None
     if config is not None:
@@ -87,6 +89,11 @@ def arena(
 def _taken(files: list[Path], images: list[Path], config: Config | None, count: int) -> list[list[frames.Named]]:
     """Return the images of each camera."""
     if config is not None:
+        if len(files) > 1 and not config.cameras:
+            raise CalibrationError(
+                f"--live: the configuration has one `camera`, and {len(files)} are to be placed: give one with "
+                "`cameras`, or place each by itself"
+            )
         return [frames.taken(images, frames.camera_of(config, file.stem), count) for file in files]
     if len(files) == 1:
         return [frames.taken(images, None, count)]

@@ -76,6 +76,25 @@ def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
     assert np.mean(squares) / 6 == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * len(squares))))
 
 
+@pytest.mark.parametrize("open_", [(), (7,), (6, 7, 8)])
+def test_the_surveys_error_is_estimated_whatever_ties_the_cameras(open_: tuple[int, ...]) -> None:
+    found = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        found += [its.placement.survey_m for its in agree_together(views(hung(rng), rng, open_), None)]
+    assert np.median(found) == pytest.approx(SURVEY_M, rel=0.3)
+
+
+def test_four_marks_of_a_camera_do_not_tell_how_well_they_were_surveyed() -> None:
+    rng = np.random.default_rng(1)
+    left, right = views(hung(rng), rng)
+    four = np.isin(np.arange(len(right.marks)), [0, 2, len(right.marks) - 3, len(right.marks) - 1])
+    right = right._replace(marks=right.marks.chosen(four))
+    with pytest.raises(CalibrationError, match="right: four marks do not tell"):
+        agree_together([left, right], None)
+    agree_together([left, right], SURVEY_M)
+
+
 def test_at_the_seam_they_agree_better_than_cameras_that_were_placed_alone() -> None:
     together, alone = [], []
     for seed in range(10):
@@ -105,18 +124,30 @@ def test_the_command_places_both_and_writes_a_page_of_each(tmp_path: Path) -> No
         seen = [pose if camera.sees(np.array([[*pose[:2], 0.0]]), SIZE)[0] else (1e3, 0.0, 0.0) for pose in poses]
         cv2.imwrite(str(tmp_path / f"{name}.png"), rendered(camera, seen, rng))
     tags = [tag for k, tag in enumerate(surveyed(poses, rng)) if k not in (7,)]  # one tie that nobody surveyed
-    (tmp_path / "survey.yaml").write_text(yaml.safe_dump({"floor_tags": tags}))
+    nowhere = {**tags[0], "tag": 300, "x_m": 5.0}
+    (tmp_path / "survey.yaml").write_text(yaml.safe_dump({"floor_tags": [*tags, nowhere]}))
     files = ",".join(str(tmp_path / f"{name}.yaml") for name in ("left", "right"))
     arguments = ["calibrate", "arena", files, tmp_path / "survey.yaml", tmp_path / "left.png", tmp_path / "right.png",
                  "--report", tmp_path / "report.html", "--survey-mm", "0.5"]  # fmt: skip
     done = CliRunner().invoke(cli.app, list(map(str, arguments)))
     assert done.exit_code == 0, done.output
+    missed = [line.split(": ")[:2] for line in done.output.splitlines() if "is in no image" in line]
+    left, right = ([tag for camera, tag in missed if camera == name] for name in ("left", "right"))
+    assert left == right, "one that only another camera sees is not missed"
+    assert "tag 300" in left
     for name, camera in zip(("left", "right"), cameras, strict=True):
         written = CameraModel.model_validate(yaml.safe_load((tmp_path / f"{name}.yaml").read_text()))
         found = CameraGeometry.from_model(written)
         assert np.linalg.norm(found.position - camera.position) < 0.01
         assert (tmp_path / f"report-{name}.html").exists()
         assert written.marks is not None
+    for names, more, why in (
+        (f"{tmp_path / 'left.yaml'},{tmp_path / 'left.yaml'}", arguments[4:6], "left is written twice"),
+        (files, ["--live", ROOT / "configs/platoon.yaml"], "has one `camera`, and 2 are to be placed"),
+    ):
+        refused = CliRunner().invoke(cli.app, list(map(str, ["calibrate", "arena", names, arguments[3], *more])))
+        assert refused.exit_code == 2
+        assert why in " ".join(refused.output.split())
     wrong = CliRunner().invoke(cli.app, [*map(str, arguments[:5]), "--report", str(tmp_path / "again.html")])
     assert wrong.exit_code == 2
     assert "name one for each" in wrong.output

@@ -12,13 +12,15 @@ from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagP
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.processes.cameras_heard import CamerasHeard
+from robofleet.processes.views import FloorView
 from robofleet.safety import monitor
-from robofleet.safety.rows import ROBOT
-from robofleet.safety.supervisor import NOBODY, Event, Happening
-from robofleet.safety.view import FleetView, RobotView
+from robofleet.safety.rows import ROBOT, Rows
+from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
+from robofleet.safety.view import FleetView
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 EXAMPLE = Path(__file__).parents[3] / "configs" / "two-cameras.yaml"
+_LOST = Event.TAG_LOST, Event.BYSTANDER_LOST, Event.CAMERA_OUT
 LEFT, RIGHT = "left", "right"
 
 
@@ -35,6 +37,9 @@ class Hall:
         self.view, self.news = FleetView(0, ()), ()
         self.sees = {LEFT: (1, 2), RIGHT: (2, 3)}
         self.silent: set[str] = set()
+        self.x = {tag: {1: -2.0, 2: 0.0, 3: 1.5}[tag] for tag in (1, 2, 3)}
+        self.ticks = {LEFT: 0, RIGHT: 0}
+        self.driven = len(self.config.bodies)
         self.seq = 0
 
     def run(self, ns: int) -> None:
@@ -43,10 +48,17 @@ class Hall:
             self.clock.advance_to(self.clock.now_ns() + 40 * MS)
             now_ns, self.seq = self.clock.now_ns(), self.seq + 1
             for camera in {LEFT, RIGHT} - self.silent:
-                poses = tuple(TagPose(tag, 0, 0, 0.1 * tag, 0.0, 0.0) for tag in self.sees[camera])
-                said = FleetPoses(7, self.seq, build, now_ns, now_ns, 0, 0, 0, 0, poses)
+                poses = tuple(TagPose(tag, 0, 0, self.x[tag], 0.0, 0.0) for tag in self.sees[camera])
+                said = FleetPoses(7, self.seq, build, now_ns, now_ns, self.ticks[camera], 0, 0, 0, poses)
                 self.bus.publisher(POSES, camera)(FLEET_POSES.encode(said))
             self.view, self.news = self.heard.look(self.robots, self.view, now_ns)
+
+    def told(self) -> list[Happening]:
+        """Return what the monitor makes of the robots' rows: whom it takes for lost."""
+        self.robots["driven"] = np.arange(len(self.robots)) < self.driven
+        view = self.view._replace(now_ns=self.clock.now_ns(), robots=Rows(self.robots.copy()))
+        _, told = monitor.watch(monitor.Memory(), _settings(self), Phase.RUNNING, view)
+        return [one for one in told if one.event in _LOST]
 
     def tell(self, camera: str, event: TrackerEvent) -> None:
         self.bus.publisher(NEWS, camera)(TRACKER_NEWS.encode(TrackerNews(1, self.seq, 0, event, NO_TAG, 0.0)))
@@ -69,8 +81,7 @@ def test_a_silent_camera_is_named_and_what_only_it_saw_is_unseen(hall: Hall) -> 
     hall.run(3 * S)
     assert hall.view.cameras_out == (Happening(Event.TRACKER_SILENT, NOBODY, 1),)
     assert hall.unseen_ms() == [0, 0, 3000]
-    told = list(monitor._place(2, RobotView(seen_ns=1, unseen_ns=3 * S), _settings(hall), hall.view))
-    assert told == [Happening(Event.CAMERA_OUT, 2, 1)], "it stands, and the run goes on"
+    assert hall.told() == [Happening(Event.CAMERA_OUT, 2, 1)], "it stands, and the run goes on"
     hall.silent.clear()
     hall.run(80 * MS)
     assert hall.view.cameras_out == ()
@@ -81,8 +92,7 @@ def test_without_a_camera_out_a_robot_that_nobody_sees_is_lost(hall: Hall) -> No
     hall.sees[RIGHT] = (2,)
     hall.run(3 * S)
     assert hall.unseen_ms()[2] >= 2900
-    told = list(monitor._place(2, RobotView(seen_ns=1, unseen_ns=3 * S), _settings(hall), hall.view))
-    assert told == [Happening(Event.TAG_LOST, 2)]
+    assert hall.told() == [Happening(Event.TAG_LOST, 2)]
 
 
 def test_a_robot_that_passes_to_the_other_view_is_seen_all_the_time(hall: Hall) -> None:
@@ -113,6 +123,66 @@ def test_trouble_of_one_ends_no_run_and_of_all_it_does(
     hall.tell(RIGHT, back)
     hall.run(80 * MS)
     assert hall.news == hall.view.cameras_out == ()
+
+
+def test_who_is_lost_under_a_camera_that_works_is_lost_though_another_one_is_out(hall: Hall) -> None:
+    hall.silent.add(RIGHT)
+    hall.sees[LEFT] = (2,)
+    hall.run(3 * S)
+    assert hall.told() == [Happening(Event.TAG_LOST, 0), Happening(Event.CAMERA_OUT, 2, 1)]
+    hall.driven = 0
+    assert hall.told() == [Happening(Event.BYSTANDER_LOST, 0)], "of bystanders, too"
+
+
+def test_who_drives_out_of_a_view_into_that_of_a_camera_that_is_out_stands_there(hall: Hall) -> None:
+    hall.silent.add(RIGHT)
+    hall.x[1] = _border(hall)
+    hall.run(S)
+    hall.sees[LEFT] = (2,)
+    hall.run(3 * S)
+    assert [happening.event for happening in hall.told()] == [Event.CAMERA_OUT] * 2
+
+
+def test_a_camera_that_is_back_has_two_seconds_to_show_its_robots(hall: Hall) -> None:
+    hall.silent.add(RIGHT)
+    hall.run(3 * S)
+    hall.silent.clear()
+    hall.sees[RIGHT] = (2,)
+    hall.run(S)
+    assert hall.view.cameras_out == ()
+    assert hall.told() == [Happening(Event.CAMERA_OUT, 2, 1)]
+    hall.run(S + 40 * MS)
+    assert hall.told() == [Happening(Event.TAG_LOST, 2)]
+
+
+def test_a_camera_that_disagreed_is_doubted_until_it_agrees_though_it_was_unplugged(hall: Hall) -> None:
+    for event in (TrackerEvent.CAMERA_DISAGREES, TrackerEvent.CAMERA_UNPLUGGED, TrackerEvent.CAMERA_BACK):
+        hall.tell(RIGHT, event)
+    hall.run(S)
+    assert hall.view.cameras_out == (Happening(Event.CAMERA_MOVED, NOBODY, 1),)
+    assert hall.unseen_ms()[2] == 1000, "its poses are not used"
+    hall.tell(RIGHT, TrackerEvent.CAMERA_AGREES)
+    hall.run(80 * MS)
+    assert hall.view.cameras_out == ()
+
+
+def test_a_camera_with_stale_images_holds_nobody_else_and_is_not_believed(hall: Hall) -> None:
+    hall.view = hall.view._replace(tick=100)
+    hall.ticks = {LEFT: 99, RIGHT: 80}
+    hall.x[3] = 2.0
+    hall.run(S)
+    assert hall.view.cameras_out == (Happening(Event.TRACKER_SILENT, NOBODY, 1),)
+    assert (hall.view.image_tick, hall.view.tracker_ns) == (99, hall.clock.now_ns())
+    assert hall.robots["x"][2] != 2.0
+    hall.ticks[LEFT] = 80
+    hall.run(S)
+    assert hall.clock.now_ns() - hall.view.tracker_ns >= S, "of none there are poses that can be used"
+
+
+def _border(hall: Hall) -> float:
+    """Return the largest x at which the left camera still has a robot's tag in its image."""
+    seen = FloorView(hall.config, hall.config.cameras[0])
+    return max(x for x in np.linspace(-1.0, 1.0, 201) if seen.sees(np.array([[x, 0.0]]), 0.06).all())
 
 
 def _settings(hall: Hall) -> monitor.MonitorSettings:
