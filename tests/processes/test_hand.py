@@ -223,15 +223,17 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
 
 
 def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
-    """Return what the first robot's gate lets through in a run in lockstep: instants [s], left, right [rad/s].
+    """Return what each robot's gate lets through in a run in lockstep: instants [s], of left and right [rad/s] the most.
+
+    A robot a column, in the order of the group; a status a row, with 0 for the robots of which it says nothing.
 
     ``said``: what a person does at a tick of the run; None: the link is dead.
     """
     config = load_config(TELEOP, ["run.duration_s=1.5", "tracker.source=truth", "drivers.robots_per_process=1"])
     run = Lockstep(config)
     hand = Hand(run.bus, config, GROUP, Way.GAMEPAD)
-    tick, status = key(config.arena.name, TICK), key(config.arena.name, STATUS, "r1")
-    found: list[tuple[float, float, float]] = []
+    tick, statuses = key(config.arena.name, TICK), [key(config.arena.name, STATUS, one) for one in config.ids]
+    found: list[tuple[float, ...]] = []
 
     def tap(message: tuple[str, bytes]) -> None:
         full, payload = message
@@ -240,8 +242,10 @@ def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
             started.append(now_s) if not started else None
             if (stick := said(record.run_tick)) is not None:
                 hand.drive(stick, record.tick)
-        elif full == status and started and (its := UNIT_STATUS.decode(payload)) is not None:
-            found.append((now_s - started[0], its.robots[0].left_output_rad_s, its.robots[0].right_output_rad_s))
+        elif full in statuses and started and (its := UNIT_STATUS.decode(payload)) is not None:
+            (gate,) = its.robots
+            fastest = max(abs(gate.left_output_rad_s), abs(gate.right_output_rad_s))
+            found.append((now_s - started[0], *(fastest * (full == one) for one in statuses)))
 
     started: list[float] = []
     run.bus.tap(tap)
@@ -256,8 +260,9 @@ HELD, LET_GO, TICK_S = Stick(1.0, 0.0, True), Stick(1.0, 0.0, False), 0.033
 def test_wheels_follow_the_stick_and_stand_soon_after_its_end(end: Stick | None) -> None:
     begin_tick, end_tick = 10, 30
     wheels = driven(lambda tick: LET_GO if tick < begin_tick else HELD if tick < end_tick else end)
-    times, turning = wheels[:, 0], np.abs(wheels[:, 1:]).max(axis=1) > 0.0
-    first, last = times[turning].min(), times[turning].max()
+    times, turning = wheels[:, 0], wheels[:, 1:] > 0.0
+    assert turning[:, 1:].any(axis=0).all(), "the others follow"
+    first, last = times[turning[:, 0]].min(), times[turning.any(axis=1)].max()
     assert begin_tick * TICK_S < first <= begin_tick * TICK_S + WHEELS_WITHIN_S + 0.02, "and a status is 20 ms apart"
     newest = (end_tick if end is not None else end_tick - 1) * TICK_S
     allowed = 0.040 if end is not None else STANDS_WITHIN_S + TICK_S
