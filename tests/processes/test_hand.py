@@ -1,7 +1,6 @@
 """A gamepad's stick, on the page and at a computer: what is wished, by which tick, and what happens at the release."""
 
 import math
-import os
 import threading
 from collections.abc import Callable, Iterator
 
@@ -15,11 +14,12 @@ from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Scri
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import driving
-from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_SOUTH, BTN_TR, EV_ABS, EV_KEY, Held
+from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from robofleet.processes.hand import Hand, Hands, Stick
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.rescues import Way
 from robofleet.safety.supervisor import Event, Phase
+from tests.gateways.piped_pad import PipedDevice
 from tests.processes.browser import chromium
 from tests.processes.openpage import Fleet, Seen, opened
 from tests.processes.realrun import CLOCK, wait
@@ -165,45 +165,12 @@ def _closed(receive: Callable[[float], object]) -> bool:
     return False
 
 
-class Pipe:
-    """A gamepad whose events come through a pipe: /dev/uinput is not everywhere. What reads them is the real one."""
-
-    name = "a pipe"
-
-    def __init__(self) -> None:
-        self._reading, self._writing = os.pipe()
-        self._held = Held({ABS_X: (0, 255), ABS_Y: (-32768, 32767)})
-        self._events: list[tuple[int, int, int]] = []
-
-    def fileno(self) -> int:
-        return self._reading
-
-    def read(self) -> Stick:
-        if self._events:
-            os.read(self._reading, 4096)
-        events, self._events = self._events, []
-        return self._held.take(events)
-
-    def happens(self, *events: tuple[int, int, int]) -> None:
-        self._events += events
-        os.write(self._writing, b".")
-
-
-def test_a_sticks_range_is_its_devices_own_and_only_shoulder_buttons_hold() -> None:
-    held = Held({ABS_X: (0, 255), ABS_Y: (-32768, 32767)})
-    assert held.take([(EV_ABS, ABS_X, 255), (EV_ABS, ABS_Y, -32768)]) == Stick(1.0, -1.0, False)
-    assert held.take([(EV_ABS, ABS_X, 128), (EV_ABS, ABS_Y, 600)]) == Stick(0.0, 0.0, False)
-    assert not held.take([(EV_KEY, BTN_SOUTH, 1)]).held
-    assert held.take([(EV_KEY, BTN_TR, 1)]).held
-    assert not held.take([(EV_KEY, BTN_TR, 0)]).held
-
-
 def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
-    wished, pad, over = Wished(stand), Pipe(), threading.Event()
+    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
     config, bus = stand.config, stand._bus
 
     def drive() -> None:
-        driving.drive(pad, config, bus, CLOCK, GROUP, over.is_set)
+        driving.drive(EventPad(pad), config, bus, CLOCK, GROUP, over.is_set)
 
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:
@@ -223,7 +190,7 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
 
 
 def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
-    """Return what each robot's gate lets through in a run in lockstep: instants [s], of left and right [rad/s] the most.
+    """Return what each robot's gate lets through in a run in lockstep: instants [s], its faster wheel [rad/s].
 
     A robot a column, in the order of the group; a status a row, with 0 for the robots of which it says nothing.
 
@@ -274,10 +241,10 @@ def test_without_the_button_nothing_is_driven() -> None:
 
 
 def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
-    wished, pad, over = Wished(stand), Pipe(), threading.Event()
+    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
 
     def drive() -> None:
-        driving.drive(pad, stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
+        driving.drive(EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
 
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:
