@@ -28,7 +28,8 @@ from tests.processes.webstand import WebStand, web_stand
 TELEOP = SHIPPED / "teleop.yaml"
 GROUP, MOST_V, MOST_OMEGA, CRAWL = "teleop", 0.1, 1.2, 0.05
 STUB = """
-  window.pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
+  const buttons = Array.from({ length: 17 }, () => ({ pressed: false }));
+  window.pad = { connected: true, index: 0, axes: [0, 0, 0, 0], buttons };
   window.pads = [];
   navigator.getGamepads = () => window.pads;
 """
@@ -76,7 +77,8 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
     page.becomes(lambda: "Press a button of a gamepad" in page.text("gamepad-words"))
     page.run("pads = [pad]; pad.axes = [-0.5, -1, 0, 0]")
     page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
-    assert wished.newest() is None, "without the button nothing is said"
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    assert len(wished.all) == 1, "without the button nothing is said, but once that it is up"
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V, 0.5 * MOST_OMEGA))
     assert page.text("gamepad-words") == "r1 is driven."
@@ -97,7 +99,9 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
 
 def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_go(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
-    page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]; pad.buttons[5].pressed = true")
+    page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]")
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
     assert not page.shown("gamepad-out")
     page.fleet.phase, page.fleet.cause = Phase.HOLD, Event.DEADLOCKED
@@ -125,12 +129,42 @@ def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_g
 
 def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
-    drive = "pad.buttons[4].pressed = true; pad.axes = [0, -1, 0, 0]; pads = [pad]"
     for ending in ("pads = []", "location.href = 'about:blank'"):
-        page.run(drive)
+        wished.all.clear()
+        page.run("pad.buttons[4].pressed = false; pad.axes = [0, -1, 0, 0]; pads = [pad]")
+        page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+        page.run("pad.buttons[4].pressed = true")
         page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
         page.browser.execute_script(ending)
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
+
+
+def test_a_gamepad_that_comes_with_its_button_held_drives_after_a_new_press(page: Seen, stand: WebStand) -> None:
+    wished = Wished(stand)
+    page.run("pad.axes = [0, -1, 0, 0]; pad.buttons[4].pressed = true; pads = [pad]")
+    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+    assert wished.newest() is None
+    page.run("pad.buttons[4].pressed = false")
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.run("pad.buttons[4].pressed = true")
+    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+
+
+def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> None:
+    """As where a page's link breaks and opens again under a finger that was never lifted."""
+    config = load_config(TELEOP)
+    bus, said = Lockstep(config).bus, list[WishKind]()
+    bus.tap(lambda message: said.append(WishKind(wish.kind)) if (wish := SCRIPT_WISH.decode(message[1])) else None)
+    hands = Hands(bus, config)
+    for tick, stick, out in ((0, HELD, None), (1, HELD, None), (2, HELD, "r2"), (3, HELD, "r2")):
+        assert hands.drive(GROUP, stick, tick, out)
+    assert not said
+    for stick in (LET_GO, LET_GO, HELD):
+        hands.drive(GROUP, stick, 4, "r2")
+    assert said == [WishKind.STAND, WishKind.RESCUE]
+    hands.drive(GROUP, HELD, 5)
+    hands.drive(GROUP, HELD, 6)
+    assert said[2:] == [WishKind.STAND], "it is held for something else"
 
 
 @pytest.mark.parametrize(
@@ -175,6 +209,7 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:
         thread.start()
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_ABS, ABS_Y, -32768), (EV_ABS, ABS_X, 0))
         pad.happens((EV_KEY, BTN_TR, 1))
         assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
