@@ -364,7 +364,7 @@ class RunStatus(NamedTuple):
 def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     """Return an event in words; ``robots`` are the ids in the order of their numbers."""
     event, robot, detail = happening
-    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
+    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall or to an obstacle"
     group = "the behaviour of its group"
     if isinstance(robots, Roster) and robot < len(robots):
         group += f" {robots.group_of(robot)}"
