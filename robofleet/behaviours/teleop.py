@@ -8,12 +8,26 @@ In a held run the person may drive one robot of the group out, any of them, at a
 that is the supervisor (``safety/rescue.py``).
 """
 
+import itertools
 from collections import deque
+from collections.abc import Iterator
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Array, Behaviour, Decision, Figure, Flags, Past, Situation, Team, WishKind
+from robofleet.behaviours.interface import (
+    Array,
+    Behaviour,
+    Bound,
+    Decision,
+    Figure,
+    Flags,
+    Past,
+    Situation,
+    Team,
+    WishKind,
+)
+from robofleet.safety.barrier import apart
 from robofleet.settings import Model, within
 
 _ROUNDING = 1e-9
@@ -102,6 +116,20 @@ class Teleop(Behaviour):
         v, omega = (float(value) for value in wish.values[row, :2])
         most_v, most_omega = min(s.crawl_m_s, s.max_speed_m_s) if out else s.max_speed_m_s, s.max_turn_rad_s
         return row, _Command(min(max(v, -most_v), most_v), min(max(omega, -most_omega), most_omega), age)
+
+    def bounds(self) -> Iterator[Bound]:
+        """Yield what must hold: every robot's top speed, and that the barrier lets followers come so near."""
+        s, team = self.settings, self.team
+        for robot, drive in zip(team.robots, team.drives, strict=True):
+            mend = f"{robot} drives no faster"
+            yield Bound("settings.max_speed_m_s", "max_speed_m_s", s.max_speed_m_s, drive.max_speed, "m/s", mend)
+        for (one, ahead), (other, behind) in itertools.pairwise(zip(team.robots, team.bodies, strict=True)):
+            near = (
+                apart(team.keepout, ahead, behind)
+                + 2 * min(s.max_speed_m_s, behind.drive.max_speed) / team.keepout.rate
+            )
+            mend = f"the barrier would hold {other} back from {one}, so raise it"
+            yield Bound("settings.spacing_m", "spacing_m", s.spacing_m, near, "m", mend, at_least=True)
 
     def summary(self, past: Past) -> dict[str, Any]:
         """Return the figures that are for people."""

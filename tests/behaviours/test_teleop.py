@@ -115,6 +115,21 @@ def test_a_follower_stands_while_the_robot_ahead_is_near() -> None:
     assert not behaviour.decide(situation(poses, wish(0.0, 0.0))).velocities[1:].any()
 
 
+@pytest.mark.parametrize(
+    ("keys", "broken"),
+    [
+        ({}, set()),
+        ({"spacing_m": 0.05}, {"settings.spacing_m"}),
+        ({"max_speed_m_s": 0.21}, {"settings.max_speed_m_s"}),
+        ({"max_speed_m_s": 5.0}, {"settings.max_speed_m_s"}),
+    ],
+)
+def test_what_no_robot_can_do_or_the_barrier_keeps_apart_is_refused(keys: dict[str, float], broken: set[str]) -> None:
+    bounds = list(Teleop(SETTINGS.model_copy(update=keys), TEAM).bounds())
+    assert {bound.path for bound in bounds if not bound.holds} == broken
+    assert {bound.path for bound in bounds} == {"settings.spacing_m", "settings.max_speed_m_s"}
+
+
 def test_in_a_run_nobody_moves_before_the_first_command() -> None:
     config = load_config(SHIPPED / "teleop.yaml", ["run.duration_s=1", "tracker.source=truth"])
     run = Lockstep(config)

@@ -78,6 +78,7 @@ CART = "{name: cart, tag: %s, radius_m: 0.12, start: {x_m: %s, y_m: %s, heading_
     [
         (CART % (1, 0, 0), "arena.moving.0.tag", "1 is robots.0's already"),
         ("{name: r1, tag: 40, radius_m: 0.12}", "arena.moving.0.name", "r1 is robots.0's already"),
+        ("{name: r1, tag: 1, radius_m: 0.12}", "arena.moving.0.name", "r1 is robots.0's already"),
         ("{name: cart, tag: 40, radius_m: 0.12}", "arena.moving.0.start", "missing"),
         (CART % (40, 0.9, 0.62), "arena.moving.0.start", "park cart further away"),
     ],
