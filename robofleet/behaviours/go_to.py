@@ -34,6 +34,7 @@ from robofleet.control.following import Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
 from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge, from_solid
+from robofleet.safety.supervisor import Event
 from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.vehicles.solids import distances
 
@@ -44,6 +45,7 @@ _PUSHED = 0.10  # off its place, a robot needs another plan [m]
 _LOST_TICKS = 30  # for which it was there
 _STUCK_S = 6.0  # without progress of anybody
 _RETRY_S = 1.0  # after no plan was found
+_MOST_FAILED = 10  # plans in a row: then the run is held
 _STILL = 0.004  # so far a robot moves in a tick that counts as standing [m]
 _STILL_TICKS = 6
 _THERE_TICKS = 10
@@ -139,6 +141,7 @@ class GoTo(Behaviour):
         self._target = self._goals  # of each robot, as assigned
         self._progress = (0.0, 0)  # of all robots, and ticks since it grew
         self._pause = 0  # ticks
+        self._failed = 0  # plans in a row
         self._follower.begin(None, np.zeros((n, 3)), self._goals)
 
     def carried(self, robot: int) -> None:
@@ -175,7 +178,9 @@ class GoTo(Behaviour):
             "heading_error": np.abs((left[:, 2] + math.pi) % math.tau - math.pi),
             "waiting": ((state[:, State.MOVING] == 0) & (state[:, State.FINISHING] == 0)).astype(float),
         }
-        return Decision(velocities, "body", references if self._planned else None, figures)
+        hold = Event.NO_WAY if self._failed >= _MOST_FAILED else None
+        self._failed = 0 if hold else self._failed
+        return Decision(velocities, "body", references if self._planned else None, figures, hold=hold)
 
     def _drop(self) -> None:
         """Stand until there is another plan."""
@@ -198,9 +203,10 @@ class GoTo(Behaviour):
         except StopIteration as done:
             self._work = None
             if done.value is None:
+                self._failed += 1
                 self._pause = round(_RETRY_S / self.team.tick)
                 return
-            self._planned, self._progress = True, (0.0, 0)
+            self._planned, self._progress, self._failed = True, (0.0, 0), 0
             self._off[:] = 0
             self._follower.begin(done.value, now.poses, self._target)
 
