@@ -178,7 +178,7 @@ class GoTo(Behaviour):
             "heading_error": np.abs((left[:, 2] + math.pi) % math.tau - math.pi),
             "waiting": ((state[:, State.MOVING] == 0) & (state[:, State.FINISHING] == 0)).astype(float),
         }
-        hold = Event.NO_WAY if self._failed >= _MOST_FAILED else None
+        hold = Event.BEHAVIOUR_NO_WAY if self._failed >= _MOST_FAILED else None
         self._failed = 0 if hold else self._failed
         return Decision(velocities, "body", references if self._planned else None, figures, hold=hold)
 

@@ -60,7 +60,7 @@ _ADVICE = {
     Event.BEHAVIOUR_NOT_FINITE: _MEND,
     Event.BEHAVIOUR_SHAPE: f"it must be one velocity (x, y) for each robot: {_MEND}",
     Event.BEHAVIOUR_LATE: f"make it faster, or raise controller.tick_s; {_ONCE_MORE}",
-    Event.NO_WAY: "clear a way, then `robofleet resume`",
+    Event.BEHAVIOUR_NO_WAY: "clear a way, then `robofleet resume`",
     Event.SCRIPT_SILENT: "start the script again, then `robofleet resume`",
     Event.SCRIPT_FAILED: "mend it and start it again, then `robofleet resume`",
     Event.HELD_TOO_LONG: "start again",

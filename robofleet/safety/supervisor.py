@@ -114,7 +114,7 @@ class Event(IntEnum):
     BEHAVIOUR_NOT_FINITE = 73
     BEHAVIOUR_SHAPE = 74
     BEHAVIOUR_LATE = 75
-    NO_WAY = 92  # it comes to no goal past what stands in its way
+    BEHAVIOUR_NO_WAY = 92  # it comes to no goal past what stands in its way
     BEHAVIOUR_STANDS = 76  # with the robot of its group of which one of the events above is told
     # a script that drives a group; told of one of its robots
     SCRIPT_SILENT = 85
@@ -206,7 +206,7 @@ CAUSES = {
     Event.BEHAVIOUR_NOT_FINITE: "{group} returned a velocity that is not finite",
     Event.BEHAVIOUR_SHAPE: "{group} returned velocities of a wrong shape",
     Event.BEHAVIOUR_LATE: "{group} took longer than its share of a tick",
-    Event.NO_WAY: "{group} finds no way to its goals past what stands there",
+    Event.BEHAVIOUR_NO_WAY: "{group} finds no way to its goals past what stands there",
     Event.BEHAVIOUR_STANDS: "{group} failed, and all its robots stand",
     Event.SCRIPT_SILENT: "{group} no longer hears from its script: it has ended, hangs, or was stopped",
     Event.SCRIPT_FAILED: "{group} has lost its script: it ended by an error",
@@ -297,7 +297,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.BEHAVIOUR_NOT_FINITE: (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_SHAPE:      (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_LATE:       (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
-    Event.NO_WAY:               (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_NO_WAY:     (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_STANDS:     (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.SCRIPT_SILENT:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.SCRIPT_FAILED:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),

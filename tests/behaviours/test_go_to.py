@@ -47,7 +47,7 @@ class Floor:
         assert decision.of == "body"
         assert np.isfinite(decision.velocities).all()
         if decision.hold is not None:
-            assert decision.hold is Event.NO_WAY
+            assert decision.hold is Event.BEHAVIOUR_NO_WAY
             self.holds.append(self.t)
         u = np.zeros((n, 2))
         for i, asked in enumerate(decision.velocities.tolist()):

@@ -175,6 +175,7 @@ def refused(*keys: str) -> str:
         (NINE, "tracker.mocap.others: the body of no robot: r1: name the robot's body, or list it here"),
         (["tracker.mocap.others=[box, r2]"], "tracker.mocap.others.1: r2 is the body of r2: remove it"),
         (["robots.1.body=r1"], "robots.1.body: r1 is robots.0's already"),
+        (["tracker.mocap.system=vrpn"], "robots.0.driver: 'vrpn' cannot measure a simulated robot: give r1 a driver"),
         (["tracker.source=mocup"], "tracker.source: there is no source of poses 'mocup': did you mean 'mocap'?"),
         (["tracker.source=camera"], "robots.0.tag: is missing: a camera knows r1 by its tag"),
     ],
