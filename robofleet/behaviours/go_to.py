@@ -34,6 +34,7 @@ from robofleet.control.following import Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
 from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge, from_solid
+from robofleet.safety.supervisor import Event
 from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.vehicles.solids import distances
 
@@ -44,6 +45,7 @@ _PUSHED = 0.10  # off its place, a robot needs another plan [m]
 _LOST_TICKS = 30  # for which it was there
 _STUCK_S = 6.0  # without progress of anybody
 _RETRY_S = 1.0  # after no plan was found
+_MOST_FAILED = 10  # plans in a row: then the run is held
 _STILL = 0.004  # so far a robot moves in a tick that counts as standing [m]
 _STILL_TICKS = 6
 _THERE_TICKS = 10
@@ -139,6 +141,7 @@ class GoTo(Behaviour):
         self._target = self._goals  # of each robot, as assigned
         self._progress = (0.0, 0)  # of all robots, and ticks since it grew
         self._pause = 0  # ticks
+        self._failed = 0  # plans in a row
         self._follower.begin(None, np.zeros((n, 3)), self._goals)
 
     def carried(self, robot: int) -> None:
@@ -175,7 +178,9 @@ class GoTo(Behaviour):
             "heading_error": np.abs((left[:, 2] + math.pi) % math.tau - math.pi),
             "waiting": ((state[:, State.MOVING] == 0) & (state[:, State.FINISHING] == 0)).astype(float),
         }
-        return Decision(velocities, "body", references if self._planned else None, figures)
+        hold = Event.BEHAVIOUR_NO_WAY if self._failed >= _MOST_FAILED else None
+        self._failed = 0 if hold else self._failed
+        return Decision(velocities, "body", references if self._planned else None, figures, hold=hold)
 
     def _drop(self) -> None:
         """Stand until there is another plan."""
@@ -191,25 +196,29 @@ class GoTo(Behaviour):
             self._pause = max(0, self._pause - 1)
             return
         if self._work is None:
-            self._target = self._assigned(now.poses)
-            self._work = precedence.plan(self._problem(now), self.team.rng)
+            self._work = self._search(now)
         try:
             for _ in range(_PARTS):
                 next(self._work)
         except StopIteration as done:
             self._work = None
             if done.value is None:
+                self._failed += 1
                 self._pause = round(_RETRY_S / self.team.tick)
                 return
-            self._planned, self._progress = True, (0.0, 0)
+            self._planned, self._progress, self._failed = True, (0.0, 0), 0
             self._off[:] = 0
             self._follower.begin(done.value, now.poses, self._target)
 
-    def _assigned(self, poses: Array) -> Array:
-        if self.settings.assignment == "labelled":
-            return self._goals
-        away = np.linalg.norm(poses[:, None, :2] - self._goals[None, :, :2], axis=2)
-        return self._goals[planning.assign(away)]
+    def _search(self, now: Situation) -> Generator[None, None, Plan | None]:
+        """Share out the goals, and look for a plan."""
+        self._target = self._goals
+        if self.settings.assignment == "nearest":
+            ways = np.linalg.norm(now.poses[:, None, :2] - self._goals[None, :, :2], axis=2)
+            if self.team.keepout.solids:
+                ways = yield from planning.ways(self._problem(now))
+            self._target = self._goals[_shared_out(ways)]
+        return (yield from precedence.plan(self._problem(now), self.team.rng))
 
     def _problem(self, now: Situation) -> Problem:
         starts, goals = now.poses[:, :2].copy(), self._target[:, :2].copy()
@@ -263,6 +272,8 @@ class GoTo(Behaviour):
                     "settings.goals",
                     f"{len(s.goals)} goals for {len(robots)} robots: give as many goals as the group has robots",
                 )
+            else:
+                yield from self._cut_off()
             return
         for name in s.goals:
             if name not in robots:
@@ -281,12 +292,21 @@ class GoTo(Behaviour):
         starts = np.array([pose[:2] for pose in self.team.starts if pose is not None])
         if not self.team.keepout.solids or len(starts) < len(self.team):
             return
-        for row in planning.unreachable(self._ways(starts, self._goals[:, :2].copy(), np.zeros((0, 3)))):
-            robot, wide = self.team.robots[row], 2 * self._beside_solids
+        problem = self._ways(starts, self._goals[:, :2].copy(), np.zeros((0, 3)))
+        mend = f"a way must be {2 * self._beside_solids:.2g} m wide: move the goal or an obstacle"
+        if self.settings.assignment == "nearest":
+            ways = _done(planning.ways(problem))
+            for row, goal in enumerate(_shared_out(ways)):
+                if not np.isfinite(ways[row, goal]):
+                    robot = self.team.robots[row]
+                    why = f"no way leads from {robot}'s start to a goal that is left for it past"
+                    yield Refusal("settings.goals", f"{why} {self._named_solids()}: {mend}")
+            return
+        for row in planning.unreachable(problem):
+            robot = self.team.robots[row]
             yield Refusal(
                 f"settings.goals.{robot}",
-                f"no way leads from {robot}'s start to its goal past {self._named_solids()}: "
-                f"a way must be {wide:.2g} m wide: move the goal or an obstacle",
+                f"no way leads from {robot}'s start to its goal past {self._named_solids()}: {mend}",
             )
 
     def _named_solids(self) -> str:
@@ -367,6 +387,22 @@ class GoTo(Behaviour):
         for figure in self.figures[:2]:
             told[f"final_{figure.shown_key}"] = statistics(past.figures[figure.name][-1:] * figure.scale)
         return told
+
+
+def _shared_out(ways: Array) -> planning.Indices:
+    """Return which goal each robot has, by its ways (N, N) [m] to them: one without a way only where all must be."""
+    some = ways[np.isfinite(ways)]
+    return planning.assign(np.where(np.isfinite(ways), ways, 1.0 + 2.0 * some.max(initial=0.0)))
+
+
+def _done(work: Generator[None, None, Array]) -> Array:
+    """Return what all parts of a work give."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as done:
+            found: Array = done.value
+            return found
 
 
 def _tightest(bounds: Iterable[Bound]) -> Iterator[Bound]:

@@ -1,19 +1,33 @@
 """teleop: a person drives a robot by a gamepad, on the page or by ``robofleet teleop``; the others follow it.
 
 The group's first robot does what the person commands, up to the speeds that are set, while the dead-man's button is
-held: whoever sends commands sends none without it. It stands when the newest command is too old. Each other robot
-follows the way of the robot ahead of it, ``spacing_m`` behind.
+held: whoever sends commands sends none without it. Each other robot follows the way of the robot ahead of it,
+``spacing_m`` behind. All of them stand without a command, and when the newest one is too old.
 
 In a held run the person may drive one robot of the group out, any of them, at a crawl: the others stand. Who permits
 that is the supervisor (``safety/rescue.py``).
 """
 
+import itertools
 from collections import deque
+from collections.abc import Iterator
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Array, Behaviour, Decision, Figure, Flags, Past, Situation, Team, WishKind
+from robofleet.behaviours.interface import (
+    Array,
+    Behaviour,
+    Bound,
+    Decision,
+    Figure,
+    Flags,
+    Past,
+    Situation,
+    Team,
+    WishKind,
+)
+from robofleet.safety.barrier import apart
 from robofleet.settings import Model, within
 
 _ROUNDING = 1e-9
@@ -34,7 +48,7 @@ class Teleop(Behaviour):
         crawl_m_s: Annotated[float, within(0.001, 0.1)] = 0.05
         """Speed at which a person drives one robot out of a held run; also how fast its wheels roll when it turns."""
         silent_s: Annotated[float, within(0.05, 10)] = 0.15
-        """Age at which a command is too old: the robot stands until the next one. It counts from the controller's tick
+        """Age at which a command is too old: the robots stand until the next one. It counts from the controller's tick
         that the person's computer has seen last."""
         spacing_m: Annotated[float, within(0.01, 100)] = 0.25
         """Way from each other robot's point p to the point p of the robot ahead."""
@@ -72,7 +86,9 @@ class Teleop(Behaviour):
         ages, errors = np.full(n, np.nan), np.full(n, np.nan)
         driven, command = self._command(now)
         ages[driven] = command.age
-        velocities[driven] = self._of_point(command, now.poses[driven, 2])
+        counts = command.age <= self.settings.silent_s + _ROUNDING
+        if counts:
+            velocities[driven] = self._of_point(command, now.poses[driven, 2])
         figures: dict[str, Array | float] = {"command_age": ages, "following_error": errors}
         if now.wish is not None:
             figures |= {"wish_epoch": now.wish.epoch, "wish": now.wish.seq}
@@ -82,7 +98,8 @@ class Teleop(Behaviour):
         for k, way in enumerate(self._ways):
             goal = self._place(way, points[k], points[k + 1], now.driving[k : k + 2])
             references[k + 1], errors[k + 1] = goal, np.hypot(*(goal - points[k + 1]))
-            velocities[k + 1] = self.settings.follow_rate * (goal - points[k + 1])
+            if counts:
+                velocities[k + 1] = self.settings.follow_rate * (goal - points[k + 1])
         return Decision(velocities, references=references, figures=figures)
 
     def _command(self, now: Situation) -> "tuple[int, _Command]":
@@ -96,11 +113,23 @@ class Teleop(Behaviour):
             return row, _Command(0.0, 0.0, np.nan)
         own = float(wish.values[row, 2])
         age = wish.age + max(own, -self.team.tick)  # none is younger than the tick that it echoes
-        if age > s.silent_s + _ROUNDING:
-            return row, _Command(0.0, 0.0, age)
         v, omega = (float(value) for value in wish.values[row, :2])
         most_v, most_omega = min(s.crawl_m_s, s.max_speed_m_s) if out else s.max_speed_m_s, s.max_turn_rad_s
         return row, _Command(min(max(v, -most_v), most_v), min(max(omega, -most_omega), most_omega), age)
+
+    def bounds(self) -> Iterator[Bound]:
+        """Yield what must hold: every robot's top speed, and that the barrier lets followers come so near."""
+        s, team = self.settings, self.team
+        for robot, drive in zip(team.robots, team.drives, strict=True):
+            mend = f"{robot} drives no faster"
+            yield Bound("settings.max_speed_m_s", "max_speed_m_s", s.max_speed_m_s, drive.max_speed, "m/s", mend)
+        for (one, ahead), (other, behind) in itertools.pairwise(zip(team.robots, team.bodies, strict=True)):
+            near = (
+                apart(team.keepout, ahead, behind)
+                + 2 * min(s.max_speed_m_s, behind.drive.max_speed) / team.keepout.rate
+            )
+            mend = f"the barrier would hold {other} back from {one}, so raise it"
+            yield Bound("settings.spacing_m", "spacing_m", s.spacing_m, near, "m", mend, at_least=True)
 
     def summary(self, past: Past) -> dict[str, Any]:
         """Return the figures that are for people."""
@@ -132,7 +161,7 @@ class Teleop(Behaviour):
 
 
 class _Command(NamedTuple):
-    """What a person commands."""
+    """What a person commands; it counts while it is fresh."""
 
     v: float  # [m/s]
     omega: float  # [rad/s]

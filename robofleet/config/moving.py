@@ -24,8 +24,9 @@ def added(config: Config) -> Config:
 
     One that is there already, as in a configuration that was written by a run, is not added again.
     """
-    known = {(robot.id, robot.tag) for robot in config.robots}
-    new = [_robot(config, one) for one in config.arena.moving if (one.name, one.tag) not in known]
+    known = {(robot.id, robot.tag): robot.vehicle for robot in config.robots}
+    every = [_robot(config, one) for one in config.arena.moving]
+    new = [robot for robot in every if known.get((robot.id, robot.tag)) != robot.vehicle]
     return config.model_copy(update={"robots": (*config.robots, *new)}) if new else config
 
 

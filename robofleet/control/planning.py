@@ -65,6 +65,15 @@ class Clearance(NamedTuple):
     most: float  # half of the distance under way [m]
 
 
+class _Grid(NamedTuple):
+    """Places, and who is next to whom, as in ``_World``."""
+
+    at: Array
+    near: Indices
+    reach: Array
+    standing: Kept
+
+
 class _World(NamedTuple):
     """What the kernels read. Vertices are the V places of the grid, then the N starts, then the N goals."""
 
@@ -105,6 +114,19 @@ def unreachable(problem: Problem) -> list[int]:
     return list(range(n)) if world is None else world
 
 
+def ways(problem: Problem) -> Generator[None, None, Array]:
+    """Return the way of each robot (row) to each goal (column) over the grid [m], infinite where there is none."""
+    n = len(problem.starts)
+    found, grid = np.full((n, n), np.inf), (yield from _grid(problem))
+    if grid is not None:
+        cost, first = np.empty(len(grid.at)), len(grid.at) - 2 * n
+        for goal in range(n):
+            yield
+            _costs(grid.at, grid.near, first + n + goal, 0.0, n, goal, False, cost)
+            found[:, goal] = cost[first : first + n]
+    return found
+
+
 def search(problem: Problem, rng: np.random.Generator) -> Generator[None, None, Array | None]:
     """Return places (A + 1, N, 2) [m] of all robots in steps, None where no plan was found.
 
@@ -120,8 +142,8 @@ def search(problem: Problem, rng: np.random.Generator) -> Generator[None, None, 
     return None
 
 
-def _world(problem: Problem) -> Generator[None, None, _World | list[int] | None]:
-    """Return what the search reads; else who cannot come to its goal; None: nobody has any place on the grid."""
+def _grid(problem: Problem) -> Generator[None, None, _Grid | None]:
+    """Return the grid that is free of what does not move; None: nobody has any place there."""
     n, cell = len(problem.starts), problem.cell
     nx, ny = (max(1, math.floor(2 * half / cell) + 1) for half in problem.half)
     x, y = (cell * (np.arange(count) - (count - 1) / 2) for count in (nx, ny))
@@ -137,6 +159,17 @@ def _world(problem: Problem) -> Generator[None, None, _World | list[int] | None]
     near, reach = np.full((len(at), _NEAR), -1), np.full(2 * n, np.inf)
     yield
     _neighbours(at, free, nx, ny, cell, left, standing, near, reach)
+    return _Grid(at, near, reach, standing)
+
+
+def _world(problem: Problem) -> Generator[None, None, _World | list[int] | None]:
+    """Return what the search reads; else who cannot come to its goal; None: nobody has any place on the grid."""
+    grid = yield from _grid(problem)
+    if grid is None:
+        return None
+    at, near, reach, standing = grid
+    n = len(problem.starts)
+    first = len(at) - 2 * n
     direct = np.empty(n, dtype=np.bool_)
     _direct(at, n, reach, standing, direct)
     rho = clearance(problem)
@@ -144,8 +177,8 @@ def _world(problem: Problem) -> Generator[None, None, _World | list[int] | None]
     for i in range(n):
         yield
         _radii(at, rho.places[i], rho.radii[i], rho.most, radii[i])
-        _costs(at, near, nx * ny + n + i, reach[n + i], n, i, direct[i], cost[i])
-    cut_off = [i for i in range(n) if not np.isfinite(cost[i, nx * ny + i])]
+        _costs(at, near, first + n + i, reach[n + i], n, i, direct[i], cost[i])
+    cut_off = [i for i in range(n) if not np.isfinite(cost[i, first + i])]
     return cut_off or _World(at, near, reach, direct, radii, cost)
 
 

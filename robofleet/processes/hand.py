@@ -1,10 +1,11 @@
 """A person's hand on a robot: commands of a group whose behaviour is ``teleop``, by the ticks that the person has seen.
 
-Nothing is sent but while the dead-man's button is held; when it is let go, the robots are told at once that they stand.
+Nothing is sent but while the dead-man's button is held; when it is let go, and when it is seen up for the first time,
+the robots are told at once that they stand.
 Silence does the same: a command that is older than the behaviour's ``silent_s`` counts for nothing.
 
 In a held run the person may drive one robot of the group out, at a crawl. A button that was held for something else,
-as when the run is held, counts for nothing until it was let go.
+as when the run is held, or before this hand began, counts for nothing until it was let go.
 """
 
 import math
@@ -62,7 +63,7 @@ class Hand:
         self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
         self._way, self._tick = way, 0
         self._held: tuple[WishKind, int] | None = None  # what the button is held for, and of which robot
-        self._spent = False  # it was held for something else, and not let go since
+        self._spent = True  # the button may be held for something else, and was not seen let go since
 
     def drive(self, stick: Stick, tick: int) -> None:
         """Command what the stick says by a tick that the person's computer has seen; the release, once."""
@@ -77,9 +78,14 @@ class Hand:
 
     def _do(self, kind: WishKind, row: int, stick: Stick, tick: int) -> None:
         self._tick = max(self._tick, tick)
-        if not stick.held or tick <= 0:
+        if not stick.held:
+            if self._spent:
+                self._stand()
+                self._spent = False
             self.let_go()
-            self._spent = False
+            return
+        if tick <= 0:
+            self.let_go()
             return
         if self._held not in (None, (kind, row)):
             self.let_go()
@@ -95,9 +101,12 @@ class Hand:
     def let_go(self) -> None:
         """Let the robots stand, if they were driven."""
         if self._held is not None:
-            self._values[:, :2] = 0.0
-            self._say(WishKind.STAND, self._tick)
-            self._held = None
+            self._stand()
+
+    def _stand(self) -> None:
+        self._values[:, :2] = 0.0
+        self._say(WishKind.STAND, self._tick)
+        self._held = None
 
     def _say(self, kind: WishKind, tick: int) -> None:
         self._seq += 1

@@ -9,7 +9,7 @@ from robofleet.config.tree import Config
 from robofleet.simulation.capture import SimulatedCapture
 from robofleet.simulation.sources import VirtualPoses
 from robofleet.tracking.bodies import FleetBodies
-from robofleet.tracking.capture import CapturePoller, CaptureReader, bodies_there, open_capture
+from robofleet.tracking.capture import POLLED, CapturePoller, CaptureReader, bodies_there, open_capture
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sources import CameraError, Observation, PoseContext
 
@@ -33,7 +33,8 @@ class MocapPoses:
                 return
             self._feed = CaptureReader(lambda: capture, context.clock, context.wake)
         else:
-            self._feed = CaptureReader(partial(open_capture, settings), context.clock, context.wake)
+            opened = partial(open_capture, settings)
+            self._feed = CaptureReader(opened, context.clock, context.wake, polled=settings.system in POLLED)
 
     @staticmethod
     def works_in_lockstep(config: Config) -> bool:
@@ -60,8 +61,7 @@ class MocapPoses:
         wanted = {robot.body_name for robot in config.seen}
         for i, robot in enumerate(config.robots):
             if robot.body_name in wanted and robot.body_name not in there:
-                known = did_you_mean(robot.body_name, there) if there else "it tracks none: is it calibrated?"
-                key = "body" if robot.body else "id"
+                key, known = "body" if robot.body else "id", did_you_mean(robot.body_name, there)
                 yield f"robots.{i}.{key}", f"{settings.system} tracks no body '{robot.body_name}': {known}"
         strange = [name for name in there if name not in wanted and name not in settings.others]
         if strange:

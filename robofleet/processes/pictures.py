@@ -34,7 +34,7 @@ class Pictures:
         self._period_ns = round(S / camera.picture_rate_hz) if camera.picture_rate_hz else None
         self._refusal = ""
         if config.tracker.source != "camera":
-            self._refusal = "refused: there is no camera, the tracker takes the truth"
+            self._refusal = "refused: there are no pictures, tracker.source is not camera"
         elif self._period_ns is None:
             self._refusal = "refused: camera.picture_rate_hz is 0, so there are no pictures"
         self._publish = bus.publisher(PICTURE, camera.name)

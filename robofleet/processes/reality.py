@@ -19,6 +19,7 @@ def complaints(config: Config) -> Iterator[Complaint]:
         yield "tracker.source", "there is no robot that the camera could see, all are simulated: take truth"
     for i, robot in enumerate(config.robots):
         try:
+            mend = f"give {robot.id} a driver" if robot.twin is None else f"remove {robot.id}'s twin"
             tells, looks = _tells(robot), source == "camera" and any(map(_looks, cameras))
         except PluginError:
             continue  # said already
@@ -34,7 +35,7 @@ def complaints(config: Config) -> Iterator[Complaint]:
                 f"a simulated motion capture cannot measure {robot.id}: name tracker.mocap.system",
             )
         elif tells and capture not in ("", "mock", "simulated") and robot.reality == "real":
-            yield f"robots.{i}.reality", f"{capture!r} cannot measure {robot.id}, which is simulated: write simulated"
+            yield f"robots.{i}.driver", f"{capture!r} cannot measure a simulated robot: {mend}"
         elif not tells and source == "camera" and not real:
             yield f"robots.{i}.driver", f"a simulated camera cannot see {robot.id}: take a real one, or give it a twin"
 

@@ -12,7 +12,7 @@ from robofleet.comms.keys import BUSY, ENABLE, REQUEST, SAFE_REQUEST, STATE
 from robofleet.comms.messages import BUSY_MACHINE, RUN_STATE, UNIT_ENABLE, UNIT_STATUS, Hurry, RunState, UnitEnable
 from robofleet.comms.requests import SAFE, SAFE_WORDS
 from robofleet.comms.statuses import HURRY_NS
-from robofleet.config import groups, slices
+from robofleet.config import groups, obstacles, slices
 from robofleet.config.tree import Config
 from robofleet.kernels import kernel
 from robofleet.processes import fleet_view
@@ -31,6 +31,7 @@ from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import CAUSES, MOVING, NOBODY, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import PROBE_RAD_S
+from robofleet.vehicles import solids
 
 _PERIOD_NS = 40 * MS
 _EVERY_OTHER = 2  # status of a robot on a radio, which comes every 33 ms, is answered
@@ -78,7 +79,7 @@ class Supervisor:
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
         speeds = tuple(drive.max_speed for drive in drives)
-        build, arena = slices.build(config), config.arena.size_m
+        build, arena, every = slices.build(config), config.arena.size_m, obstacles.every(config.arena)
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = config.ids
         # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
@@ -86,7 +87,9 @@ class Supervisor:
         self._limits = np.array(fastest, dtype=np.float64)
         daemons = frozenset(config.daemons)
         elsewhere = frozenset(row for row, robot in enumerate(robots) if config.unit_of[robot.id] in daemons)
-        self._monitoring = MonitorSettings(build, radii, arena, speeds, attended, elsewhere)
+        self._monitoring = MonitorSettings(
+            build, radii, arena, speeds, attended, elsewhere, tuple(solid for solid in every if solid.floor)
+        )
         self._scan = Scan(self._monitoring)
         self._arming = ArmingSettings(
             build,
@@ -94,6 +97,7 @@ class Supervisor:
             tuple(d.wheel_base for d in drives),
             radii,
             arena,
+            every,
             groups.jam_of(config),
         )
         self._say = say
@@ -430,7 +434,7 @@ def _fill_enables(  # type: ignore[no-untyped-def]
         enable.clear = seen.latch_id if clearing and seen.latch == _DRILL else clear[row]
 
 
-KERNELS = (_fill_enables, *fleet_view.KERNELS, *scan.KERNELS)
+KERNELS = (_fill_enables, *fleet_view.KERNELS, *scan.KERNELS, *solids.KERNELS)
 
 
 def compile_kernels(say: Say) -> None:
@@ -438,6 +442,7 @@ def compile_kernels(say: Say) -> None:
     with told("supervisor", KERNELS, say):
         fleet_view.compile_kernels()
         scan.compile_kernels()
+        solids.distances((), np.zeros((1, 2)))
         none, of = np.zeros(0, np.intp), np.zeros(1, UNIT_STATUS.item_dtype)
         _fill_enables(
             np.zeros(0, UNIT_ENABLE.item_dtype), of, none, none, np.zeros(1), np.zeros(1, np.uint64), 0, 0, 0, True

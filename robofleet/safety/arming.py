@@ -20,6 +20,7 @@ from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.safety.wiggle import Wiggle
 from robofleet.vehicles.interface import WIRED_STOP
+from robofleet.vehicles.solids import Solid, distances
 
 _PATIENCE_NS = 5_000_000_000  # for what may still come: a lease, a tag, rest
 _SILENT_NS = 500_000_000  # a process that said nothing for so long is not there
@@ -66,11 +67,12 @@ class ArmingSettings(NamedTuple):
     wheel_base: tuple[float, ...]  # [m]
     body_radius: tuple[float, ...]  # [m]
     arena: tuple[float, float]  # [m]
+    solids: tuple[Solid, ...] = ()  # obstacles, and what lies outside the floor
     jam: Jam = lambda _: None  # who of the members, at these poses, would not get past whom; None: everybody would
 
 
 def free_m(wheel_radius: float) -> float:
-    """Return the room that a robot's wiggle must have between its body and another one, or a wall [m]."""
+    """Return the room that a robot's wiggle must have between its body and another one, a wall or an obstacle [m]."""
     return _MARGIN_M + wiggle.room_m(wheel_radius)
 
 
@@ -172,13 +174,16 @@ def _silent(now_ns: int, heard_ns: int) -> bool:
 
 
 def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
-    """Return who stands outside, or where a wiggle that goes wrong may end at somebody or at a wall.
+    """Return who stands outside, or where a wiggle that goes wrong may end at somebody, at a wall or at an obstacle.
 
     A bystander does not wiggle: it may stand at the wall, beyond it, and beside another one.
     """
     at, free = np.array([robot.pose[:2] for robot in view.robots]), _free(settings, view)
-    edges = (np.array(settings.arena) / 2.0 - np.abs(at)).min(axis=1) - np.array(settings.body_radius)
-    beside = (edges < free)[: view.driven]
+    bodies, floor = np.array(settings.body_radius), [solid.floor for solid in settings.solids]
+    away = distances(settings.solids, at) - bodies
+    walls = (np.array(settings.arena) / 2.0 - np.abs(at)).min(axis=1) - bodies
+    edges = np.vstack([walls, away[floor]]).min(axis=0)
+    beside = (np.vstack([edges, away]).min(axis=0) < free)[: view.driven]
     if beside.any():
         row = int(beside.argmax())
         return Happening(Event.OUTSIDE_ARENA, row) if edges[row] < 0.0 else Happening(Event.TOO_CLOSE, row, NOBODY)

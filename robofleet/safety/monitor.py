@@ -9,12 +9,15 @@ from itertools import combinations
 from math import hypot
 from typing import NamedTuple
 
+import numpy as np
+
 from robofleet.safety import runaway
 from robofleet.safety.gate import Latch
 from robofleet.safety.runaway import Rolling
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import RobotFault
+from robofleet.vehicles.solids import Solid, distances
 
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -60,6 +63,7 @@ class MonitorSettings(NamedTuple):
     max_speed: tuple[float, ...]  # [m/s]
     attended: bool  # the operator's terminal must give signs of life
     elsewhere: frozenset[int] = frozenset()  # rows of robots whose drivers run on computers of their own
+    floors: tuple[Solid, ...] = ()  # what lies outside a floor that is a polygon
 
 
 class Memory(NamedTuple):
@@ -285,7 +289,8 @@ def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Ha
         yield Happening(Event.TAG_LATE, row)
     else:
         (x, y, _), (length, width), radius = robot.pose, settings.arena, settings.body_radius[row]
-        if abs(x) + radius > length / 2 or abs(y) + radius > width / 2:
+        off = bool(settings.floors) and distances(settings.floors, np.array([(x, y)])).min() < radius
+        if abs(x) + radius > length / 2 or abs(y) + radius > width / 2 or off:
             yield Happening(Event.OUTSIDE_ARENA, row)
 
 

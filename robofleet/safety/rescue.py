@@ -7,8 +7,9 @@ sees by itself that the dead-man's button is held, and for which robot. It permi
   process is heard (what would end the run has ended it before this is asked);
 - while the robot is seen, and its driver is heard, without a fault, with an open gate;
 - while the newest command with the button is fresh, by its arrival and by the controller's tick that it echoes;
-- after the button was let go in this HOLD. Whatever takes the permission back, and another robot or another hand,
-  needs that again. A button that was held when the run was held moves nothing.
+- if the button was pressed in this HOLD: a word with it follows a heard word without it, of the same hand. Whatever
+  takes the permission back, another robot, another hand and silence need a new press. A button that was held when the
+  run was held moves nothing.
 """
 
 from collections.abc import Iterable
@@ -22,6 +23,7 @@ from robofleet.safety.view import NEVER, FleetView, RobotView
 WORD_NS = 150_000_000  # age of the newest command by its arrival: a stick is read every 20 ms
 WORD_TICKS = 5  # and by the tick that it echoes: a network that held it back made it no younger
 NEWER_TICKS = 2  # that the person's computer may have heard while this process looked elsewhere
+_MOST_HANDS = 16  # of which it is remembered that they let go
 _LASTING = frozenset({Event.TOO_CLOSE})  # why a robot is to be driven out; the barrier lets it only move apart
 
 
@@ -40,7 +42,8 @@ class Rescue(NamedTuple):
 
     word: Word | None = None  # newest of a hand that holds its button
     heard_ns: int = NEVER  # when it came
-    ready: bool = False  # the button was let go since anything else was permitted, in this HOLD
+    pressed: bool = False  # its button was pressed in this HOLD, and nothing took the permission back since
+    up: tuple[int, ...] = ()  # hands whose newest word said that the button is up, the newest last
     robot: int = NOBODY  # the one that may move at a crawl
     asked: Event = Event.NOTHING
 
@@ -57,18 +60,22 @@ def watch(
     several = False
     for word in words:
         own = now.word is None or word.hand == now.word.hand
+        others = tuple(hand for hand in now.up if hand != word.hand)
         if word.held:
-            several = several or (not own and _fresh(now, view))
-            now = now._replace(word=word, heard_ns=view.now_ns)
-        elif own:
-            now = now._replace(word=None, heard_ns=NEVER)
+            fresh = _fresh(now, view)
+            several = several or (fresh and not own)
+            pressed = word.hand in now.up or (now.pressed and fresh and own)
+            now = now._replace(word=word, heard_ns=view.now_ns, pressed=pressed, up=others)
+        else:
+            now = now._replace(up=(*others, word.hand)[-_MOST_HANDS:])
+            now = now._replace(word=None, heard_ns=NEVER, pressed=False) if own else now
     held = status.phase is Phase.HOLD and status.held is Phase.RUNNING
-    if now.word is None or not _fresh(now, view):
-        return now._replace(ready=held)
+    if now.word is None or not (held and now.pressed and _fresh(now, view)):
+        return now._replace(pressed=False)
     another = several or before.robot not in (NOBODY, now.word.robot)
-    if held and now.ready and not another and _is_well(now.word.robot, standing, view):
-        return now._replace(robot=now.word.robot, asked=now.word.asked)
-    return now._replace(ready=False)
+    if another or not _is_well(now.word.robot, standing, view):
+        return now._replace(pressed=False)
+    return now._replace(robot=now.word.robot, asked=now.word.asked)
 
 
 def _fresh(rescue: Rescue, view: FleetView) -> bool:

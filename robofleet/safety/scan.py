@@ -15,6 +15,7 @@ from robofleet.safety.monitor import Memory, MonitorSettings, Suspects
 from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.view import NEVER, FleetView
+from robofleet.vehicles.solids import away, outlines
 
 _SILENT_NS, _LATE_NS, _LOWEST_BATTERY, _CLOSEST_M = (
     monitor.SILENT_NS, monitor.LATE_NS, monitor.LOWEST_BATTERY, monitor.CLOSEST_M,
@@ -33,6 +34,7 @@ class Scan:
         self._settings = settings
         bodies = zip(settings.body_radius, settings.max_speed, strict=True)
         self._bodies = np.array(list(bodies), BODY)
+        self._floors = outlines(settings.floors)
         self._suspect = np.zeros(len(self._bodies), np.bool_)
         self._sessions: tuple[tuple[int, ...], NDArray[np.uint64]] = (), np.zeros(0, np.uint64)
 
@@ -48,7 +50,7 @@ class Scan:
         length, width = self._settings.arena
         found, infeasible, rolling = _scan(
             self._suspect, rows, before, sessions, self._bodies, self._settings.build, length / 2, width / 2,
-            view.now_ns,
+            *self._floors, view.now_ns,
         )  # fmt: skip
         close = _close(rows, self._bodies)
         pairs = tuple(map(tuple, close.tolist())) if len(close) else ()
@@ -58,7 +60,7 @@ class Scan:
 
 
 @kernel
-def _scan(suspect, rows, before, sessions, bodies, build, half_length, half_width, now_ns):  # type: ignore[no-untyped-def]
+def _scan(suspect, rows, before, sessions, bodies, build, half_length, half_width, edges, rings, now_ns):  # type: ignore[no-untyped-def]
     """Mark the robots (N,) of which something may be wrong; returns whether there are any, and two of their kinds."""
     found = infeasible = rolling = False
     for k in range(len(rows)):
@@ -71,6 +73,8 @@ def _scan(suspect, rows, before, sessions, bodies, build, half_length, half_widt
             wrong = wrong or silent or restarted or r.build != build or r.session != sessions[k]
         if r.seen_ns != _NEVER:
             outside = abs(r.x) + body.radius > half_length - _MORE_M or abs(r.y) + body.radius > half_width - _MORE_M
+            for ring in rings:
+                outside = outside or away(edges, ring, r.x, r.y) < body.radius + _MORE_M
             wrong = wrong or r.unseen_ns >= _LATE_NS or r.lost != 0 or outside
             counts = r.left_angle != 0.0 or r.right_angle != 0.0 or r.left_speed != 0.0 or r.right_speed != 0.0
             if not (counts or r.left_output != 0.0 or r.right_output != 0.0):
@@ -124,5 +128,5 @@ KERNELS = (_scan, _close)
 def compile_kernels() -> None:
     """Compile, or load from the cache, by a look at one robot."""
     rows, bodies = np.zeros(1, ROBOT), np.zeros(1, BODY)
-    _scan(np.zeros(1, np.bool_), rows, rows, np.zeros(1, np.uint64), bodies, 0, 1.0, 1.0, 1)
+    _scan(np.zeros(1, np.bool_), rows, rows, np.zeros(1, np.uint64), bodies, 0, 1.0, 1.0, *outlines(()), 1)
     _close(rows, bodies)

@@ -114,6 +114,7 @@ class Event(IntEnum):
     BEHAVIOUR_NOT_FINITE = 73
     BEHAVIOUR_SHAPE = 74
     BEHAVIOUR_LATE = 75
+    BEHAVIOUR_NO_WAY = 92  # it comes to no goal past what stands in its way
     BEHAVIOUR_STANDS = 76  # with the robot of its group of which one of the events above is told
     # a script that drives a group; told of one of its robots
     SCRIPT_SILENT = 85
@@ -164,7 +165,7 @@ CAUSES = {
     Event.CAMERA_FROZEN: "the camera froze",
     Event.CAMERA_LOST: "the camera is gone, or is another one",
     Event.CAMERA_MOVED: "the camera moved: calibrate its place again",
-    Event.CAMERA_OUT: "no other camera sees what {camera} saw, which gives no poses",
+    Event.CAMERA_OUT: "only {camera} could see it, and that gives no poses",
     Event.POSES_SILENT: "the source of the poses went silent",
     Event.WIRED_STOP: "the robot's own e-stop",
     Event.GATE_LATCHED: "its gate is latched: look at the robot, then reset",
@@ -178,7 +179,7 @@ CAUSES = {
     Event.UNREACHABLE: "its driver has lost the connection to it (unplugged?)",
     Event.RUNAWAY: "a wheel turns by itself",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
-    Event.TAG_LATE: "its tag is not seen",
+    Event.TAG_LATE: "it is not seen",
     Event.TAG_LOST: "the tracker lost the robot",
     Event.TAG_TWICE: "its tag is seen twice",
     Event.POSE_JUMPED: "it was moved by hand",
@@ -205,6 +206,7 @@ CAUSES = {
     Event.BEHAVIOUR_NOT_FINITE: "{group} returned a velocity that is not finite",
     Event.BEHAVIOUR_SHAPE: "{group} returned velocities of a wrong shape",
     Event.BEHAVIOUR_LATE: "{group} took longer than its share of a tick",
+    Event.BEHAVIOUR_NO_WAY: "{group} finds no way to its goals past what stands there",
     Event.BEHAVIOUR_STANDS: "{group} failed, and all its robots stand",
     Event.SCRIPT_SILENT: "{group} no longer hears from its script: it has ended, hangs, or was stopped",
     Event.SCRIPT_FAILED: "{group} has lost its script: it ended by an error",
@@ -295,6 +297,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.BEHAVIOUR_NOT_FINITE: (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_SHAPE:      (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_LATE:       (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.BEHAVIOUR_NO_WAY:     (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BEHAVIOUR_STANDS:     (_SAME, _SAME, _SAME, _SAME, _SAME, _SAME),
     Event.SCRIPT_SILENT:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.SCRIPT_FAILED:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
@@ -364,7 +367,7 @@ class RunStatus(NamedTuple):
 def describe(happening: Happening, robots: tuple[str, ...]) -> str:
     """Return an event in words; ``robots`` are the ids in the order of their numbers."""
     event, robot, detail = happening
-    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall"
+    other = robots[int(detail)] if 0 <= detail < len(robots) else "the wall or to an obstacle"
     group = "the behaviour of its group"
     if isinstance(robots, Roster) and robot < len(robots):
         group += f" {robots.group_of(robot)}"

@@ -20,16 +20,20 @@ from robofleet.tracking.bodies import Body
 from robofleet.tracking.sources import CameraError
 
 LIBRARY = "motioncapture"
-_ANSWER_S = 5.0
+POLLED = frozenset({"vrpn"})  # systems of which the library's waitForNextFrame returns also where nothing came
+_ANSWER_S, _BODY_S = 6.0, 2.0  # until a system answers, until it tells a body
+_LAST_FRAME_S = 0.2
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 2.0
 _ASK = """
-import json, sys
+import json, sys, time
 import motioncapture
-capture = motioncapture.connect(*json.load(sys.stdin))
-names = set()
-for _ in range(10):
+system, options, patience_s = json.load(sys.stdin)
+capture, end_s, names, told = motioncapture.connect(system, options), time.monotonic() + patience_s, set(), 0
+while told < 20 and time.monotonic() < end_s:
     capture.waitForNextFrame()
-    names |= set(capture.rigidBodies)
+    bodies = set(capture.rigidBodies)
+    names |= bodies
+    told += bool(bodies)
 print(json.dumps(sorted(names)))
 """
 
@@ -95,10 +99,10 @@ def read(capture: Capture, clock: Clock) -> CaptureFrame:
 
 
 def bodies_there(settings: MocapSettings) -> list[str]:
-    """Return the names of the bodies that a system tracks now; CameraError where it does not answer."""
+    """Return the names of the bodies that a system tracks now; CameraError where it does not answer, or tracks none."""
     if find_spec(LIBRARY) is None:
         raise CameraError(f"the library {LIBRARY} is missing: pip install 'robofleet[mocap]'")
-    given = json.dumps([settings.system, _options(settings)])
+    given = json.dumps([settings.system, _options(settings), _BODY_S])
     where = f"{settings.system} at {settings.host}"
     try:
         asked = subprocess.run(
@@ -111,6 +115,9 @@ def bodies_there(settings: MocapSettings) -> list[str]:
         why = (asked.stderr.strip().splitlines() or [f"exit code {asked.returncode}"])[-1]
         raise CameraError(f"{where}: the library {LIBRARY} says: {why.partition(': ')[2] or why}: mend tracker.mocap")
     names: list[str] = json.loads(asked.stdout.splitlines()[-1])
+    if not names:
+        mend = "start its server, let it track the robots, and compare tracker.mocap.host with its address"
+        raise CameraError(f"{where} sends no body: {mend}")
     return names
 
 
@@ -129,18 +136,21 @@ class CaptureReader:
     """Reads a system in a thread of its own. Of frames that nobody took the newest one is kept.
 
     One that fails is opened again, ever more patiently. One that is silent is waited for: who takes the frames has
-    to notice.
+    to notice. What a ``polled`` one gives again bit by bit, or without a body, is no frame: nothing came.
     """
 
-    def __init__(self, open_capture: Callable[[], Capture], clock: Clock, wake: Wake) -> None:
+    def __init__(
+        self, open_capture: Callable[[], Capture], clock: Clock, wake: Wake, *, polled: bool = False
+    ) -> None:  # fmt: skip
         """Open it here and now: CameraError where that fails."""
-        self._open, self._clock, self._wake = open_capture, clock, wake
+        self._open, self._clock, self._wake, self._polled = open_capture, clock, wake, polled
         self._capture: Capture | None = open_capture()
         self._newest: CaptureFrame | None = None
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._pause_s = _FIRST_PAUSE_S
-        threading.Thread(target=self._run, daemon=True).start()  # it may wait for ever: nobody waits for it
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
     def next_ns(self) -> int | None:
         """Return None: a frame wakes the process."""
@@ -153,10 +163,12 @@ class CaptureReader:
         return newest
 
     def close(self) -> None:
-        """Take no more frames."""
+        """End the thread, over which an interpreter that ends may abort; that of a silent system stays."""
         self._closing.set()
+        self._thread.join(_LAST_FRAME_S)
 
     def _run(self) -> None:
+        last: dict[str, Body] = {}
         while not self._closing.is_set():
             try:
                 if self._capture is None:
@@ -166,6 +178,9 @@ class CaptureReader:
                 self._fail(str(error) or type(error).__name__)
                 continue
             self._pause_s = _FIRST_PAUSE_S
+            if self._polled and frame.bodies in ({}, last):
+                continue
+            last = frame.bodies
             with self._lock:
                 self._newest = frame
             self._wake(0)

@@ -11,6 +11,7 @@ import pytest
 from robofleet.behaviours.go_to import GoTo
 from robofleet.behaviours.interface import Situation, Team
 from robofleet.config import groups
+from robofleet.safety.supervisor import Event
 from robofleet.vehicles.differential_drive import arc, feasible_ratio, wheels_from_body
 from tests.behaviours.go_to_trials import configuration, go
 
@@ -37,6 +38,7 @@ class Floor:
         self.behaviour, self.poses = behaviour, np.array(starts)
         self.driving, self.others, self.t = np.ones(len(starts), dtype=np.bool_), NOBODY, 0.0
         self.figures: Mapping[str, Any] = {}
+        self.holds: list[float] = []  # when the run was to be held
 
     def tick(self) -> None:
         team, n = self.behaviour.team, len(self.poses)
@@ -44,6 +46,9 @@ class Floor:
         decision = self.behaviour.decide(now)
         assert decision.of == "body"
         assert np.isfinite(decision.velocities).all()
+        if decision.hold is not None:
+            assert decision.hold is Event.BEHAVIOUR_NO_WAY
+            self.holds.append(self.t)
         u = np.zeros((n, 2))
         for i, asked in enumerate(decision.velocities.tolist()):
             d, psi = team.drives[i], float(self.poses[i, 2])
@@ -141,6 +146,9 @@ def test_where_there_is_no_way_robots_stand_until_there_is_one() -> None:
     floor.others = wall
     assert not floor.until(4.0)
     assert floor.poses[0, 0] == -0.8
+    assert not floor.holds
+    assert not floor.until(24.0)
+    assert len(floor.holds) == 2, "where no way is found for long the run is held, and again after it was resumed"
     floor.others = NOBODY
     assert floor.until(30.0)
 

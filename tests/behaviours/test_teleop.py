@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 
 from robofleet.behaviours.interface import Situation, Wish, WishKind
 from robofleet.behaviours.teleop import Teleop
+from robofleet.comms.keys import STATUS, key
+from robofleet.comms.messages import UNIT_STATUS
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.processes.lockstep import Lockstep
+from robofleet.safety.supervisor import Phase
 
 CONFIG = load_config(SHIPPED / "teleop.yaml")
 TEAM = groups.team(CONFIG, CONFIG.groups[0])
@@ -53,8 +56,21 @@ def test_a_command_that_is_too_old_counts_for_nothing(age: float, own: float) ->
 
 
 @pytest.mark.parametrize("its", [None, *(wish(0.05, 0.1, kind=kind) for kind in WishKind if kind not in MOVES)])
-def test_without_a_command_it_stands(its: Wish | None) -> None:
-    assert not body(Teleop(SETTINGS, TEAM), np.zeros((N, 3)), its).any()
+def test_without_a_command_everybody_stands(its: Wish | None) -> None:
+    assert not strung_out(its).any()
+
+
+def test_after_a_command_that_is_too_old_everybody_stands() -> None:
+    assert not strung_out(wish(0.05, 0.1, SETTINGS.silent_s + 0.01)).any()
+    assert strung_out(wish(0.05, 0.1, SETTINGS.silent_s)).any(axis=1).all()
+
+
+def strung_out(its: Wish | None) -> np.ndarray:
+    """Return the velocities of robots that are twice their spacing apart, and on each other's ways."""
+    behaviour, poses = Teleop(SETTINGS, TEAM), np.zeros((N, 3))
+    poses[:, 0] = -2.0 * SETTINGS.spacing_m * np.arange(N)
+    behaviour.decide(situation(poses, its))
+    return behaviour.decide(situation(poses, its)).velocities
 
 
 @pytest.mark.parametrize("row", range(N))
@@ -78,7 +94,7 @@ def test_followers_take_the_way_of_the_robot_ahead_and_stop_behind_it() -> None:
     errors, trails = [], []
     for lead in leads:
         poses = np.column_stack([points - [L, 0.0], np.zeros(N)])
-        told = behaviour.decide(situation(poses))
+        told = behaviour.decide(situation(poses, wish(0.0, 0.0)))
         told.velocities[0] = lead
         errors.append(told.figures["following_error"][1:])
         trails.append(points.copy())
@@ -96,10 +112,36 @@ def test_a_follower_stands_while_the_robot_ahead_is_near() -> None:
     behaviour = Teleop(SETTINGS, TEAM)
     poses = np.zeros((N, 3))
     poses[:, 0] = -0.8 * SETTINGS.spacing_m * np.arange(N)
-    assert not behaviour.decide(situation(poses)).velocities[1:].any()
+    assert not behaviour.decide(situation(poses, wish(0.0, 0.0))).velocities[1:].any()
+
+
+@pytest.mark.parametrize(
+    ("keys", "broken"),
+    [
+        ({}, set()),
+        ({"spacing_m": 0.05}, {"settings.spacing_m"}),
+        ({"max_speed_m_s": 0.21}, {"settings.max_speed_m_s"}),
+        ({"max_speed_m_s": 5.0}, {"settings.max_speed_m_s"}),
+    ],
+)
+def test_what_no_robot_can_do_or_the_barrier_keeps_apart_is_refused(keys: dict[str, float], broken: set[str]) -> None:
+    bounds = list(Teleop(SETTINGS.model_copy(update=keys), TEAM).bounds())
+    assert {bound.path for bound in bounds if not bound.holds} == broken
+    assert {bound.path for bound in bounds} == {"settings.spacing_m", "settings.max_speed_m_s"}
 
 
 def test_in_a_run_nobody_moves_before_the_first_command() -> None:
     config = load_config(SHIPPED / "teleop.yaml", ["run.duration_s=1", "tracker.source=truth"])
     run = Lockstep(config)
+    outputs: list[tuple[float, float]] = []
+    statuses = [key(config.arena.name, STATUS, unit) for unit in config.units]
+
+    def tap(message: tuple[str, bytes]) -> None:
+        full, payload = message
+        if run.status.phase is Phase.RUNNING and full in statuses and (its := UNIT_STATUS.decode(payload)) is not None:
+            outputs.extend((gate.left_output_rad_s, gate.right_output_rad_s) for gate in its.robots)
+
+    run.bus.tap(tap)
     assert run.run() == ("completed", None)
+    assert len(outputs) > N * 40
+    assert not np.any(outputs)

@@ -55,6 +55,19 @@ def test_a_goal_to_which_no_way_leads_is_refused() -> None:
     assert all("no way leads from" in line and "fence" in line for line in lines)
 
 
+NEAREST = "groups.0.settings.assignment=nearest"
+FENCE = "arena.obstacles=[{name: fence, polygon_m: [[-0.02, -1.0], [0.02, -1.0], [0.02, 1.0], [-0.02, 1.0]]}]"
+
+
+def test_goals_that_are_shared_out_must_leave_each_robot_one_to_which_a_way_leads() -> None:
+    """Two robots stand on either side of the fence, and so do two goals: who has which is left to them."""
+    load_checked(OURS, [TRUTH, NEAREST, FENCE], lockstep=True)
+    away = "groups.0.settings.goals.r1={x_m: -0.9, y_m: 0.2, heading_deg: 0}"
+    (line,) = refused(OURS, NEAREST, FENCE, away)
+    assert "groups.0.settings.goals: no way leads from r" in line
+    assert "to a goal that is left for it past fence" in line
+
+
 def test_a_configuration_with_obstacles_is_written_and_read_back(tmp_path: Path) -> None:
     config = load_config(OURS)
     (tmp_path / "again.yaml").write_text(resolved_yaml(config))
@@ -78,6 +91,7 @@ CART = "{name: cart, tag: %s, radius_m: 0.12, start: {x_m: %s, y_m: %s, heading_
     [
         (CART % (1, 0, 0), "arena.moving.0.tag", "1 is robots.0's already"),
         ("{name: r1, tag: 40, radius_m: 0.12}", "arena.moving.0.name", "r1 is robots.0's already"),
+        ("{name: r1, tag: 1, radius_m: 0.12}", "arena.moving.0.name", "r1 is robots.0's already"),
         ("{name: cart, tag: 40, radius_m: 0.12}", "arena.moving.0.start", "missing"),
         (CART % (40, 0.9, 0.62), "arena.moving.0.start", "park cart further away"),
     ],

@@ -24,10 +24,11 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.gateways.gamepad import driving
-from robofleet.gateways.gamepad.pads import ABS_Y, BTN_TR, EV_ABS, EV_KEY
+from robofleet.gateways.gamepad.pads import ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
+from tests.gateways.piped_pad import PipedDevice
 from tests.processes.browser import chromium
 from tests.processes.realrun import CLOCK, RealRun
-from tests.processes.test_hand import GROUP, STUB, TELEOP, Pipe
+from tests.processes.test_hand import GROUP, STUB, TELEOP
 
 _WITHIN_NS = 5 * S
 Act = Callable[[bool], int]  # hold the button, or let it go; returns when that was
@@ -36,8 +37,9 @@ Act = Callable[[bool], int]  # hold the button, or let it go; returns when that 
 @contextmanager
 def pad(config: Config, bus: ZenohBus) -> Iterator[Act]:
     """Drive by a gamepad of this computer."""
-    one, over = Pipe(), threading.Event()
-    threading.Thread(target=driving.drive, args=(one, config, bus, CLOCK, GROUP, over.is_set), daemon=True).start()
+    one, over = PipedDevice(), threading.Event()
+    driven = EventPad(one), config, bus, CLOCK, GROUP, over.is_set
+    threading.Thread(target=driving.drive, args=driven, daemon=True).start()
     one.happens((EV_ABS, ABS_Y, -32768))
 
     def act(held: bool) -> int:

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.clock import MS
 from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
 from robofleet.processes.deciding import Deciding, timed_by
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.reading import read
@@ -149,3 +150,13 @@ def at_rest(folder: Path) -> bool:
     """Return whether the newest that every driver said of its wheels is that they were told to stand and do."""
     statuses = Run(read(folder), every_tick=True).statuses
     return all(not rows[name][-1] for rows in statuses for name in ("left_output_rad_s", "right_output_rad_s"))
+
+
+def test_a_group_that_finds_no_way_holds_the_run_and_is_named() -> None:
+    fence = "{name: fence, polygon_m: [[-0.02, -1.0], [0.02, -1.0], [0.02, 1.0], [-0.02, 1.0]]}"
+    config = load_config(SHIPPED / "obstacles.yaml", ["tracker.source=truth", f"arena.obstacles=[{fence}]"])
+    run = Lockstep(config)
+    run.request(b"start")
+    assert run.advance(30.0, lambda: run.status.phase is Phase.HOLD)
+    assert run.status.describe(config.ids).startswith("r1: the behaviour of its group go_to finds no way to its goals")
+    run.close()

@@ -1,7 +1,6 @@
 """A gamepad's stick, on the page and at a computer: what is wished, by which tick, and what happens at the release."""
 
 import math
-import os
 import threading
 from collections.abc import Callable, Iterator
 
@@ -16,11 +15,12 @@ from robofleet.comms.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_S
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import driving
-from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_SOUTH, BTN_TR, EV_ABS, EV_KEY, Held
+from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from robofleet.processes.hand import Hand, Hands, Stick
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.rescues import Way
 from robofleet.safety.supervisor import NOBODY, Event, Phase
+from tests.gateways.piped_pad import PipedDevice
 from tests.processes.browser import chromium
 from tests.processes.openpage import Fleet, Seen, opened
 from tests.processes.realrun import CLOCK, wait
@@ -29,7 +29,8 @@ from tests.processes.webstand import WebStand, web_stand
 TELEOP = SHIPPED / "teleop.yaml"
 GROUP, MOST_V, MOST_OMEGA, CRAWL = "teleop", 0.1, 1.2, 0.05
 STUB = """
-  window.pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
+  const buttons = Array.from({ length: 17 }, () => ({ pressed: false }));
+  window.pad = { connected: true, index: 0, axes: [0, 0, 0, 0], buttons };
   window.pads = [];
   navigator.getGamepads = () => window.pads;
 """
@@ -77,7 +78,8 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
     page.becomes(lambda: "Press a button of a gamepad" in page.text("gamepad-words"))
     page.run("pads = [pad]; pad.axes = [-0.5, -1, 0, 0]")
     page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
-    assert wished.newest() is None, "without the button nothing is said"
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    assert len(wished.all) == 1, "without the button nothing is said, but once that it is up"
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V, 0.5 * MOST_OMEGA))
     assert page.text("gamepad-words") == "r1 is driven."
@@ -98,7 +100,9 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
 
 def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_go(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
-    page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]; pad.buttons[5].pressed = true")
+    page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]")
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
     assert not page.shown("gamepad-out")
     page.fleet.phase, page.fleet.cause = Phase.HOLD, Event.DEADLOCKED
@@ -126,12 +130,42 @@ def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_g
 
 def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
-    drive = "pad.buttons[4].pressed = true; pad.axes = [0, -1, 0, 0]; pads = [pad]"
     for ending in ("pads = []", "location.href = 'about:blank'"):
-        page.run(drive)
+        wished.all.clear()
+        page.run("pad.buttons[4].pressed = false; pad.axes = [0, -1, 0, 0]; pads = [pad]")
+        page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+        page.run("pad.buttons[4].pressed = true")
         page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
         page.browser.execute_script(ending)
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
+
+
+def test_a_gamepad_that_comes_with_its_button_held_drives_after_a_new_press(page: Seen, stand: WebStand) -> None:
+    wished = Wished(stand)
+    page.run("pad.axes = [0, -1, 0, 0]; pad.buttons[4].pressed = true; pads = [pad]")
+    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+    assert wished.newest() is None
+    page.run("pad.buttons[4].pressed = false")
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.run("pad.buttons[4].pressed = true")
+    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+
+
+def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> None:
+    """As where a page's link breaks and opens again under a finger that was never lifted."""
+    config = load_config(TELEOP)
+    bus, said = Lockstep(config).bus, list[WishKind]()
+    bus.tap(lambda message: said.append(WishKind(wish.kind)) if (wish := SCRIPT_WISH.decode(message[1])) else None)
+    hands = Hands(bus, config)
+    for tick, stick, out in ((0, HELD, None), (1, HELD, None), (2, HELD, "r2"), (3, HELD, "r2")):
+        assert hands.drive(GROUP, stick, tick, out)
+    assert not said
+    for stick in (LET_GO, LET_GO, HELD):
+        hands.drive(GROUP, stick, 4, "r2")
+    assert said == [WishKind.STAND, WishKind.RESCUE]
+    hands.drive(GROUP, HELD, 5)
+    hands.drive(GROUP, HELD, 6)
+    assert said[2:] == [WishKind.STAND], "it is held for something else"
 
 
 @pytest.mark.parametrize(
@@ -166,49 +200,17 @@ def _closed(receive: Callable[[float], object]) -> bool:
     return False
 
 
-class Pipe:
-    """A gamepad whose events come through a pipe: /dev/uinput is not everywhere. What reads them is the real one."""
-
-    name = "a pipe"
-
-    def __init__(self) -> None:
-        self._reading, self._writing = os.pipe()
-        self._held = Held({ABS_X: (0, 255), ABS_Y: (-32768, 32767)})
-        self._events: list[tuple[int, int, int]] = []
-
-    def fileno(self) -> int:
-        return self._reading
-
-    def read(self) -> Stick:
-        if self._events:
-            os.read(self._reading, 4096)
-        events, self._events = self._events, []
-        return self._held.take(events)
-
-    def happens(self, *events: tuple[int, int, int]) -> None:
-        self._events += events
-        os.write(self._writing, b".")
-
-
-def test_a_sticks_range_is_its_devices_own_and_only_shoulder_buttons_hold() -> None:
-    held = Held({ABS_X: (0, 255), ABS_Y: (-32768, 32767)})
-    assert held.take([(EV_ABS, ABS_X, 255), (EV_ABS, ABS_Y, -32768)]) == Stick(1.0, -1.0, False)
-    assert held.take([(EV_ABS, ABS_X, 128), (EV_ABS, ABS_Y, 600)]) == Stick(0.0, 0.0, False)
-    assert not held.take([(EV_KEY, BTN_SOUTH, 1)]).held
-    assert held.take([(EV_KEY, BTN_TR, 1)]).held
-    assert not held.take([(EV_KEY, BTN_TR, 0)]).held
-
-
 def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
-    wished, pad, over = Wished(stand), Pipe(), threading.Event()
+    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
     config, bus = stand.config, stand._bus
 
     def drive() -> None:
-        driving.drive(pad, config, bus, CLOCK, GROUP, over.is_set)
+        driving.drive(EventPad(pad), config, bus, CLOCK, GROUP, over.is_set)
 
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:
         thread.start()
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_ABS, ABS_Y, -32768), (EV_ABS, ABS_X, 0))
         pad.happens((EV_KEY, BTN_TR, 1))
         assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
@@ -225,10 +227,12 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
 
 def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> None:
     """Its supervisor is another one; its bus may be in the same place."""
-    config, pad = load_config(TELEOP), Pipe()
+    config, device = load_config(TELEOP), PipedDevice()
     bus = MemoryBus(config.arena.name, CLOCK, 0)
     say = bus.publisher(STATE)
-    thread = threading.Thread(target=driving.drive, args=(pad, config, bus, CLOCK, GROUP, lambda: False), daemon=True)
+    thread = threading.Thread(
+        target=driving.drive, args=(EventPad(device), config, bus, CLOCK, GROUP, lambda: False), daemon=True
+    )
     thread.start()
 
     def ends(epoch: int) -> bool:
@@ -236,21 +240,23 @@ def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> Non
         thread.join(0.05)
         return not thread.is_alive()
 
-    pad.happens((EV_KEY, BTN_TR, 0))
+    device.happens((EV_KEY, BTN_TR, 0))
     assert not any(ends(1) for _ in range(10))
     assert wait(lambda: ends(2), 5.0)
 
 
 def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
-    """Return what the first robot's gate lets through in a run in lockstep: instants [s], left, right [rad/s].
+    """Return what each robot's gate lets through in a run in lockstep: instants [s], its faster wheel [rad/s].
+
+    A robot a column, in the order of the group; a status a row, with 0 for the robots of which it says nothing.
 
     ``said``: what a person does at a tick of the run; None: the link is dead.
     """
     config = load_config(TELEOP, ["run.duration_s=1.5", "tracker.source=truth", "drivers.robots_per_process=1"])
     run = Lockstep(config)
     hand = Hand(run.bus, config, GROUP, Way.GAMEPAD)
-    tick, status = key(config.arena.name, TICK), key(config.arena.name, STATUS, "r1")
-    found: list[tuple[float, float, float]] = []
+    tick, statuses = key(config.arena.name, TICK), [key(config.arena.name, STATUS, one) for one in config.ids]
+    found: list[tuple[float, ...]] = []
 
     def tap(message: tuple[str, bytes]) -> None:
         full, payload = message
@@ -259,8 +265,10 @@ def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
             started.append(now_s) if not started else None
             if (stick := said(record.run_tick)) is not None:
                 hand.drive(stick, record.tick)
-        elif full == status and started and (its := UNIT_STATUS.decode(payload)) is not None:
-            found.append((now_s - started[0], its.robots[0].left_output_rad_s, its.robots[0].right_output_rad_s))
+        elif full in statuses and started and (its := UNIT_STATUS.decode(payload)) is not None:
+            (gate,) = its.robots
+            fastest = max(abs(gate.left_output_rad_s), abs(gate.right_output_rad_s))
+            found.append((now_s - started[0], *(fastest * (full == one) for one in statuses)))
 
     started: list[float] = []
     run.bus.tap(tap)
@@ -275,8 +283,9 @@ HELD, LET_GO, TICK_S = Stick(1.0, 0.0, True), Stick(1.0, 0.0, False), 0.033
 def test_wheels_follow_the_stick_and_stand_soon_after_its_end(end: Stick | None) -> None:
     begin_tick, end_tick = 10, 30
     wheels = driven(lambda tick: LET_GO if tick < begin_tick else HELD if tick < end_tick else end)
-    times, turning = wheels[:, 0], np.abs(wheels[:, 1:]).max(axis=1) > 0.0
-    first, last = times[turning].min(), times[turning].max()
+    times, turning = wheels[:, 0], wheels[:, 1:] > 0.0
+    assert turning[:, 1:].any(axis=0).all(), "the others follow"
+    first, last = times[turning[:, 0]].min(), times[turning.any(axis=1)].max()
     assert begin_tick * TICK_S < first <= begin_tick * TICK_S + WHEELS_WITHIN_S + 0.02, "and a status is 20 ms apart"
     newest = (end_tick if end is not None else end_tick - 1) * TICK_S
     allowed = 0.040 if end is not None else STANDS_WITHIN_S + TICK_S
@@ -288,10 +297,10 @@ def test_without_the_button_nothing_is_driven() -> None:
 
 
 def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
-    wished, pad, over = Wished(stand), Pipe(), threading.Event()
+    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
 
     def drive() -> None:
-        driving.drive(pad, stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
+        driving.drive(EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
 
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:

@@ -148,7 +148,7 @@ def test_a_robots_row_says_why_it_may_not_move(view: View) -> None:
     view.state(Phase.RUNNING, robots=(WELL, RobotState(0, 0, Event.TAG_LATE), WELL, WELL))
     shown = view.shown("running", 120)
     assert row(shown, "r1").rstrip().endswith("wired stop")
-    assert "its tag is not seen" in row(shown, "r2")
+    assert "it is not seen" in row(shown, "r2")
     assert "no enable" in row(shown, "r3")
     assert "open" in row(shown, "r4")
 

@@ -174,7 +174,8 @@ def test_who_asks_again_and_again_goes_on_looking(stand_of: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "why"), [("tracker.source=truth", "there is no camera"), ("camera.picture_rate_hz=0", "picture_rate_hz")]
+    ("change", "why"),
+    [("tracker.source=truth", "tracker.source is not camera"), ("camera.picture_rate_hz=0", "picture_rate_hz")],
 )
 def test_where_there_are_no_pictures_a_request_is_refused(stand_of: Make, change: str, why: str) -> None:
     stand = stand_of(change)

@@ -86,7 +86,7 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
     shown = [figure["key"] for figure in hello["figures"]].index("control_error_mm")
     assert [its["figures"][shown] for its in (first, second, third)] == [1.23, None, 2.0]
     assert [its["reference_x_m"] for its in (first, second, third)] == [0.6, None, 0.2]
-    assert (first["gate"], first["latch"], first["halted"]) == ("no enable", None, "its tag is not seen")
+    assert (first["gate"], first["latch"], first["halted"]) == ("no enable", None, "it is not seen")
     assert (first["filtered"], first["lost"], first["battery"]) == (1, 0, 0.5)
     assert (second["gate"], second["halted"]) == ("open", None)
     assert 0 <= second["age_ms"] < 1000
@@ -212,7 +212,7 @@ def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: Web
         page.next("tick", lambda tick: tick["t_s"] == 9.9)
         for halted in (Event.TAG_LATE, Event.NOTHING) * 51:
             stand.say_state(Phase.RUNNING, Event.PROVED, halted=halted)
-            expected = "r1: stands still: its tag is not seen" if halted else "r1: may move again"
+            expected = "r1: stands still: it is not seen" if halted else "r1: may move again"
             event = page.next("event", lambda event, expected=expected: event["text"] == expected)  # type: ignore[misc]
             assert (event["at"], event["level"]) == (9.9, "warning" if halted else "info")
         stand.say_state(Phase.ESTOP, Event.WIRED_STOP, 1)

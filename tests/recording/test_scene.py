@@ -181,8 +181,8 @@ def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_st
         viewer.tell(key("platoon", STATUS, "r1"), ROBOT_STATUS.encode(latched), 9 * S)
     assert viewer.log == [
         (INFO, "supervisor", "running: every check passed"),
-        (WARNING, "r2", "stands still: its tag is not seen"),
-        (WARNING, "r3", "stands still: its tag is not seen"),
+        (WARNING, "r2", "stands still: it is not seen"),
+        (WARNING, "r3", "stands still: it is not seen"),
         (INFO, "r2", "may move again"),
         (ERROR, "supervisor", "fault: r3: the tracker lost the robot"),
         (WARNING, "tracker", "camera stalled: no image for 0.50 s"),

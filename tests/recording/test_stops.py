@@ -66,7 +66,7 @@ def test_what_the_operator_asked_for_is_no_stop_by_itself(told: Make, phase: Pha
 
 
 def test_a_robot_that_stands_alone_has_its_own_cause(told: Make) -> None:
-    assert causes(told((*RUNNING, 0xFFFF, (Event.TAG_LATE, 0, 0, 0)))) == ["no enable: its tag is not seen"]
+    assert causes(told((*RUNNING, 0xFFFF, (Event.TAG_LATE, 0, 0, 0)))) == ["no enable: it is not seen"]
     assert causes(told((*RUNNING, 0xFFFF, (0, Event.TAG_LATE, 0, 0)))) == ["no enable"], "that was another robot"
 
 

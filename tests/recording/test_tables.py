@@ -153,7 +153,7 @@ def test_a_running_arenas_status_says_who_may_move_and_who_is_silent() -> None:
         "latch": "wired stop",
         "battery": None,
         "age_ms": 9.0,
-        "halted": "its tag is not seen",
+        "halted": "it is not seen",
     }
     silent = dict.fromkeys(drives)
     robots = [{"id": f"r{k}"} | robot for k, robot in enumerate((drives, stands, silent), 1)]
@@ -162,7 +162,7 @@ def test_a_running_arenas_status_says_who_may_move_and_who_is_silent() -> None:
     text = printed(status_table(status | where))
     assert "lab: hold (r2: it was moved by hand)" in text
     assert row(text, "r1").split() == ["r1", "open", "none", "93", "%", "12", "ms", "ago"]
-    for said in ("no enable", "wired stop", "unknown", "its tag is not seen"):
+    for said in ("no enable", "wired stop", "unknown", "it is not seen"):
         assert said in row(text, "r2")
     assert "silent" in row(text, "r3")
     assert "None" not in text

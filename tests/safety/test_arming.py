@@ -9,10 +9,11 @@ from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage, free_m
 from robofleet.safety.gate import Latch
 from robofleet.safety.starts import Reason
-from robofleet.safety.supervisor import Event, Happening
+from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView
 from robofleet.safety.wiggle import BACK, FORTH, room_m
 from robofleet.vehicles.interface import RobotFault
+from robofleet.vehicles.solids import Solid
 from tests.safety.arming_lab import BODY_M, MS, PROVED, Alter, Lab, S, one
 from tests.safety.arming_scenarios import HEALTHY, REFUSED, Scenario
 
@@ -237,6 +238,33 @@ def test_room_is_just_enough_or_not(
     lab.alter = one(0, pose=(0.0, 0.0, 0.0)) if apart_m is None else in_line(apart_m)
     happening = lab.run(10.0, done=lambda state: state.stage is Stage.DRILL)
     assert (None if happening is None else happening.event) is event
+
+
+SQUARE = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+NOTCHED = Solid("floor", ((-2.0, -2.0), (2.0, -2.0), (2.0, 0.0), (0.0, 0.0), (0.0, 2.0), (-2.0, 2.0)), floor=True)
+
+
+@pytest.mark.parametrize(
+    ("solid", "x_m", "event"),
+    [
+        (Solid("pillar", ((0.0, 0.2),), 0.5), 0.6 + FREE_M + 1e-9, None),
+        (Solid("pillar", ((0.0, 0.2),), 0.5), 0.6 + FREE_M - 1e-6, Event.TOO_CLOSE),
+        (Solid("box", SQUARE), 0.6 + FREE_M + 1e-9, None),
+        (Solid("box", SQUARE), 0.6 + FREE_M - 1e-6, Event.TOO_CLOSE),
+        (Solid("box", SQUARE), 0.1, Event.TOO_CLOSE),  # it stands in it
+        (NOTCHED, -0.1 - FREE_M - 1e-9, None),
+        (NOTCHED, -0.1 - FREE_M + 1e-6, Event.TOO_CLOSE),
+        (NOTCHED, -0.0999, Event.OUTSIDE_ARENA),
+        (NOTCHED, 0.5, Event.OUTSIDE_ARENA),
+    ],
+)
+def test_a_wiggle_has_room_to_obstacles_and_to_the_floors_end(solid: Solid, x_m: float, event: Event | None) -> None:
+    lab = Lab(1)
+    lab.settings = lab.settings._replace(body_radius=(0.1,), arena=(9.0, 9.0), solids=(solid,))
+    lab.alter = one(0, pose=(x_m, 0.2, 0.0))
+    happening = lab.run(10.0, done=lambda state: state.stage is Stage.DRILL)
+    assert (None if happening is None else happening.event) is event
+    assert happening is None or happening.detail == (NOBODY if event is Event.TOO_CLOSE else 0.0)
 
 
 def in_line(apart_m: float) -> Alter:

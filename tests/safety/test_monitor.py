@@ -11,6 +11,7 @@ from robofleet.safety.monitor import SILENT_NS, Memory, MonitorSettings
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import WIRED_STOP, RobotFault
+from robofleet.vehicles.solids import Solid
 
 MS = 1_000_000
 S = 1000 * MS
@@ -124,6 +125,16 @@ def test_nothing_is_told_of_a_healthy_fleet(phase: Phase) -> None:
 def test_a_tag_that_is_unseen_for_two_seconds_is_lost_and_no_longer_late() -> None:
     assert told(robot(1, unseen_ns=2 * S - 1)) == [Happening(Event.TAG_LATE, 1)]
     assert told(robot(1, unseen_ns=2 * S, lost=True)) == [Happening(Event.TAG_LOST, 1)]
+
+
+@pytest.mark.parametrize(("x_m", "outside"), [(-0.0501, False), (-0.0499, True), (0.7, True)])
+def test_a_robot_off_a_floor_that_is_a_polygon_is_outside(x_m: float, outside: bool) -> None:
+    corners = ((-1.5, -1.0), (1.5, -1.0), (1.5, 0.3), (0.0, 0.3), (0.0, 1.0), (-1.5, 1.0))
+    settings = SETTINGS._replace(floors=(Solid("floor", corners, floor=True),))
+    view = robot(0, pose=(x_m, 0.6, 0.0))(healthy(NOW))
+    memory, _ = monitor.watch(Memory(), settings, Phase.RUNNING, view)
+    _, happenings = monitor.watch(memory, settings, Phase.RUNNING, view)
+    assert happenings == (Happening(Event.OUTSIDE_ARENA, 0),) * outside
 
 
 def test_a_robot_is_not_outside_where_it_was_seen_long_ago() -> None:

@@ -119,7 +119,7 @@ def test_a_run_is_not_resumed_into_what_would_hold_it_at_once() -> None:
     """In HOLD itself too close is no event any more."""
     close = (Happening(Event.TOO_CLOSE, 1, NOBODY),)
     assert why(Event.RESUME_REQUESTED, Phase.HOLD, standing=close) == (
-        "b: it is too close to the wall: mend it, then resume, or stop"
+        "b: it is too close to the wall or to an obstacle: mend it, then resume, or stop"
     )
 
 

@@ -28,8 +28,8 @@ def view(at_ns: int = NOW, tick: int = TICK, robots: tuple[RobotView, ...] = (WE
 
 
 def pressed(word: Word = ASKS, *, status: RunStatus = HELD, seen: FleetView | None = None) -> Rescue:
-    """Let a button be pressed that was not held before."""
-    before = watch(Rescue(), (), status, (), view())
+    """Let a button be pressed that was heard to be up before."""
+    before = watch(Rescue(), (LETS_GO._replace(hand=word.hand),), status, (), view())
     return watch(before, (word,), status, (), seen or view())
 
 
@@ -76,6 +76,35 @@ def test_another_robot_and_another_hand_wait_for_the_release() -> None:
         assert rescue.robot == NOBODY, other
         rescue = watch(rescue, (LETS_GO._replace(hand=other.hand),), HELD, (), view())
         assert watch(rescue, (other,), HELD, (), view()).robot == other.robot
+
+
+def test_after_a_silence_a_button_that_was_never_heard_up_moves_nothing() -> None:
+    later = view(NOW + 200 * MS, TICK + 6, (WELL._replace(heard_ns=NOW + 200 * MS),) * N)
+    again = ASKS._replace(tick=TICK + 6)
+    rescue = watch(pressed(), (), HELD, (), later)
+    assert rescue.robot == NOBODY
+    for _ in range(3):
+        rescue = watch(rescue, (again,), HELD, (), later)
+        assert rescue.robot == NOBODY
+    rescue = watch(rescue, (LETS_GO,), HELD, (), later)
+    assert watch(rescue, (again,), HELD, (), later).robot == 0
+    assert watch(pressed(), (again,), HELD, (), later).robot == NOBODY, "and where nobody looked in between"
+
+
+def test_a_hand_that_was_not_heard_up_before_it_pressed_moves_nothing() -> None:
+    assert watch(Rescue(), (ASKS,), HELD, (), view()).robot == NOBODY
+    assert watch(watch(Rescue(), (), HELD, (), view()), (ASKS,), HELD, (), view()).robot == NOBODY
+
+
+def test_who_still_holds_the_button_does_not_go_on_when_a_second_person_lets_go() -> None:
+    second = ASKS._replace(hand=2)
+    rescue = watch(pressed(), (second,), HELD, (), view())
+    assert rescue.robot == NOBODY
+    for words in ((LETS_GO._replace(hand=2),), (ASKS,), (ASKS,)):
+        rescue = watch(rescue, words, HELD, (), view())
+        assert rescue.robot == NOBODY
+    rescue = watch(rescue, (LETS_GO,), HELD, (), view())
+    assert watch(rescue, (ASKS,), HELD, (), view()).robot == 0
 
 
 @pytest.mark.parametrize(
@@ -167,19 +196,25 @@ MOMENTS = st.builds(
 def test_whatever_comes_one_robot_at_most_is_driven_out_and_none_without_a_button_pressed_in_this_hold(
     moments: list[Moment],
 ) -> None:
-    """By an account of its own: what each hand holds, when it was heard, and what it has let go."""
+    """By an account of its own: what each hand holds, when it was heard, and whether it pressed after it let go."""
     rescue, now_ns = Rescue(), NOW
     permitted: list[int] = []
     newest: dict[int, tuple[Word, int]] = {}  # of each hand that holds its button
+    pressed: set[int] = set()  # hands that let go, and held their button since in this HOLD alone, heard all the time
     for moment in moments:
         now_ns += moment.passed_ms * MS
         robots = tuple(WELL._replace(heard_ns=now_ns, faults=int(row == moment.ill)) for row in range(N))
         standing = (Happening(Event.TAG_LOST, 1),) * moment.lasting
         rescue = watch(rescue, moment.words, RunStatus(moment.phase), standing, view(now_ns, TICK, robots))
+        pressed -= {hand for hand, (_, at_ns) in newest.items() if now_ns - at_ns > WORD_NS}
         for word in moment.words:
             newest.pop(word.hand, None)
             if word.held:
                 newest[word.hand] = word, now_ns
+            else:
+                pressed.add(word.hand)
+        if moment.phase is not Phase.HOLD:
+            pressed -= newest.keys()
         permitted.append(rescue.robot)
         if rescue.robot != NOBODY:
             assert moment.phase is Phase.HOLD
@@ -190,5 +225,6 @@ def test_whatever_comes_one_robot_at_most_is_driven_out_and_none_without_a_butto
             ]
             assert holding, "somebody holds the button for this robot"
             assert any(TICK - word.tick <= WORD_TICKS for word in holding)
+            assert any(word.hand in pressed for word in holding)
     for before, after in pairwise(permitted):
         assert NOBODY in (before, after) or before == after, "no robot takes another's place without a release"

@@ -10,11 +10,14 @@ from robofleet.safety.rows import Rows
 from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.vehicles.solids import Solid
 
 MS = 1_000_000
 BUILD, SESSION = 7, 5
 N = 6
-SETTINGS = MonitorSettings(BUILD, (0.05,) * N, (2.0, 1.0), (0.3,) * N, attended=False)
+FLOOR = Solid("floor", ((-1.0, -0.5), (1.0, -0.5), (1.0, 0.3), (0.8, 0.5), (-1.0, 0.5)), floor=True)
+SETTINGS = MonitorSettings(BUILD, (0.05,) * N, (2.0, 1.0), (0.3,) * N, attended=False, floors=(FLOOR,))
+AT_THE_CORNER = 0.9 - 0.05 / 2**0.5  # of x; of y 0.5 less
 
 
 def robot(rng: random.Random, row: int, now_ns: int) -> RobotView:
@@ -32,6 +35,7 @@ def robot(rng: random.Random, row: int, now_ns: int) -> RobotView:
         {"blocked": True}, {"failed": rng.choice((60, 61))},
         {"pose": (rng.choice((0.949999, 0.95, 0.950001)), 0.0, 0.0)}, {"pose": (0.0, rng.choice((-0.45, -0.46)), 0.0)},
         {"pose": (place[0] + rng.choice((0.05, 0.062, 0.2, 0.195)), 0.0, 0.0)},
+        {"pose": (AT_THE_CORNER + rng.choice((-1e-6, 0.0, 1e-10, 1e-6)), AT_THE_CORNER - 0.5, 0.0)},
         {"left_angle": 0.0, "pose": (place[0] + 0.02, 0.0, 0.0)}, {"left_speed": 1.0, "latch": 7},
     )  # fmt: skip
     return well._replace(**rng.choice(changes)) if rng.random() < 0.3 else well

@@ -1,6 +1,7 @@
 """Motion-capture systems through their library: its own mock, and systems that do not answer."""
 
 import itertools
+import math
 import threading
 from collections.abc import Iterator
 from queue import SimpleQueue
@@ -50,7 +51,7 @@ def test_the_librarys_own_mock_is_asked_for_its_bodies_and_read_by_a_thread() ->
 
 
 class Scripted:
-    """A system that does what it is told next: a place is a frame of r1 there, an error is raised."""
+    """A system that does what it is told: a place is a frame of r1 there, NaN one without it, an error is raised."""
 
     def __init__(self, script: "SimpleQueue[float | Exception]") -> None:
         self.script, self.rigidBodies = script, {}  # the library's name
@@ -59,9 +60,11 @@ class Scripted:
         what = self.script.get()
         if isinstance(what, Exception):
             raise what
-        self.rigidBodies = {
-            "r1": LIBRARY.connect("mock", {"rigid_bodies": f"r1({what},0,0,1,0,0,0)"}).rigidBodies["r1"]
-        }
+        self.rigidBodies = (
+            {}
+            if math.isnan(what)
+            else {"r1": LIBRARY.connect("mock", {"rigid_bodies": f"r1({what},0,0,1,0,0,0)"}).rigidBodies["r1"]}
+        )
 
 
 def test_a_system_that_fails_is_opened_again() -> None:
@@ -96,6 +99,33 @@ def test_of_frames_that_nobody_took_the_newest_is_kept() -> None:
     script.put(EOFError())
 
 
+def test_what_a_polled_system_gives_again_or_without_a_body_is_no_frame() -> None:
+    script: SimpleQueue[float | Exception] = SimpleQueue()
+    frames: SimpleQueue[float] = SimpleQueue()
+    started = threading.Event()
+
+    def take(_: int) -> None:
+        started.wait(10)
+        if (frame := reader.take(CLOCK.now_ns())) is not None:
+            frames.put(frame.bodies["r1"].x)
+
+    reader = CaptureReader(lambda: Scripted(script), CLOCK, take, polled=True)  # type: ignore[arg-type,return-value]
+    started.set()
+    for x in (math.nan, 1.0, 1.0, math.nan, 1.0, 2.0, 2.0, 1.0):
+        script.put(x)
+    assert [frames.get(timeout=10) for _ in range(3)] == [1.0, 2.0, 1.0]
+    script.put(EOFError())
+    reader.close()
+    assert frames.empty()
+
+
+def test_a_reader_that_is_closed_has_ended_its_thread() -> None:
+    before = threading.active_count()
+    reader = CaptureReader(lambda: open_capture(MOCK), CLOCK, lambda _: None)
+    reader.close()
+    assert threading.active_count() == before
+
+
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(capture, "_ANSWER_S", 1.0)
@@ -115,6 +145,14 @@ def test_a_system_that_does_not_answer_is_one_clear_error(system: str, why: str)
     with pytest.raises(CameraError, match=why) as error:
         open_capture(MocapSettings(system=system, host="127.0.0.1"))  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
+
+
+def test_a_system_that_returns_though_nothing_answers_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture, "_BODY_S", 0.1)
+    with pytest.raises(
+        CameraError, match=r"^vrpn at 127\.0\.0\.1 sends no body: .* compare tracker\.mocap\.host [^\n]*$"
+    ):
+        bodies_there(MocapSettings(system="vrpn", host="127.0.0.1"))
 
 
 def test_a_library_that_is_missing_names_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,6 +175,7 @@ def refused(*keys: str) -> str:
         (NINE, "tracker.mocap.others: the body of no robot: r1: name the robot's body, or list it here"),
         (["tracker.mocap.others=[box, r2]"], "tracker.mocap.others.1: r2 is the body of r2: remove it"),
         (["robots.1.body=r1"], "robots.1.body: r1 is robots.0's already"),
+        (["tracker.mocap.system=vrpn"], "robots.0.driver: 'vrpn' cannot measure a simulated robot: give r1 a driver"),
         (["tracker.source=mocup"], "tracker.source: there is no source of poses 'mocup': did you mean 'mocap'?"),
         (["tracker.source=camera"], "robots.0.tag: is missing: a camera knows r1 by its tag"),
     ],

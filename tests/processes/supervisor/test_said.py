@@ -13,7 +13,7 @@ def test_status_says_where_the_run_is_and_whom_something_holds(stand: Stand) -> 
     assert stand.ask("status") == "ok: RUNNING: every check passed"
     stand.hidden.add("r3")
     stand.run(S // 5)
-    assert stand.ask("status") == "ok: RUNNING: every check passed; r3: its tag is not seen"
+    assert stand.ask("status") == "ok: RUNNING: every check passed; r3: it is not seen"
 
 
 def test_every_change_is_a_line_in_the_log(stand: Stand) -> None:

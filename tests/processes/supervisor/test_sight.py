@@ -25,7 +25,7 @@ def test_a_robot_whose_tag_is_hidden_stands_alone_and_goes_on_when_it_is_seen(st
     assert [limit > 0.0 for limit in stand.limits()] == [True, True, False, True]
     assert [robot.permitted for robot in stand.state.robots] == [1, 1, 0, 1]
     assert stand.state.robots[2].cause == Event.TAG_LATE
-    assert stand.said[-1] == "stands: r3: its tag is not seen"
+    assert stand.said[-1] == "stands: r3: it is not seen"
     stand.hidden.clear()
     stand.run(100 * MS)
     assert min(stand.limits()) > 0.0

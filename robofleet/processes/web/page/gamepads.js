@@ -1,7 +1,8 @@
 // A gamepad drives the first robot of a group whose behaviour is teleop, while its dead-man's button is held.
 //
 // Each command names the newest tick that came here, so that the controller knows how old it is. Nothing is sent without
-// the button but its release, once. A page in the background reads no gamepad: then the robots stand, too.
+// the button but its release, once, and once on each new link that it is up. A page in the background reads no gamepad:
+// then the robots stand, too. A button that is held when its gamepad comes counts for nothing until it is let go.
 //
 // While the run is held, it drives one robot of the group out, at a crawl: the one that is chosen here. A button that was
 // held when the run was held, or when it goes on, counts for nothing until it is let go: the server sees to that.
@@ -27,6 +28,8 @@ export class Gamepads {
   #groups = []; // that a person can drive
   #tick = 0; // the newest one that came
   #driven = ""; // group
+  #up = new Set(); // gamepads whose buttons were seen up since they came
+  #told = false; // on this link, that the button is up
   #watching = false;
 
   constructor(link) {
@@ -40,7 +43,11 @@ export class Gamepads {
     this.#chosen.replaceChildren(...this.#groups.map(({ name }) => new Option(name)));
     this.#chosen.hidden = this.#groups.length < 2;
     this.#offer();
-    this.#chosen.onchange = () => this.#offer();
+    this.#chosen.onchange = () => {
+      this.#up.clear();
+      this.#offer();
+    };
+    this.#told = false;
     if (this.#watching || !this.#groups.length) return;
     this.#watching = true;
     this.#watch();
@@ -65,9 +72,15 @@ export class Gamepads {
     const group = this.#group;
     if (!group) return;
     const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
-    const pad = pads.find(isHeld);
+    const isUp = (pad) => !isHeld(pad) || this.#up.has(pad.index);
+    this.#up = new Set(pads.filter(isUp).map(({ index }) => index));
+    const pad = pads.find((one) => isHeld(one) && this.#up.has(one.index));
     const driven = pad ? group.name : "";
     const out = this.#held ? { out: this.#out.value } : {};
+    if (!this.#told && !pad && this.#up.size) {
+      this.#told = true;
+      for (const { name } of this.#groups) this.#send(name, [0, 0, false], {});
+    }
     if (this.#driven && this.#driven !== driven) this.#send(this.#driven, [0, 0, false], out);
     if (pad) this.#send(driven, [-beyond(pad.axes[FORWARD]), -beyond(pad.axes[SIDEWAYS]), true], out);
     this.#driven = driven;
