@@ -1,4 +1,4 @@
-"""The barrier, a control barrier function (CBF) for each pair of robots; the right-hand rule resolves their deadlocks.
+"""The barrier, a control barrier function (CBF) for each pair of robots; ``deadlock.py`` resolves their deadlocks.
 
 It changes what every robot was asked for as little as keeps bodies apart, clear of obstacles and inside the arena.
 
@@ -13,16 +13,6 @@ Half of the approach is each one's own, so a robot that stands still by mistake 
 is left is a problem of two unknowns for each robot. The arena's edges and obstacles are rows of the same kind, the
 robot's alone, with gamma h instead of its half; the wheels' limits are rows too. Within D_ij a robot must withdraw;
 where it cannot from all, it must not come nearer, and standing is always an answer.
-
-The turn (right-hand rule) changes only what is asked for, and every row is kept. A robot that was held for half a
-second asks for the same speed 80 degrees to the right. All who press each other do so: they form a roundabout. If it
-does not get on for half a second, it asks for the straight way again. But if one of those who hold it stands (it is
-asked for nothing, or it stalls: it moves less than a fifth of what it was commanded), it first turns by 110 and then by
-140 degrees, to go round that one. An obstacle stands; at one it then tries the left.
-
-A robot is blocked that stands for three seconds, or turns and goes round for eighteen without getting on, because of
-somebody who does not wait: one that stands, or stalls. Robots that press each other and all wait are blocked, too,
-where they stay in one place for forty seconds.
 
 A bystander, a robot that nobody drives, keeps nothing: it stands, or a hand pushes it with a velocity w that was seen.
 Each robot i keeps its own half, and beside it all that the bystander j comes nearer by:
@@ -50,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
-from robofleet.safety import solid_rows
+from robofleet.safety import deadlock, solid_rows
 from robofleet.safety.neighbours import around, sorted_into_cells
 from robofleet.vehicles import differential_drive, solids
 from robofleet.vehicles.differential_drive import DifferentialDrive
@@ -61,36 +51,19 @@ Instants = NDArray[np.int64]
 
 LEFT_ALONE, CHANGED, NO_ANSWER = 0, 1, 2
 
-_TOLERANCE = 1e-9  # of a row [m/s]
-_CHECKED = 1e-6  # of the answer [m/s]
 _INSIDE = 1.0 - 1e-9  # a wheel stays inside its limit whatever is rounded later
-_WANTED = 0.5  # of its top speed: who asks for less waits, as behind a robot that stalls, and is not held
-_GRANTED = 0.1  # of what was wanted; with less a robot does not get on
-_ASKS = 0.05  # of its top speed: who asks for less stands
 _CREEPING = 0.075  # of its top speed: so fast a robot may be at any distance
 _WITHDRAWING = 0.5  # of its top speed, at most
-_TURNS = tuple(
-    (math.cos(a), math.sin(a)) for a in map(math.radians, (80.0, 110.0, 140.0, -80.0, -110.0, -140.0))
-)  # 80: less does not pass a crowd
-_RIGHT = 3  # of them are to the right, as in a roundabout; to the left a robot turns for an obstacle alone
-_AROUND_S = 0.5  # held for so long, a robot turns; in vain for so long, it turns further, or asks for the straight way
-_CLEAR_S = 0.16  # not held for so long, it asks for the straight way
-_WAITED_S = 2.0  # who was held within this time waits
-_BLOCKED_S = 3.0
-_STAYED_S, _STAYED_M = 40.0, 0.15  # held so long within this distance, a robot is blocked, whoever waits for whom
-_STALL_S, _STALL_M, _STALL_MOVED = 1.0, 0.04, 0.2  # told to go so far in this time, and moved less than this share
-_ROUND = 6  # a tick that a robot stands counts as so many in which it goes round without getting on
-# of a robot's memory: ticks; _TURN: which of _TURNS, from 1; _STALLS and _PRESSING: 0 or 1
-_HELD, _TURN, _VAIN, _CLEAR, _BLOCKED, _WAITED, _STALLS, _WATCHED, _PRESSING, _STAYED = range(10)
 # of a body: its drive, its edge's margin [m], its fastest q [m/s], how long its speed is believed [s], its disc [m]
 _WHEEL, _BASE, _LAG, _WHEEL_SPEED, _TOP, _EDGE, _FASTEST, _BELIEVED, _DISC = range(9)
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
-_OBSTACLE = -1  # in a robot's place: what holds another one
 
 _arc = kernel(differential_drive.arc)
 _body_from_wheels = kernel(differential_drive.body_from_wheels)
 _wheels_from_body = kernel(differential_drive.wheels_from_body)
 _add_row, _solid_rows = solid_rows.add_row, solid_rows.solid_rows
+_OBSTACLE, _asks, _answer, _watch = deadlock.OBSTACLE, deadlock.asks, deadlock.answer, deadlock.watch
+_is_blocked = deadlock.is_blocked
 
 
 @dataclass(frozen=True)
@@ -174,11 +147,9 @@ class Barrier:
         self._edges, self._rings = solids.outlines(floors_first)
         self._floors = sum(solid.floor for solid in floors_first)
         self._still = np.zeros((len(bodies), 2))
-        self._memory = np.zeros((len(bodies), 10), dtype=np.int64)
-        self._told = np.zeros((len(bodies), 7))  # pose at a window's start, what was commanded since; where it stayed
-        around, clear, waited, stall = (round(s / keepout.tick) for s in (_AROUND_S, _CLEAR_S, _WAITED_S, _STALL_S))
-        self._times = (around, clear, waited, stall)
-        self._patience = _ROUND * round(_BLOCKED_S / keepout.tick), round(_STAYED_S / keepout.tick)
+        self._memory = np.zeros((len(bodies), deadlock.MEMORY), dtype=np.int64)
+        self._told = np.zeros((len(bodies), deadlock.TOLD))
+        self._times, self._patience = deadlock.in_ticks(keepout.tick), deadlock.patience(keepout.tick)
 
     def filter(
         self,
@@ -225,7 +196,10 @@ def _filter(
         grown[i] = bodies[i, _TOP] * min(max(unseen[i] - age, 0.0), lost_after)
         v, _ = _body_from_wheels(turning[i, 0], turning[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
         believed[i] = bodies[i, _BELIEVED] * max(abs(v), lately[i].max())
-    asks = _asking(wheels, driving, bodies, l, n, memory)
+    asking = np.zeros(n, dtype=np.bool_)
+    for i in range(len(wheels)):
+        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
+        asking[i] = _asks(v, l * omega, driving[i], bodies[i, _TOP], memory[i])
     share = min(1.0, rate * tick)
     grid = sorted_into_cells(stops, unseen < np.inf, _reach(bodies, between, grown, believed, pushed, rate, share))
     near, found = np.empty(n), np.empty(n, dtype=np.int64)
@@ -255,7 +229,7 @@ def _filter(
             apart = near[k] + max(believed[i], believed[j])
             count = _pair(rows, count, stops[i], stops[j], pushed[j], apart, rate, bodies[i], back)
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
-        along, across = _answer(v, l * omega, rows[:count], first, whose, bodies[i, _TOP], asks, times, i, memory)
+        along, across = _answer(v, l * omega, rows[:count], first, whose, bodies[i, _TOP], asking, times, i, memory)
         if along != v or across != l * omega:
             how[i] = CHANGED
             if not np.isfinite(along + across):
@@ -269,7 +243,7 @@ def _filter(
             lately[i, k] = lately[i, k + 1]
         lately[i, -1] = abs(v)
         _watch(poses[i], v * tick, l * omega * tick, l, times[3], told[i], memory[i])
-        blocked[i] = memory[i, _BLOCKED] >= patience[0] or memory[i, _STAYED] >= patience[1]
+        blocked[i] = _is_blocked(memory[i], patience)
 
 
 @kernel
@@ -289,29 +263,6 @@ def _reach(
 
 
 @kernel
-def _watch(pose: Array, along: float, across: float, l: float, window: int, told: Array, mine: Instants) -> None:
-    """Remember whether a robot stalls: over a window, it moves far less than it was commanded to (along, across); and
-    for how long it was held near one place."""
-    if mine[_WATCHED] == 0:
-        told[0], told[1], told[2], told[3], told[4] = pose[0], pose[1], pose[2], 0.0, 0.0
-    elif mine[_WATCHED] >= window:
-        turned = l * ((pose[2] - told[2] + np.pi) % (2.0 * np.pi) - np.pi)
-        moved = np.hypot(np.hypot(pose[0] - told[0], pose[1] - told[1]), turned)
-        commanded = np.hypot(told[3], told[4])
-        if moved >= _STALL_MOVED * _STALL_M:
-            mine[_STALLS] = 0
-        if commanded >= _STALL_M and moved < _STALL_MOVED * commanded:
-            mine[_STALLS] = 1
-        mine[_WATCHED] = -1
-    if np.hypot(pose[0] - told[5], pose[1] - told[6]) > _STAYED_M:
-        told[5], told[6], mine[_STAYED] = pose[0], pose[1], 0
-    mine[_STAYED] = mine[_STAYED] + 1 if mine[_PRESSING] else max(0, mine[_STAYED] - 1)
-    told[3] += along
-    told[4] += across
-    mine[_WATCHED] += 1
-
-
-@kernel
 def _speed(stop: Array, other: Array, near: float, own: float, others: float, share: float, body: Array) -> float:
     """Return how fast a robot may be beside another [m/s]: what is believed of the other counts anyway."""
     if body[_BELIEVED] == 0.0:
@@ -319,80 +270,6 @@ def _speed(stop: Array, other: Array, near: float, own: float, others: float, sh
     left = np.hypot(other[0] - stop[0], other[1] - stop[1]) - near
     allowed = (1.0 - share) * left + share * max(own, others)
     return float(max(_CREEPING * body[_TOP], max(others, allowed) / body[_BELIEVED]))
-
-
-@kernel
-def _asking(
-    wheels: Array, driving: NDArray[np.bool_], bodies: Array, l: float, n: int, memory: Instants
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Return which bodies are asked to go somewhere and do not stall; the others stand."""
-    asks = np.zeros(n, dtype=np.bool_)
-    for i in range(len(wheels)):
-        v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
-        wants = np.hypot(v, l * omega) > _ASKS * bodies[i, _TOP]
-        asks[i] = driving[i] and wants and memory[i, _STALLS] == 0
-    return asks
-
-
-@kernel
-def _answer(
-    x: float, y: float, rows: Array, first: int, whose: Instants, top: float, asks: NDArray[np.bool_],
-    times: tuple[int, int, int, int], i: int, memory: Instants,
-) -> tuple[float, float]:  # fmt: skip
-    """Return what robot i gets for (x, y), and remember whether it gets on; rows from ``first`` on are the others'."""
-    mine, (met, stands, idle, walled) = memory[i], _held_by(x, y, rows, first, whose, asks, memory)
-    wanted = np.hypot(x, y)
-    pressing = met and wanted > _WANTED * top
-    mine[_CLEAR] = 0 if met else mine[_CLEAR] + 1
-    if mine[_CLEAR] >= times[1]:
-        mine[_TURN] = 0
-    if pressing and mine[_TURN] == 0 and mine[_HELD] >= times[0]:
-        mine[_TURN], mine[_HELD], mine[_VAIN] = 1, 0, 0
-    turned, turn_x, turn_y = pressing and mine[_TURN] > 0, x, y
-    if turned:
-        c, s = _TURNS[mine[_TURN] - 1]
-        turn_x, turn_y = c * x + s * y, c * y - s * x
-    along, across = _nearest(turn_x, turn_y, rows)
-    stuck = met and np.hypot(along, across) < _GRANTED * wanted
-    gets_on = x * along + y * across >= _GRANTED * wanted * wanted
-    if turned:
-        vain, last = stuck, _RIGHT
-        if walled:  # at its corners a robot may creep for long, and get nowhere
-            vain, last = turn_x * along + turn_y * across < _GRANTED * wanted * wanted, len(_TURNS)
-        mine[_VAIN] = mine[_VAIN] + 1 if vain else max(0, mine[_VAIN] - 1)
-        if mine[_VAIN] >= times[0]:
-            mine[_VAIN], mine[_TURN] = 0, mine[_TURN] + 1 if stands and mine[_TURN] < last else 0
-    elif not met:
-        mine[_HELD] = max(0, mine[_HELD] - 1)
-    elif pressing and not gets_on:
-        mine[_HELD] += 1
-    if not pressing or gets_on:
-        mine[_BLOCKED] = max(0, mine[_BLOCKED] - _ROUND)
-    elif idle:
-        mine[_BLOCKED] += _ROUND if stuck else 1
-    mine[_PRESSING] = int(pressing)
-    if not asks[i]:
-        mine[_WAITED] = 0
-    else:
-        mine[_WAITED] = max(0, mine[_WAITED] - 1) if not met or gets_on else times[2]
-    return along, across
-
-
-@kernel
-def _held_by(
-    x: float, y: float, rows: Array, first: int, whose: Instants, asks: NDArray[np.bool_], memory: Instants
-) -> tuple[bool, bool, bool, bool]:  # fmt: skip
-    """Return whether others hold a robot that asks for (x, y); one of them stands, has not waited, is an obstacle."""
-    met, stands, idle, walled = False, False, False, False
-    for k in range(first, len(rows)):
-        if rows[k, 0] * x + rows[k, 1] * y > rows[k, 2] + _TOLERANCE:
-            j, met = whose[k], True
-            if j == _OBSTACLE:
-                stands, idle, walled = True, True, True
-                continue
-            stands |= not asks[j]
-            idle |= memory[j, _WAITED] == 0
-    return met, stands, idle, walled
 
 
 @kernel
@@ -449,61 +326,6 @@ def _pair(
     across = towards_x * stop[4] + towards_y * stop[5]
     coming = max(0.0, -towards_x * pushed[0] - towards_y * pushed[1])
     return _add_row(rows, count, along, across, max(rate * (distance - apart) / 2.0 - coming, back))
-
-
-@kernel
-def _nearest(x: float, y: float, rows: Array) -> tuple[float, float]:
-    """Return the point nearest to (x, y) that keeps all rows, and has been checked to; NaN if there is none."""
-    if _excess(x, y, rows) <= _TOLERANCE:
-        return x, y
-    along, across = _project(x, y, rows)
-    if not _excess(along, across, rows) <= _CHECKED:  # it cannot withdraw from all: not nearer to any
-        for k in range(len(rows)):
-            rows[k, 2] = max(rows[k, 2], 0.0)
-        along, across = _project(x, y, rows)
-        if not _excess(along, across, rows) <= _CHECKED:
-            return np.nan, np.nan
-    return along, across
-
-
-@kernel
-def _excess(x: float, y: float, rows: Array) -> float:
-    """Return by how much the worst row is broken; NaN where anything is not finite."""
-    worst, finite = 0.0, 0.0
-    for k in range(len(rows)):
-        over = rows[k, 0] * x + rows[k, 1] * y - rows[k, 2]
-        worst, finite = max(worst, over), finite + 0.0 * over
-    return worst + finite
-
-
-@kernel
-def _project(x0: float, y0: float, rows: Array) -> tuple[float, float]:
-    """Return the point nearest to (x0, y0) that keeps all rows, NaN if there is none.
-
-    Row by row: if the newest one is broken, the answer lies on its line, between what the rows before it cut off.
-    """
-    x, y = x0, y0
-    for k in range(len(rows)):
-        a, b, limit = rows[k, 0], rows[k, 1], rows[k, 2]
-        if a * x + b * y <= limit + _TOLERANCE:
-            continue
-        over = a * x0 + b * y0 - limit
-        x, y = x0 - over * a, y0 - over * b
-        low, high = -np.inf, np.inf
-        for j in range(k):
-            left, along = rows[j, 2] - rows[j, 0] * x - rows[j, 1] * y, rows[j, 1] * a - rows[j, 0] * b
-            if abs(along) < _TOLERANCE:
-                if left < -_CHECKED:
-                    return np.nan, np.nan
-            elif along > 0.0:
-                high = min(high, left / along)
-            else:
-                low = max(low, left / along)
-        if low > high + _CHECKED:
-            return np.nan, np.nan
-        shift = min(max(0.0, low), high)
-        x, y = x - shift * b, y + shift * a
-    return x, y
 
 
 KERNELS = (_filter,)  # that are called from Python
