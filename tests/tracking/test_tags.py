@@ -202,7 +202,6 @@ def test_prints_at_the_edge_of_a_fisheye_that_looks_aslant_are_refused() -> None
         image[top : top + 30, left : left + 30] = marker[:, : 1280 - left]
         squares = finder.squares(image)
         assert finder.place(image, squares) == Findings((), len(squares.which))
-        corners = squares.corners.reshape(-1, 2)
-        x_y = geometry.to_plane(corners, np.zeros(len(corners))).reshape(-1, 4, 2).mean(1)
-        guess = x_y[:, 0] + 1j * x_y[:, 1]  # no tag can be there, and a map from its pixels is wild
-        assert (fit.fit(image, squares.which, guess, np.zeros(len(guess))).alike < 0.9).all()
+        for corners in squares.corners:
+            guess = geometry.to_plane(corners, 0.0).mean(0) @ [1.0, 1j]  # the map from pixels is wild there
+            assert fit.fit(image, np.array([0]), np.array([guess]), np.zeros(1)).alike[0] < 0.9
