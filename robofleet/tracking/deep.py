@@ -34,7 +34,8 @@ _LEAST = 9  # between black and white nearby: noise that is left makes 5 [grey l
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
-_SAME = 0.12  # places closer than this are of one square [sides]
+_SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
+_SQUARES = 400  # of which the cells are read, of one size; those with the most exact sides first
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
@@ -61,6 +62,7 @@ class DeepSearch:
         self._all = patterns(fit.family).astype(np.float32)
         self._white = self._all[[target.tag for target in targets]]
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
+        self._hidden = int((self._covers[:, 1:-1, 1:-1] & self._free).sum((1, 2)).max())  # bits of a code, at most
 
     def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
         """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
@@ -78,7 +80,8 @@ class DeepSearch:
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
-            centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
+            centre, psi = _apart(*self._whole_sides(begins + corner, ends + corner, side, height), _SAME * side)
+            centre, psi = centre[:_SQUARES], psi[:_SQUARES]
             pixels = self._pixels(centre, psi, side, height, self._grid)
             cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
@@ -201,13 +204,23 @@ class DeepSearch:
         )
         square = np.flatnonzero(good)
         bits = (inner[square] > half[square, :, None]).astype(np.float32)
-        found: list[tuple[int, int, int]] = []
+        found: list[tuple[float, int, int, int]] = []
         for turns in range(4):
-            wrong = self._wrong(np.rot90(bits, -turns, axes=(1, 2)), self._white[which])
-            found += [(int(square[i]), int(which[k]), turns) for i, k in np.argwhere(wrong <= _ROUGHLY)]
-        found.sort()
-        rows = np.array(found, np.int64).reshape(-1, 3)
-        return rows[:, 0], rows[:, 1], rows[:, 2].astype(np.float64)
+            turned, white = np.rot90(bits, -turns, axes=(1, 2)), self._white[which]
+            may = np.flatnonzero(self._differ(turned, white).min(1, initial=np.inf) <= _ROUGHLY + self._hidden)
+            wrong = self._wrong(turned[may], white)
+            found += [
+                (float(wrong[i, k]), int(square[may[i]]), int(which[k]), turns)
+                for i, k in np.argwhere(wrong <= _ROUGHLY)
+            ]
+        rows = np.array(sorted(found), np.int64).reshape(-1, 4)
+        return rows[:, 1], rows[:, 2], rows[:, 3].astype(np.float64)
+
+    def _differ(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return in how many bits of the code cells (M, C, C) differ from patterns (N, C, C): (M, N)."""
+        ours, theirs = bits[:, self._free], white[:, self._free]
+        differ: NDArray[np.float32] = ours.sum(1)[:, None] + theirs.sum(1) - 2.0 * ours @ theirs.T
+        return differ
 
     def _wrong(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return how many cells (M, C, C) differ from patterns (N, C, C), with the cover that explains most: (M, N)."""
@@ -264,6 +277,18 @@ class DeepSearch:
             return False
         rim, paper = cells[cover & self._rim], cells[cover & self._paper]
         return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
+
+
+def _apart(centre: Complex, psi: Array, same: float) -> tuple[Complex, Array]:
+    """Return those of squares (M,) that are not one with another that comes before."""
+    kept: list[int] = []
+    quarters = np.exp(4j * psi)
+    left = np.ones(len(centre), np.bool_)
+    for k in range(len(centre)):
+        if left[k]:
+            kept.append(k)
+            left &= (np.abs(centre - centre[k]) > same) | (np.abs(quarters - quarters[k]) > 4.0 * _SAME)
+    return centre[kept], psi[kept]
 
 
 def _sharp(cells: Array) -> Array:
