@@ -35,7 +35,8 @@ _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step 
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
-_SQUARES = 400  # of which the cells are read, of one size; those with the most exact sides first
+_READ = 128  # sides of one length at once, of whose squares the cells are read
+_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
@@ -49,7 +50,7 @@ class DeepSearch:
     """Finds targets, as ``TagDetector`` does."""
 
     def __init__(self, fit: PhotometricFit, targets: Sequence[Target]) -> None:
-        self._fit = fit
+        self._fit, self._lot = fit, np.random.default_rng(0)
         self._targets = tuple(targets)
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
@@ -80,20 +81,25 @@ class DeepSearch:
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
-            centre, psi = _apart(*self._whole_sides(begins + corner, ends + corner, side, height), _SAME * side)
-            centre, psi = centre[:_SQUARES], psi[:_SQUARES]
+            centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
+            chosen = self._order(len(centre))[:_READ]
+            centre, psi = centre[chosen], psi[chosen]
             pixels = self._pixels(centre, psi, side, height, self._grid)
             cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
-            corners.append(self._pixels(centre[square], heading, side, height, CORNERS))
-            found.append(target)
+            others = _apart(centre[square], heading, target, _SAME * side)
+            corners.append(self._pixels(centre[square[others]], heading[others], side, height, CORNERS))
+            found.append(target[others])
         return Squares(np.concatenate(corners), np.concatenate(found))
 
     def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
-        """Return what squares of an image are; see ``detect``."""
+        """Return what squares of an image are; see ``detect``. A few may fail, then the others wait."""
         tags: list[Found] = []
-        for corners, target in zip(squares.corners, squares.which.tolist(), strict=True):
+        worth = np.zeros(len(squares.which))
+        failures = 0
+        for k in self._order(len(squares.which)).tolist():
+            corners, target = squares.corners[k], int(squares.which[k])
             x_y = self._fit.geometry.to_plane(corners, float(self._fit.heights[target]))
             at = x_y[:, 0] + 1j * x_y[:, 1]
             centre = complex(at.mean())
@@ -106,7 +112,14 @@ class DeepSearch:
             tag = self.near(image, target, centre, psi)
             if tag is not None:
                 tags.append(tag)
-        return Findings(tuple(tags), 0)
+                worth[k] = 1.0
+                continue
+            worth[k] = -1.0
+            failures += 1
+            if failures == _FAILURES:
+                break
+        order = np.argsort(-worth, kind="stable")
+        return Findings(tuple(tags), 0, Squares(squares.corners[order], squares.which[order]))
 
     def near(self, image: Image, target: int, centre: complex, psi: float, *, followed: bool = False) -> Found | None:
         """Return a target that is near a guess, whole or partly covered; None if nothing says that it is there.
@@ -145,6 +158,12 @@ class DeepSearch:
         return fit.found(0, target)
 
     # Squares
+
+    def _order(self, count: int) -> NDArray[np.int64]:
+        """Return in which order to look at so many of which the most promising ones come first: one of these, one by
+        lot, and so on. Thus none waits for ever."""
+        both = np.column_stack([np.arange(count), self._lot.permutation(count)]).ravel()
+        return both[np.sort(np.unique(both, return_index=True)[1])]
 
     def _edges(self, image: Image) -> tuple[Array, Array]:
         """Return begins and ends (E, 2) [px] of straight lines with black on their left and about a side long."""
@@ -279,16 +298,15 @@ class DeepSearch:
         return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
 
 
-def _apart(centre: Complex, psi: Array, same: float) -> tuple[Complex, Array]:
-    """Return those of squares (M,) that are not one with another that comes before."""
+def _apart(centre: Complex, psi: Array, target: NDArray[np.int64], same: float) -> list[int]:
+    """Return which of squares (M,) are not one with another that comes before: each side of a square finds it."""
     kept: list[int] = []
-    quarters = np.exp(4j * psi)
-    left = np.ones(len(centre), np.bool_)
+    left, turned = np.ones(len(centre), np.bool_), np.exp(1j * psi)
     for k in range(len(centre)):
         if left[k]:
             kept.append(k)
-            left &= (np.abs(centre - centre[k]) > same) | (np.abs(quarters - quarters[k]) > 4.0 * _SAME)
-    return centre[kept], psi[kept]
+            left &= (target != target[k]) | (np.abs(centre - centre[k]) > same) | (np.abs(turned - turned[k]) > _SAME)
+    return kept
 
 
 def _sharp(cells: Array) -> Array:

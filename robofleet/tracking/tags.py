@@ -45,6 +45,7 @@ class Findings(NamedTuple):
 
     tags: tuple[Found, ...]
     refused: int  # squares that read as a target and cannot be it: a wrong size, shape or look
+    squares: Squares | None = None  # the same squares in the order in which to look at them again, if it matters
 
 
 class TagDetector:
@@ -159,8 +160,9 @@ class Sweep:
             squares = self._detector.squares(image, region, bright)
         else:
             shown, squares = before.shown, before.squares
-        self._searched[k] = _Searched(shown, squares, visits)
-        return self._detector.place(image, squares, known)
+        found = self._detector.place(image, squares, known)
+        self._searched[k] = _Searched(shown, squares if found.squares is None else found.squares, visits)
+        return found
 
 
 def thumbnail(image: Image) -> Image:
