@@ -41,6 +41,8 @@ _STUDY_CUT = 0.8  # [contrasts] beyond which a pixel shows something else there
 _STUDY_DOUBT = 2.0  # variance of what is learnt of a tilt over that of white noise: lens and pattern are not exact
 _STUDY_FORGET = 0.99  # of what was known, from image to image
 _PRIOR = 1.0 / math.radians(1.0) ** 2  # what is known of a tilt before it was learnt [1/rad^2]
+_LITTLE = 1e-3  # of that, which any image says
+_STUDY_DENIED = 4.0**2  # squared distance of what an image says from what is known
 _MOST_TILT = math.radians(10.0)
 
 Array = NDArray[np.float64]
@@ -67,13 +69,14 @@ class _Room(NamedTuple):
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    blurs, noises, tilts, studies, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+    blurs, noises, tilts, studies, counts, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
 
     hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
     what is known of the targets, and learnt. tilts (N, 2): as ``tag_map.map_pixels`` has it [rad]. Of the target
-    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2].
+    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2], from so
+    many images: ``counts`` (N,).
     """
     n = PARAMETERS
     room = _Room(
@@ -90,7 +93,7 @@ def fit_tags(  # type: ignore[no-untyped-def]
         if i == studied and fit_alike[m] > _STUDIED_FROM:
             _study(
                 image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
-                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], room,
+                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], counts[i : i + 1], room,
             )  # fmt: skip
 
 
@@ -193,10 +196,11 @@ def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def
 @image_kernel
 def _study(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, blur, noise,
-    tilt, known, room,
+    tilt, known, count, room,
 ):  # fmt: skip
     """Learn a tag's tilt (2,) [rad] by recursive least squares, from an image in which it was just fitted; known (2, 2)
-    is the information on it [1/rad^2].
+    is the information on it [1/rad^2], from ``count`` (1,) images. If an image denies what is known, the tag was moved
+    on its robot: it is learnt anew.
 
     A tilt shears a tag that is seen aslant, and turns it. The size is left free: an error of the height changes it.
     All pixels count that do not show something quite different: a tilt shows where the fit is worst.
@@ -235,14 +239,25 @@ def _study(  # type: ignore[no-untyped-def]
             left[n, m] -= left[n, 0] * left[m, 0] / left[0, 0]
     variance = left[3, 3] / (room.products[0, 0] - PARAMETERS)
     by = contrast / (_STUDY_DOUBT * max(variance, noise * noise))
+    a, b = by * left[3, 1], by * left[3, 2]
+    new_aa, new_ab, new_bb = by * contrast * left[1, 1], by * contrast * left[2, 1], by * contrast * left[2, 2]
     known *= _STUDY_FORGET
-    known[0, 0] += by * contrast * left[1, 1]
-    known[0, 1] += by * contrast * left[2, 1]
-    known[1, 1] += by * contrast * left[2, 2]
-    aa, ab, bb = known[0, 0] + _PRIOR, known[0, 1], known[1, 1] + _PRIOR
-    a, b, area = by * left[3, 1], by * left[3, 2], aa * bb - ab * ab
+    aa, ab, bb = known[0, 0] + new_aa, known[0, 1] + new_ab, known[1, 1] + new_bb
+    by_all = _squared(a, b, aa + _PRIOR, ab, bb + _PRIOR)
+    if _squared(a, b, new_aa + _LITTLE * _PRIOR, new_ab, new_bb + _LITTLE * _PRIOR) - by_all > _STUDY_DENIED:
+        aa, ab, bb, count[0] = new_aa, new_ab, new_bb, 0
+    known[0, 0], known[0, 1], known[1, 1] = aa, ab, bb
+    count[0] += 1
+    aa, bb = aa + _PRIOR, bb + _PRIOR
+    area = aa * bb - ab * ab
     tilt[0] = min(max(tilt[0] - (bb * a - ab * b) / area, -_MOST_TILT), _MOST_TILT)
     tilt[1] = min(max(tilt[1] - (aa * b - ab * a) / area, -_MOST_TILT), _MOST_TILT)
+
+
+@image_kernel
+def _squared(a, b, aa, ab, bb):  # type: ignore[no-untyped-def]
+    """Return a vector's square by the inverse of a symmetric matrix."""
+    return (bb * a * a - 2.0 * ab * a * b + aa * b * b) / (aa * bb - ab * ab)
 
 
 @image_kernel

@@ -98,7 +98,7 @@ class TagTracker:
         self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
         self._line_ns = np.array([(image_size[1] - 1) / 2.0, line_time * 1e9])  # middle row [px], from row to row
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
-        self._studies = np.zeros(n, np.int64)  # images from which each tag's tilt was learnt
+        self._asked = np.zeros(n, np.int64)  # images from which each tag's tilt ought to have been learnt
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
@@ -187,13 +187,13 @@ class TagTracker:
 
     def _studied(self, index: Indices) -> int:
         """Return whose tilt is learnt from this image: of those that drive, in turn, at first often and then seldom."""
-        if self._images % _STUDIED_EVERY and self._studies[index].min() >= _OFTEN:
-            return NOBODY
         drives = index[self._drives[index]]
+        if self._images % _STUDIED_EVERY:
+            drives = drives[self._fit.studied[drives] < _OFTEN]
         if not len(drives):
             return NOBODY
-        chosen = int(drives[np.argmin(self._studies[drives])])
-        self._studies[chosen] += 1
+        chosen = int(drives[np.argmin(self._asked[drives])])
+        self._asked[chosen] += 1
         return chosen
 
     def _predicted(self, index: Indices, exposure_ns: int) -> tuple[Complex, Array, Complex]:
@@ -256,8 +256,12 @@ class TagTracker:
 
     def _take(self, tag: Found, exposure_ns: int) -> None:
         """Believe what was found."""
-        if 0 < self._measured_ns[tag.target] < exposure_ns - _GAP_NS:
-            self._regained_ns[tag.target] = exposure_ns
+        i = tag.target
+        if 0 < self._measured_ns[i] < exposure_ns - _GAP_NS:
+            self._regained_ns[i] = exposure_ns
+            self._fit.studied[i] = min(int(self._fit.studied[i]), _OFTEN - 1)  # its tilt may be another
+        if self._measured_ns[i] < exposure_ns - _SETTLED_NS:
+            self._fit.forget(i)
         index, centre = np.array([tag.target]), np.array([tag.centre])
         rows = self._fit.pixels(index, centre)[:, 1]
         self._measure(
@@ -348,6 +352,7 @@ class TagTracker:
             self._doubt(i, exposure_ns)
         elif patient and not self._followed[i]:
             self._say(TrackerEvent.TAG_CARRIED if known else TrackerEvent.TAG_FOUND, i, distance, exposure_ns)
+            self._fit.forget(i)  # who carried it may have moved it on its robot
             return True
         elif known:
             self._refuse(TrackerEvent.TAG_JUMPED, tag, before, exposure_ns)
