@@ -40,8 +40,8 @@ _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
 _DEEP_TILES = (3, 3)  # of the deep search
 _BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
-_SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
-_DEEP_SEARCHES = 1  # of these
+_SEARCHES = 8  # hidden tags an image, at most: a flash that hides all at once may not stop the tracker
+_DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
 _OFTEN, _STUDIED_EVERY = 10, 8  # images from which each tilt is learnt at first; then one of so many
@@ -105,6 +105,7 @@ class TagTracker:
         self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
         self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
         self._images = 0
+        self._searches = self._deep_searches = 0  # that may be made still in this image
         self._news = News()
         self._refused = 0
         none = np.zeros(0, np.int64)
@@ -137,6 +138,7 @@ class TagTracker:
         followed = np.flatnonzero(self._followed)
         expected = followed.tolist()
         measured: set[int] = set()
+        self._searches, self._deep_searches = _SEARCHES // 2, 0  # for tags that lie still
         if place is not None:
             drives = self._drives[followed]
             measured = self._expected(image, exposure_ns, followed[~drives], set(followed[drives].tolist()))
@@ -146,6 +148,7 @@ class TagTracker:
             if measured and self.geometry is not before:
                 self._carry(lying, centre, before)
             followed = followed[drives]
+        self._searches, self._deep_searches = self._searches + _SEARCHES // 2, _DEEP_SEARCHES
         measured |= self._expected(image, exposure_ns, followed, measured)
         hidden = [i for i in expected if i not in measured]
         measured |= self._scan(image, exposure_ns, measured)
@@ -178,7 +181,9 @@ class TagTracker:
             self._measure(index, fit, exposure_ns)
             return set(index.tolist())
         there = np.flatnonzero(fit.alike > self._alike)
-        for k in there[fit.alike[there] < CLEAR][:_SEARCHES].tolist():
+        partly = there[fit.alike[there] < CLEAR][: self._searches].tolist()
+        self._searches -= len(partly)
+        for k in partly:
             tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
             if tag is not None:
                 fit.centre[k], fit.psi[k], fit.covariance[k] = tag.centre, tag.psi, tag.covariance
@@ -214,8 +219,9 @@ class TagTracker:
     def _search(self, image: Image, exposure_ns: int, hidden: list[int], measured: set[int]) -> set[int]:
         """Look for hidden tags where they can be, the longest hidden first; returns those that are there."""
         found: set[int] = set()
-        deep = 0
-        for i in sorted(hidden, key=lambda i: self._measured_ns[i])[:_SEARCHES]:
+        longest = sorted(hidden, key=lambda i: self._measured_ns[i])[: self._searches]
+        self._searches -= len(longest)
+        for i in longest:
             centre, psi, _ = self._predicted(np.array([i]), exposure_ns)
             partly = self._deep.near(image, i, complex(centre[0]), float(psi[0]), followed=True)
             if partly is not None and abs(partly.centre - self._centre[i]) <= self._reach(i, exposure_ns):
@@ -224,9 +230,9 @@ class TagTracker:
                 continue
             region = self._region(i, exposure_ns)
             findings = self._detector.detect(image, region)
-            if not findings.tags and deep < _DEEP_SEARCHES:
+            if not findings.tags and self._deep_searches:
                 findings = self._deep.detect(image, region)
-                deep += 1
+                self._deep_searches -= 1
             here = [
                 tag
                 for tag in findings.tags
