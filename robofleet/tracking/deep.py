@@ -225,9 +225,9 @@ class DeepSearch:
         bits = (inner[square] > half[square, :, None]).astype(np.float32)
         found: list[tuple[float, int, int, int]] = []
         for turns in range(4):
-            turned, white = np.rot90(bits, -turns, axes=(1, 2)), self._white[which]
-            may = np.flatnonzero(self._differ(turned, white).min(1, initial=np.inf) <= _ROUGHLY + self._hidden)
-            wrong = self._wrong(turned[may], white)
+            turned, theirs = np.rot90(bits, -turns, axes=(1, 2)), self._white[which]
+            may = np.flatnonzero(self._differ(turned, theirs).min(1, initial=np.inf) <= _ROUGHLY + self._hidden)
+            wrong = self._wrong(turned[may], theirs)
             found += [
                 (float(wrong[i, k]), int(square[may[i]]), int(which[k]), turns)
                 for i, k in np.argwhere(wrong <= _ROUGHLY)

@@ -76,8 +76,10 @@ class DriftMonitor:
     ``geometry``: where the camera hangs; by it the next image's landmarks are to be placed. ``trusted``: poses may be
     used. Not while a knock of more than 4 mm goes on, not when landmarks disagree for a second, and not when the camera
     is further out than is corrected; it can come back. ``witnessed``: the newest image shows a landmark that did not
-    move itself. One landmark alone tells that something moved, not what. Two correct a knock, three follow a drift; four
-    in the arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
+    move itself.
+
+    One landmark alone tells that something moved, not what. Two correct a knock, three follow a drift; four in the
+    arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
     """
 
     def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
@@ -233,7 +235,7 @@ class DriftMonitor:
         if len(voting) >= 2:
             surprise = offset - self._seen(self._state)
             agree = voters & self._consensus(surprise, variance, voting, prior)
-            explained = 2 * np.count_nonzero(agree) > len(voting)
+            explained = bool(2 * np.count_nonzero(agree) > len(voting))
             if explained:
                 self._correct(surprise, variance, agree.astype(np.float64), prior)
                 jump = self._state - self._home[0] + self._shaken

@@ -28,7 +28,8 @@ _FURTHEST = 0.2  # from the guess [sides, rad]
 _CUT, _KNOWN_CUT = 2.0, 4.0  # standard deviations of the noise beyond which a pixel shows something else
 _TRUNCATED = 0.88  # standard deviation of a normal distribution that is cut off at _CUT
 _MISFIT, _KNOWN_MISFIT = 0.2, 0.1  # of the contrast that a pixel may miss by itself, before and after the blur is known
-_MODEL = 0.038  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_MODEL = 0.035  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_MODEL_TURNS = 0.65  # of that, in a heading: it moves edges alike all over the print, and so turns it less
 _COVERED = 0.3  # share of a cell's pixels that show something else: then none of them counts
 _PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
 _EVERYTHING = 1e9  # no cut [grey levels]
@@ -155,8 +156,8 @@ def _fit(  # type: ignore[no-untyped-def]
             tally, asked = np.zeros((cells * cells, 2), np.int64), True
     sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not asked
     _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
-    variance += (_MODEL * level[3] * blur * cells / side_px) ** 2
-    _covary(room.factor, variance / (level[3] * level[3]), side, psi, covariance)
+    model = (_MODEL * blur * cells / side_px) ** 2
+    _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
     covariance[5] += _of_tilt(slope, known_tilt)
     return centre, psi, alike, row
 
@@ -305,8 +306,9 @@ def _solve(products, factor, solution):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _covary(factor, variance, side, psi, covariance):  # type: ignore[no-untyped-def]
-    """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi."""
+def _covary(factor, noise, model, side, psi, covariance):  # type: ignore[no-untyped-def]
+    """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi; noise and model
+    are variances of a pixel's grey [contrasts^2]."""
     # The last rows of the equations' inverse need the last rows of their factor only.
     inverse = np.zeros((4, 4))
     for i in range(4):
@@ -321,14 +323,15 @@ def _covary(factor, variance, side, psi, covariance):  # type: ignore[no-untyped
         for j in range(3):
             for k in range(max(i, j), 4):
                 products[i, j] += inverse[k, i] * inverse[k, j]
-    c, s, area = math.cos(psi), math.sin(psi), side * side * variance
+    c, s, area = math.cos(psi), math.sin(psi), side * side * (noise + model)
     ff, fl, ll = products[0, 0], products[0, 1], products[1, 1]
     covariance[0] = area * (c * c * ff - 2.0 * c * s * fl + s * s * ll)
     covariance[1] = area * (c * s * (ff - ll) + (c * c - s * s) * fl)
     covariance[2] = area * (s * s * ff + 2.0 * c * s * fl + c * c * ll)
-    covariance[3] = side * variance * (c * products[0, 2] - s * products[1, 2])
-    covariance[4] = side * variance * (s * products[0, 2] + c * products[1, 2])
-    covariance[5] = variance * products[2, 2]
+    both = side * (noise + _MODEL_TURNS * model)
+    covariance[3] = both * (c * products[0, 2] - s * products[1, 2])
+    covariance[4] = both * (s * products[0, 2] + c * products[1, 2])
+    covariance[5] = (noise + _MODEL_TURNS * _MODEL_TURNS * model) * products[2, 2]
 
 
 KERNELS: tuple[Any, ...] = (fit_tags,)  # that are called from Python

@@ -59,8 +59,8 @@ def floor_tags_in_view(config: Config) -> list[FloorTag]:
         for quarter in range(4):  # the print's corners
             angle, arm = turn + (quarter + 0.5) * math.pi / 2.0, target.whole / math.sqrt(2.0)
             points.append([tag.x_m + arm * math.cos(angle), tag.y_m + arm * math.sin(angle), tag.height_m])
-    whole = geometry.sees(np.array(points), (model.width, model.height)).reshape(-1, 4).all(1)
-    return [tag for tag, seen in zip(tags, whole.tolist(), strict=True) if seen]
+    corners = geometry.sees(np.array(points), (model.width, model.height)).reshape(-1, 4)
+    return [tag for tag, seen in zip(tags, corners, strict=True) if seen.all()]
 
 
 def floor_targets(config: Config, tags: Sequence[FloorTag]) -> list[Target]:
