@@ -14,6 +14,7 @@ from robofleet.tracking.bystanders import Bystanders
 from robofleet.tracking.estimator import FleetFilter
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.tracking.joined import Joined, Seen
+from robofleet.tracking.targets import floor_tags_in_view
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
@@ -118,17 +119,5 @@ def _exposure(message: FleetPoses, grid: TickGrid) -> int:
 def _agreement(config: Config) -> Agreement:
     """Return what judges the cameras, by the robots that they can see."""
     real = np.array([robot.reality == "real" for robot in config.members])
-    fixed = np.array([any(_in_view(view)) for view in config.views])
+    fixed = np.array([bool(floor_tags_in_view(view)) for view in config.views])
     return Agreement(real, config.controller.filter.position_noise_m, fixed)
-
-
-def _in_view(view: Config) -> list[bool]:
-    """Return which floor tags a camera can see."""
-    tags = view.tracker.floor_tags
-    if not tags or view.camera.model.T_world_camera is None:
-        return [False]
-    from robofleet.tracking.camera import CameraGeometry  # noqa: PLC0415 - it loads OpenCV
-
-    geometry = CameraGeometry.from_model(view.camera.model)
-    at = np.array([(tag.x_m, tag.y_m, tag.height_m) for tag in tags])
-    return [bool(its) for its in geometry.sees(at, (view.camera.width, view.camera.height))]

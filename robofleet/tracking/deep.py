@@ -34,7 +34,9 @@ _LEAST = 9  # between black and white nearby: noise that is left makes 5 [grey l
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
-_SAME = 0.12  # places closer than this are of one square [sides]
+_SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
+_READ = 128  # sides of one length at once, of whose squares the cells are read
+_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
@@ -48,7 +50,7 @@ class DeepSearch:
     """Finds targets, as ``TagDetector`` does."""
 
     def __init__(self, fit: PhotometricFit, targets: Sequence[Target]) -> None:
-        self._fit = fit
+        self._fit, self._lot = fit, np.random.default_rng(0)
         self._targets = tuple(targets)
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
@@ -61,6 +63,7 @@ class DeepSearch:
         self._all = patterns(fit.family).astype(np.float32)
         self._white = self._all[[target.tag for target in targets]]
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
+        self._hidden = int((self._covers[:, 1:-1, 1:-1] & self._free).sum((1, 2)).max())  # bits of a code, at most
 
     def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
         """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
@@ -79,18 +82,24 @@ class DeepSearch:
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
+            chosen = self._order(len(centre))[:_READ]
+            centre, psi = centre[chosen], psi[chosen]
             pixels = self._pixels(centre, psi, side, height, self._grid)
             cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
-            corners.append(self._pixels(centre[square], heading, side, height, CORNERS))
-            found.append(target)
+            others = _apart(centre[square], heading, target, _SAME * side)
+            corners.append(self._pixels(centre[square[others]], heading[others], side, height, CORNERS))
+            found.append(target[others])
         return Squares(np.concatenate(corners), np.concatenate(found))
 
     def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
-        """Return what squares of an image are; see ``detect``."""
+        """Return what squares of an image are; see ``detect``. A few may fail, then the others wait."""
         tags: list[Found] = []
-        for corners, target in zip(squares.corners, squares.which.tolist(), strict=True):
+        worth = np.zeros(len(squares.which))
+        failures = 0
+        for k in self._order(len(squares.which)).tolist():
+            corners, target = squares.corners[k], int(squares.which[k])
             x_y = self._fit.geometry.to_plane(corners, float(self._fit.heights[target]))
             at = x_y[:, 0] + 1j * x_y[:, 1]
             centre = complex(at.mean())
@@ -103,7 +112,14 @@ class DeepSearch:
             tag = self.near(image, target, centre, psi)
             if tag is not None:
                 tags.append(tag)
-        return Findings(tuple(tags), 0)
+                worth[k] = 1.0
+                continue
+            worth[k] = -1.0
+            failures += 1
+            if failures == _FAILURES:
+                break
+        order = np.argsort(-worth, kind="stable")
+        return Findings(tuple(tags), 0, Squares(squares.corners[order], squares.which[order]))
 
     def near(self, image: Image, target: int, centre: complex, psi: float, *, followed: bool = False) -> Found | None:
         """Return a target that is near a guess, whole or partly covered; None if nothing says that it is there.
@@ -142,6 +158,12 @@ class DeepSearch:
         return fit.found(0, target)
 
     # Squares
+
+    def _order(self, count: int) -> NDArray[np.int64]:
+        """Return in which order to look at so many of which the most promising ones come first: one of these, one by
+        lot, and so on. Thus none waits for ever."""
+        both = np.column_stack([np.arange(count), self._lot.permutation(count)]).ravel()
+        return both[np.sort(np.unique(both, return_index=True)[1])]
 
     def _edges(self, image: Image) -> tuple[Array, Array]:
         """Return begins and ends (E, 2) [px] of straight lines with black on their left and about a side long."""
@@ -201,13 +223,23 @@ class DeepSearch:
         )
         square = np.flatnonzero(good)
         bits = (inner[square] > half[square, :, None]).astype(np.float32)
-        found: list[tuple[int, int, int]] = []
+        found: list[tuple[float, int, int, int]] = []
         for turns in range(4):
-            wrong = self._wrong(np.rot90(bits, -turns, axes=(1, 2)), self._white[which])
-            found += [(int(square[i]), int(which[k]), turns) for i, k in np.argwhere(wrong <= _ROUGHLY)]
-        found.sort()
-        rows = np.array(found, np.int64).reshape(-1, 3)
-        return rows[:, 0], rows[:, 1], rows[:, 2].astype(np.float64)
+            turned, theirs = np.rot90(bits, -turns, axes=(1, 2)), self._white[which]
+            may = np.flatnonzero(self._differ(turned, theirs).min(1, initial=np.inf) <= _ROUGHLY + self._hidden)
+            wrong = self._wrong(turned[may], theirs)
+            found += [
+                (float(wrong[i, k]), int(square[may[i]]), int(which[k]), turns)
+                for i, k in np.argwhere(wrong <= _ROUGHLY)
+            ]
+        rows = np.array(sorted(found), np.int64).reshape(-1, 4)
+        return rows[:, 1], rows[:, 2], rows[:, 3].astype(np.float64)
+
+    def _differ(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return in how many bits of the code cells (M, C, C) differ from patterns (N, C, C): (M, N)."""
+        ours, theirs = bits[:, self._free], white[:, self._free]
+        differ: NDArray[np.float32] = ours.sum(1)[:, None] + theirs.sum(1) - 2.0 * ours @ theirs.T
+        return differ
 
     def _wrong(self, bits: NDArray[np.float32], white: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return how many cells (M, C, C) differ from patterns (N, C, C), with the cover that explains most: (M, N)."""
@@ -264,6 +296,17 @@ class DeepSearch:
             return False
         rim, paper = cells[cover & self._rim], cells[cover & self._paper]
         return bool(max((rim > 0.35).sum() / max(len(rim), 4), (paper < 0.65).sum() / max(len(paper), 4)) >= _HIDES)
+
+
+def _apart(centre: Complex, psi: Array, target: NDArray[np.int64], same: float) -> list[int]:
+    """Return which of squares (M,) are not one with another that comes before: each side of a square finds it."""
+    kept: list[int] = []
+    left, turned = np.ones(len(centre), np.bool_), np.exp(1j * psi)
+    for k in range(len(centre)):
+        if left[k]:
+            kept.append(k)
+            left &= (target != target[k]) | (np.abs(centre - centre[k]) > same) | (np.abs(turned - turned[k]) > _SAME)
+    return kept
 
 
 def _sharp(cells: Array) -> Array:

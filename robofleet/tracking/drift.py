@@ -49,7 +49,7 @@ _GATE, _SURVEY_GATE = 6.0**2, 4.0**2  # squared distance from which a landmark d
 _LEARNT = 20  # sightings, of a landmark's own offset, and more if the camera shakes
 _LEAST_FREE = 0.2  # share of a sighting's variance that its image's camera must leave to tell its noise
 _CALM = 2  # images in agreement, after which a knock is over
-_LOST = 30  # images in a row that do not agree, after which the camera is given up
+_LOST = 30  # images in a row that are not explained, after which the camera is given up
 _FAR_OFF = 3  # the same, if the landmarks are out of bounds
 _OFF = 10  # images, of a landmark that moved itself
 _BACK = 30  # images until it is believed again
@@ -74,14 +74,17 @@ class DriftMonitor:
     """Compares where landmarks are seen with where they lie.
 
     ``geometry``: where the camera hangs; by it the next image's landmarks are to be placed. ``trusted``: poses may be
-    used. Not while a knock of more than 4 mm goes on, and not when the camera is further out than is corrected; it can
-    come back. One landmark alone tells that something moved, not what. Two correct a knock, three follow a drift; four
-    in the arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
+    used. Not while a knock of more than 4 mm goes on, not when landmarks disagree for a second, and not when the camera
+    is further out than is corrected; it can come back. ``witnessed``: the newest image shows a landmark that did not
+    move itself.
+
+    One landmark alone tells that something moved, not what. Two correct a knock, three follow a drift; four in the
+    arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
     """
 
     def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
         """Take the calibrated camera."""
-        self.trusted = True
+        self.trusted, self.witnessed = True, False
         n = len(landmarks)
         table = np.array(landmarks, dtype=np.float64).reshape(n, 5)
         self._rows = {landmark.tag: row for row, landmark in enumerate(landmarks)}
@@ -116,9 +119,12 @@ class DriftMonitor:
         self._shaken, self._uncertainty = np.zeros(6), self._covariance + np.diag(self._vibration)
         offset = residual - self._own
         voters = ~np.isnan(offset[:, 0]) & (self._off < _OFF)
-        if not np.count_nonzero(voters):
-            return before, ()
         variance = self._noise**2 * self._share + self._unknown
+        self.witnessed = bool(np.count_nonzero(voters))
+        if not self.witnessed:  # landmarks that moved themselves may lie where they were again
+            surprise = offset - self._seen(self._state)
+            agree = self._distance(surprise, variance, self._covariance + np.diag(self._vibration)) < 1.0
+            return before, self._blame(surprise, agree)
         if self._calm < _CALM and self._agrees(offset, variance, voters, *self._home):
             (self._state, self._covariance), self._calm = self._home, _CALM
         if self._agrees(offset, variance, voters, self._state, self._covariance):
@@ -224,10 +230,13 @@ class DriftMonitor:
         self._state, self._covariance = self._home
         voting = np.flatnonzero(voters)
         prior = self._covariance + _KNOCK
+        self._uncertainty = prior + np.diag(self._vibration)
+        explained = False
         if len(voting) >= 2:
             surprise = offset - self._seen(self._state)
             agree = voters & self._consensus(surprise, variance, voting, prior)
-            if 2 * np.count_nonzero(agree) > len(voting):
+            explained = bool(2 * np.count_nonzero(agree) > len(voting))
+            if explained:
                 self._correct(surprise, variance, agree.astype(np.float64), prior)
                 jump = self._state - self._home[0] + self._shaken
                 most = _SHAKEN_MORE * self._vibration + _SHAKEN
@@ -236,7 +245,7 @@ class DriftMonitor:
         error, bound = float(np.median(errors)), _BOUND * self.geometry.position[2]
         self.trusted = self.trusted and error <= _TOLERATED
         self._worst = max(self._worst, float(errors.max()))
-        self._lost = 0 if self.trusted else self._lost + 1
+        self._lost = 0 if self.trusted and explained else self._lost + 1
         patience = _FAR_OFF if error > bound and len(voting) >= 2 else _LOST
         return self._give_up(self._worst) if self._lost >= patience else ()
 

@@ -78,6 +78,7 @@ class PhotometricFit:
         self._prints = np.stack([vertices(pattern(target.tag, self.family)) for target in targets])
         self._blur, self._noise = np.full(len(targets), _BLUR_PX), np.zeros(len(targets))
         self.tilts, self._studies = np.zeros((len(targets), 2)), np.zeros((len(targets), 2, 2))
+        self.studied = np.zeros(len(targets), np.int64)  # images from which each tilt was learnt
         self._to_quadratic = quadratic()
         self.fit(
             np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, np.complex128), np.zeros(1)
@@ -106,9 +107,13 @@ class PhotometricFit:
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            self._blur, self._noise, self.tilts, self._studies, studied, *fit,
+            self._blur, self._noise, self.tilts, self._studies, self.studied, studied, *fit,
         )  # fmt: skip
         return fit
+
+    def forget(self, target: int) -> None:
+        """Learn a target's tilt anew."""
+        self.tilts[target], self._studies[target], self.studied[target] = 0.0, 0.0, 0
 
     def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:
         """Return the pose of a target that is out of focus, or moves, in this image: nothing is learnt from it."""

@@ -153,12 +153,13 @@ def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
     b0, bx, by = np.float32(shape[1, 0]), np.float32(shape[1, 1]), np.float32(shape[1, 2])
     bxx, bxy, byy = np.float32(shape[1, 3]), np.float32(shape[1, 4]), np.float32(shape[1, 5])
     across, middle, wide, per = np.float32(cells), np.float32(0.5 * cells + 1.0), np.float32(cells + 3), np.float32(per)
+    last = np.int32(cells + 2)  # a map may be wild where no tag can be: its pixels are compared with the outermost row
     for k in range(many):
         x, y = flat[k], flat[CHUNK + k]
         a = a0 + x * (ax + x * axx + y * axy) + y * (ay + y * ayy)
         b = b0 + x * (bx + x * bxx + y * bxy) + y * (by + y * byy)
         right, down = middle + across * a, middle - across * b
-        i, j = np.float32(np.int32(right + half)), np.float32(np.int32(down + half))
+        i, j = np.float32(_within(right + half, last)), np.float32(_within(down + half, last))
         s, t = (right - i) * per, (down - j) * per
         flat[CHUNK + k], flat[2 * CHUNK + k], flat[3 * CHUNK + k], flat[4 * CHUNK + k] = a, b, s, t
         p, q = max(outer - abs(s), zero), max(half - abs(s), zero)
@@ -170,6 +171,12 @@ def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
         flat[6 * CHUNK + k] = half * (p * p - three * q * q)
         flat[8 * CHUNK + k] = one - beyond if t > zero else beyond
         flat[9 * CHUNK + k] = j * wide + i
+
+
+@image_kernel
+def _within(number, last):  # type: ignore[no-untyped-def]
+    """Return a number, as an integer from 0 to ``last``."""
+    return min(max(np.int32(number), np.int32(0)), last)
 
 
 @image_kernel

@@ -15,10 +15,10 @@ from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import News, Notice
 from robofleet.tracking.light import Light, Place, TagLight
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
-from robofleet.tracking.targets import floor_targets, robot_targets
+from robofleet.tracking.targets import floor_tags_in_view, floor_targets, robot_targets
 from robofleet.tracking.tracker import TagSighting, TagTracker
 
-_BLIND_IMAGES = 10  # with robots in sight and no floor tag: the camera may look elsewhere
+_BLIND_IMAGES = 10  # with robots in sight and no floor tag that lies where it was: the camera may look elsewhere
 
 
 class RobotSighting(NamedTuple):
@@ -47,7 +47,8 @@ class FleetSight:
     def __init__(self, config: Config) -> None:
         model = config.camera.model
         geometry = CameraGeometry.from_model(model)
-        targets = [*robot_targets(config), *floor_targets(config)]
+        lying = floor_tags_in_view(config)
+        targets = [*robot_targets(config), *floor_targets(config, lying)]
         self._heights = {target.tag: target.height for target in targets}
         self._light = TagLight(targets)
         self._places: list[Place] = []  # of the tags in the newest image
@@ -56,7 +57,7 @@ class FleetSight:
         self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in calibrated.items()}
         landmarks = [
             Landmark(floor.tag, floor.x_m, floor.y_m, math.radians(floor.heading_deg), floor.height_m)
-            for floor in config.tracker.floor_tags
+            for floor in lying
         ]
         self._drift = DriftMonitor(geometry, landmarks) if landmarks else None
         self._camera = geometry  # of the newest image
@@ -82,10 +83,14 @@ class FleetSight:
         self._places = [Place(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
         robots = [pose for pose in poses if pose.tag in self._offsets]
         measured = [pose for pose in poses if pose.coasted_ns == 0 and pose.tag not in self._offsets]
-        if measured and not placed:  # they were found with the robots
-            drift.update(measured)
-        self._blind = 0 if measured else self._blind + 1
-        if not drift.trusted or self._blind > _BLIND_IMAGES:
+        wrong = False
+        if measured and not placed:  # they were found with the robots, which may have been placed by a wrong camera
+            self._camera = self._updated(drift, measured, exposure_ns)
+            wrong = self._camera is not self._tracker.geometry
+            if wrong:
+                self._tracker.moved(self._camera)
+        self._blind = 0 if drift.witnessed else self._blind + 1
+        if wrong or not drift.trusted or self._blind > _BLIND_IMAGES:
             robots = [pose for pose in robots if pose.coasted_ns]
         return Sight(tuple(map(self._robot, self._doubted(drift, robots))), refused, happenings + self._news.take())
 
@@ -103,15 +108,20 @@ class FleetSight:
     def _place(self, drift: DriftMonitor, lying: Sequence[TagSighting], exposure_ns: int) -> None:
         """Place the other tags by the camera that shows the floor tags of this image where they lie."""
         trusted = drift.trusted
-        camera, drifted = drift.update(lying)
-        for happening in drifted:
-            self._news.say(*happening, exposure_ns)
+        camera = self._updated(drift, lying, exposure_ns)
         if trusted:
             self._tracker.geometry = camera
         else:  # where the robots are is not known: they are followed by where they were seen
             self._tracker.geometry = self._camera
             self._tracker.moved(camera)
         self._camera = camera
+
+    def _updated(self, drift: DriftMonitor, lying: Sequence[TagSighting], exposure_ns: int) -> CameraGeometry:
+        """Return the camera of this image by its floor tags, and tell what happened to it or to them."""
+        camera, drifted = drift.update(lying)
+        for happening in drifted:
+            self._news.say(*happening, exposure_ns)
+        return camera
 
     def light(self, image: NDArray[np.uint8]) -> Light:
         """Return how bright the image (H, W) is that was seen last."""

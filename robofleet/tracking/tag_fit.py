@@ -28,7 +28,8 @@ _FURTHEST = 0.2  # from the guess [sides, rad]
 _CUT, _KNOWN_CUT = 2.0, 4.0  # standard deviations of the noise beyond which a pixel shows something else
 _TRUNCATED = 0.88  # standard deviation of a normal distribution that is cut off at _CUT
 _MISFIT, _KNOWN_MISFIT = 0.2, 0.1  # of the contrast that a pixel may miss by itself, before and after the blur is known
-_MODEL = 0.038  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_MODEL = 0.035  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_MODEL_TURNS = 0.65  # of that, in a heading: it moves edges alike all over the print, and so turns it less
 _COVERED = 0.3  # share of a cell's pixels that show something else: then none of them counts
 _PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
 _EVERYTHING = 1e9  # no cut [grey levels]
@@ -41,6 +42,8 @@ _STUDY_CUT = 0.8  # [contrasts] beyond which a pixel shows something else there
 _STUDY_DOUBT = 2.0  # variance of what is learnt of a tilt over that of white noise: lens and pattern are not exact
 _STUDY_FORGET = 0.99  # of what was known, from image to image
 _PRIOR = 1.0 / math.radians(1.0) ** 2  # what is known of a tilt before it was learnt [1/rad^2]
+_LITTLE = 1e-3  # of that, which any image says
+_STUDY_DENIED = 4.0**2  # squared distance of what an image says from what is known
 _MOST_TILT = math.radians(10.0)
 
 Array = NDArray[np.float64]
@@ -67,13 +70,14 @@ class _Room(NamedTuple):
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    blurs, noises, tilts, studies, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+    blurs, noises, tilts, studies, counts, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
 
     hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
     what is known of the targets, and learnt. tilts (N, 2): as ``tag_map.map_pixels`` has it [rad]. Of the target
-    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2].
+    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2], from so
+    many images: ``counts`` (N,).
     """
     n = PARAMETERS
     room = _Room(
@@ -90,7 +94,7 @@ def fit_tags(  # type: ignore[no-untyped-def]
         if i == studied and fit_alike[m] > _STUDIED_FROM:
             _study(
                 image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
-                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], room,
+                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], counts[i : i + 1], room,
             )  # fmt: skip
 
 
@@ -152,8 +156,8 @@ def _fit(  # type: ignore[no-untyped-def]
             tally, asked = np.zeros((cells * cells, 2), np.int64), True
     sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not asked
     _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
-    variance += (_MODEL * level[3] * blur * cells / side_px) ** 2
-    _covary(room.factor, variance / (level[3] * level[3]), side, psi, covariance)
+    model = (_MODEL * blur * cells / side_px) ** 2
+    _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
     covariance[5] += _of_tilt(slope, known_tilt)
     return centre, psi, alike, row
 
@@ -193,10 +197,11 @@ def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def
 @image_kernel
 def _study(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, blur, noise,
-    tilt, known, room,
+    tilt, known, count, room,
 ):  # fmt: skip
     """Learn a tag's tilt (2,) [rad] by recursive least squares, from an image in which it was just fitted; known (2, 2)
-    is the information on it [1/rad^2].
+    is the information on it [1/rad^2], from ``count`` (1,) images. If an image denies what is known, the tag was moved
+    on its robot: it is learnt anew.
 
     A tilt shears a tag that is seen aslant, and turns it. The size is left free: an error of the height changes it.
     All pixels count that do not show something quite different: a tilt shows where the fit is worst.
@@ -235,14 +240,25 @@ def _study(  # type: ignore[no-untyped-def]
             left[n, m] -= left[n, 0] * left[m, 0] / left[0, 0]
     variance = left[3, 3] / (room.products[0, 0] - PARAMETERS)
     by = contrast / (_STUDY_DOUBT * max(variance, noise * noise))
+    a, b = by * left[3, 1], by * left[3, 2]
+    new_aa, new_ab, new_bb = by * contrast * left[1, 1], by * contrast * left[2, 1], by * contrast * left[2, 2]
     known *= _STUDY_FORGET
-    known[0, 0] += by * contrast * left[1, 1]
-    known[0, 1] += by * contrast * left[2, 1]
-    known[1, 1] += by * contrast * left[2, 2]
-    aa, ab, bb = known[0, 0] + _PRIOR, known[0, 1], known[1, 1] + _PRIOR
-    a, b, area = by * left[3, 1], by * left[3, 2], aa * bb - ab * ab
+    aa, ab, bb = known[0, 0] + new_aa, known[0, 1] + new_ab, known[1, 1] + new_bb
+    by_all = _squared(a, b, aa + _PRIOR, ab, bb + _PRIOR)
+    if _squared(a, b, new_aa + _LITTLE * _PRIOR, new_ab, new_bb + _LITTLE * _PRIOR) - by_all > _STUDY_DENIED:
+        aa, ab, bb, count[0] = new_aa, new_ab, new_bb, 0
+    known[0, 0], known[0, 1], known[1, 1] = aa, ab, bb
+    count[0] += 1
+    aa, bb = aa + _PRIOR, bb + _PRIOR
+    area = aa * bb - ab * ab
     tilt[0] = min(max(tilt[0] - (bb * a - ab * b) / area, -_MOST_TILT), _MOST_TILT)
     tilt[1] = min(max(tilt[1] - (aa * b - ab * a) / area, -_MOST_TILT), _MOST_TILT)
+
+
+@image_kernel
+def _squared(a, b, aa, ab, bb):  # type: ignore[no-untyped-def]
+    """Return a vector's square by the inverse of a symmetric matrix."""
+    return (bb * a * a - 2.0 * ab * a * b + aa * b * b) / (aa * bb - ab * ab)
 
 
 @image_kernel
@@ -290,8 +306,9 @@ def _solve(products, factor, solution):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _covary(factor, variance, side, psi, covariance):  # type: ignore[no-untyped-def]
-    """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi."""
+def _covary(factor, noise, model, side, psi, covariance):  # type: ignore[no-untyped-def]
+    """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi; noise and model
+    are variances of a pixel's grey [contrasts^2]."""
     # The last rows of the equations' inverse need the last rows of their factor only.
     inverse = np.zeros((4, 4))
     for i in range(4):
@@ -306,14 +323,15 @@ def _covary(factor, variance, side, psi, covariance):  # type: ignore[no-untyped
         for j in range(3):
             for k in range(max(i, j), 4):
                 products[i, j] += inverse[k, i] * inverse[k, j]
-    c, s, area = math.cos(psi), math.sin(psi), side * side * variance
+    c, s, area = math.cos(psi), math.sin(psi), side * side * (noise + model)
     ff, fl, ll = products[0, 0], products[0, 1], products[1, 1]
     covariance[0] = area * (c * c * ff - 2.0 * c * s * fl + s * s * ll)
     covariance[1] = area * (c * s * (ff - ll) + (c * c - s * s) * fl)
     covariance[2] = area * (s * s * ff + 2.0 * c * s * fl + c * c * ll)
-    covariance[3] = side * variance * (c * products[0, 2] - s * products[1, 2])
-    covariance[4] = side * variance * (s * products[0, 2] + c * products[1, 2])
-    covariance[5] = variance * products[2, 2]
+    both = side * (noise + _MODEL_TURNS * model)
+    covariance[3] = both * (c * products[0, 2] - s * products[1, 2])
+    covariance[4] = both * (s * products[0, 2] + c * products[1, 2])
+    covariance[5] = (noise + _MODEL_TURNS * _MODEL_TURNS * model) * products[2, 2]
 
 
 KERNELS: tuple[Any, ...] = (fit_tags,)  # that are called from Python

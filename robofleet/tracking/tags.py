@@ -45,6 +45,7 @@ class Findings(NamedTuple):
 
     tags: tuple[Found, ...]
     refused: int  # squares that read as a target and cannot be it: a wrong size, shape or look
+    squares: Squares | None = None  # the same squares in the order in which to look at them again, if it matters
 
 
 class TagDetector:
@@ -74,11 +75,11 @@ class TagDetector:
         if known is not None:
             new = ~(np.abs(centre - known[found]) < 0.5 * self._sides[found])
             found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
-        fit = self._fit.fit(image, found, centre, psi)
-        good = plausible & (fit.alike > ALIKE)
-        there = fit.of(np.flatnonzero(good))
-        tags = (there.found(k, target) for k, target in enumerate(found[good].tolist()))
-        return Findings(tuple(tags), len(found) - int(good.sum()))
+        may = found[plausible]
+        fit = self._fit.fit(image, may, centre[plausible], psi[plausible])
+        good = np.flatnonzero(fit.alike > ALIKE)
+        tags = (fit.found(k, target) for k, target in zip(good.tolist(), may[good].tolist(), strict=True))
+        return Findings(tuple(tags), len(found) - len(good))
 
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         """Return what reads as a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""
@@ -159,8 +160,9 @@ class Sweep:
             squares = self._detector.squares(image, region, bright)
         else:
             shown, squares = before.shown, before.squares
-        self._searched[k] = _Searched(shown, squares, visits)
-        return self._detector.place(image, squares, known)
+        found = self._detector.place(image, squares, known)
+        self._searched[k] = _Searched(shown, squares if found.squares is None else found.squares, visits)
+        return found
 
 
 def thumbnail(image: Image) -> Image:

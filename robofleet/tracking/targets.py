@@ -1,7 +1,12 @@
 """What the tracker looks for."""
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from robofleet.config.calibrated import FloorTag
 from robofleet.config.tree import Config
 from robofleet.settings import FAMILIES
 
@@ -41,7 +46,23 @@ def robot_targets(config: Config) -> list[Target]:
     ]
 
 
-def floor_targets(config: Config) -> list[Target]:
-    """Return the tags that lie on the floor, in the configuration's order."""
-    t = config.tracker
-    return [Target(floor.tag, floor.side_m, floor.height_m, 0.0, t.family) for floor in t.floor_tags]
+def floor_tags_in_view(config: Config) -> list[FloorTag]:
+    """Return the tags on the floor that the calibrated camera shows whole, in the configuration's order."""
+    tags, model = config.tracker.floor_tags, config.camera.model
+    if not tags or model.T_world_camera is None:
+        return []
+    from robofleet.tracking.camera import CameraGeometry  # noqa: PLC0415 - it loads OpenCV
+
+    geometry, points = CameraGeometry.from_model(model), []
+    for tag, target in zip(tags, floor_targets(config, tags), strict=True):
+        turn = math.radians(tag.heading_deg)
+        for quarter in range(4):  # the print's corners
+            angle, arm = turn + (quarter + 0.5) * math.pi / 2.0, target.whole / math.sqrt(2.0)
+            points.append([tag.x_m + arm * math.cos(angle), tag.y_m + arm * math.sin(angle), tag.height_m])
+    corners = geometry.sees(np.array(points), (model.width, model.height)).reshape(-1, 4)
+    return [tag for tag, seen in zip(tags, corners, strict=True) if seen.all()]
+
+
+def floor_targets(config: Config, tags: Sequence[FloorTag]) -> list[Target]:
+    """Return tags that lie on the floor as targets."""
+    return [Target(floor.tag, floor.side_m, floor.height_m, 0.0, config.tracker.family) for floor in tags]

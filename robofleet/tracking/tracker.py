@@ -40,8 +40,8 @@ _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _TILES = (4, 3)  # across and down: one is searched in each image
 _DEEP_TILES = (3, 3)  # of the deep search
 _BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
-_SEARCHES = 8  # regions a frame at most: a flash that hides all tags at once may not stop the tracker
-_DEEP_SEARCHES = 1  # of these
+_SEARCHES = 8  # hidden tags an image, at most: a flash that hides all at once may not stop the tracker
+_DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
 _OFTEN, _STUDIED_EVERY = 10, 8  # images from which each tilt is learnt at first; then one of so many
@@ -98,13 +98,14 @@ class TagTracker:
         self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
         self._line_ns = np.array([(image_size[1] - 1) / 2.0, line_time * 1e9])  # middle row [px], from row to row
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
-        self._studies = np.zeros(n, np.int64)  # images from which each tag's tilt was learnt
+        self._asked = np.zeros(n, np.int64)  # images from which each tag's tilt ought to have been learnt
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
         self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
         self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
         self._images = 0
+        self._searches = self._deep_searches = 0  # that may be made still in this image
         self._news = News()
         self._refused = 0
         none = np.zeros(0, np.int64)
@@ -137,6 +138,7 @@ class TagTracker:
         followed = np.flatnonzero(self._followed)
         expected = followed.tolist()
         measured: set[int] = set()
+        self._searches, self._deep_searches = _SEARCHES // 2, 0  # for tags that lie still
         if place is not None:
             drives = self._drives[followed]
             measured = self._expected(image, exposure_ns, followed[~drives], set(followed[drives].tolist()))
@@ -146,6 +148,7 @@ class TagTracker:
             if measured and self.geometry is not before:
                 self._carry(lying, centre, before)
             followed = followed[drives]
+        self._searches, self._deep_searches = self._searches + _SEARCHES // 2, _DEEP_SEARCHES
         measured |= self._expected(image, exposure_ns, followed, measured)
         hidden = [i for i in expected if i not in measured]
         measured |= self._scan(image, exposure_ns, measured)
@@ -178,7 +181,9 @@ class TagTracker:
             self._measure(index, fit, exposure_ns)
             return set(index.tolist())
         there = np.flatnonzero(fit.alike > self._alike)
-        for k in there[fit.alike[there] < CLEAR][:_SEARCHES].tolist():
+        partly = there[fit.alike[there] < CLEAR][: self._searches].tolist()
+        self._searches -= len(partly)
+        for k in partly:
             tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
             if tag is not None:
                 fit.centre[k], fit.psi[k], fit.covariance[k] = tag.centre, tag.psi, tag.covariance
@@ -187,13 +192,13 @@ class TagTracker:
 
     def _studied(self, index: Indices) -> int:
         """Return whose tilt is learnt from this image: of those that drive, in turn, at first often and then seldom."""
-        if self._images % _STUDIED_EVERY and self._studies[index].min() >= _OFTEN:
-            return NOBODY
         drives = index[self._drives[index]]
+        if self._images % _STUDIED_EVERY:
+            drives = drives[self._fit.studied[drives] < _OFTEN]
         if not len(drives):
             return NOBODY
-        chosen = int(drives[np.argmin(self._studies[drives])])
-        self._studies[chosen] += 1
+        chosen = int(drives[np.argmin(self._asked[drives])])
+        self._asked[chosen] += 1
         return chosen
 
     def _predicted(self, index: Indices, exposure_ns: int) -> tuple[Complex, Array, Complex]:
@@ -214,8 +219,9 @@ class TagTracker:
     def _search(self, image: Image, exposure_ns: int, hidden: list[int], measured: set[int]) -> set[int]:
         """Look for hidden tags where they can be, the longest hidden first; returns those that are there."""
         found: set[int] = set()
-        deep = 0
-        for i in sorted(hidden, key=lambda i: self._measured_ns[i])[:_SEARCHES]:
+        longest = sorted(hidden, key=lambda i: self._measured_ns[i])[: self._searches]
+        self._searches -= len(longest)
+        for i in longest:
             centre, psi, _ = self._predicted(np.array([i]), exposure_ns)
             partly = self._deep.near(image, i, complex(centre[0]), float(psi[0]), followed=True)
             if partly is not None and abs(partly.centre - self._centre[i]) <= self._reach(i, exposure_ns):
@@ -224,9 +230,9 @@ class TagTracker:
                 continue
             region = self._region(i, exposure_ns)
             findings = self._detector.detect(image, region)
-            if not findings.tags and deep < _DEEP_SEARCHES:
+            if not findings.tags and self._deep_searches:
                 findings = self._deep.detect(image, region)
-                deep += 1
+                self._deep_searches -= 1
             here = [
                 tag
                 for tag in findings.tags
@@ -256,8 +262,12 @@ class TagTracker:
 
     def _take(self, tag: Found, exposure_ns: int) -> None:
         """Believe what was found."""
-        if 0 < self._measured_ns[tag.target] < exposure_ns - _GAP_NS:
-            self._regained_ns[tag.target] = exposure_ns
+        i = tag.target
+        if 0 < self._measured_ns[i] < exposure_ns - _GAP_NS:
+            self._regained_ns[i] = exposure_ns
+            self._fit.studied[i] = min(int(self._fit.studied[i]), _OFTEN - 1)  # its tilt may be another
+        if self._measured_ns[i] < exposure_ns - _SETTLED_NS:
+            self._fit.forget(i)
         index, centre = np.array([tag.target]), np.array([tag.centre])
         rows = self._fit.pixels(index, centre)[:, 1]
         self._measure(
@@ -348,6 +358,7 @@ class TagTracker:
             self._doubt(i, exposure_ns)
         elif patient and not self._followed[i]:
             self._say(TrackerEvent.TAG_CARRIED if known else TrackerEvent.TAG_FOUND, i, distance, exposure_ns)
+            self._fit.forget(i)  # who carried it may have moved it on its robot
             return True
         elif known:
             self._refuse(TrackerEvent.TAG_JUMPED, tag, before, exposure_ns)

@@ -51,6 +51,7 @@ class V4L2Camera:
         self._device, self._gray = camera.v4l2.device, camera.v4l2.format == "GREY"
         self._clock, self._camera, self._ask = context.clock, camera, ask_range
         self._exposing = ExposureChange(Exposure(camera.exposure_s, float(camera.v4l2.gain or 0)))
+        self._stamped = False  # by the right clock: the first image tells; of later ones ``watch.py`` judges
         self.identity = device_identity(Path(self._device))
         self._reading = threading.Lock()
         self._capture = open_capture(self._device, cv2.CAP_V4L2)
@@ -129,8 +130,9 @@ class V4L2Camera:
 
     def _frame(self, image: NDArray[np.uint8], stamp_ms: float) -> Frame:
         stamp_ns = from_monotonic(round(stamp_ms * MS))
-        if not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_NS:
+        if not self._stamped and not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_NS:
             raise CameraError(f"{self._device} stamps its images by another clock than CLOCK_MONOTONIC")
+        self._stamped = True
         to_end_s = self._exposing.newest.time_s + self._camera.readout_s if self._camera.v4l2.stamp == "end" else 0.0
         exposure = self._exposing.of(stamp_ns - round(to_end_s * S))
         if to_end_s:

@@ -2,9 +2,9 @@
 
 A trouble is said once, when it begins, and once more, as CAMERA_BACK, when a good image ends it.
 
-A camera's clock may jump: its stamps go back, run ahead of now, or are far older than they were. Images with such
-stamps are not believed; when some in a row agree on how far it jumped, they are put on this host's clock by the delay
-that images had before. So for all who take poses time goes on.
+A camera's clock may jump: its stamps go back, or run ahead of now. Images with such stamps are not believed; when some
+in a row agree on how far it jumped, they are put on this host's clock by the delay that images had before. So for all
+who take poses time goes on. A stamp that is old is believed: images that come late are old, and count as that.
 """
 
 from collections import deque
@@ -104,8 +104,7 @@ class CameraWatch:
         """Return whether a stamp can be right, as it is or because the camera's clock jumped, and take it."""
         stamp_ns = exposure_ns - self._ahead_ns
         early = self.exposed_ns is not None and stamp_ns <= self.exposed_ns
-        old = self._delays_ns and now_ns - stamp_ns > min(self._delays_ns) + self._patience_ns
-        if early or old or stamp_ns > now_ns + _AHEAD_NS:
+        if early or stamp_ns > now_ns + _AHEAD_NS:
             if not self._jumped(now_ns - exposure_ns):
                 return False
             stamp_ns = exposure_ns - self._ahead_ns

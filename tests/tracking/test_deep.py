@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from robofleet.settings import FAMILIES
 from robofleet.tracking.deep import DeepSearch
+from robofleet.tracking.families import Squares
 from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.targets import Target
 from tests.tracking.acquisition import SCENES, evaluate, trials
@@ -101,3 +102,24 @@ def test_nothing_is_searched_deeply_while_nothing_is_missing(monkeypatch: pytest
         monkeypatch.setattr(DeepSearch, name, never)
     for sightings in Watched().at(scene(), STANDING, 30):
         assert measured(sightings).keys() == set(IDS)
+
+
+def test_each_square_is_looked_at_once_and_many_of_them_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    targets = [Target(tag, SIDE_M, HEIGHT_M, MAX_SPEED) for tag in IDS]
+    finder, looks = DeepSearch(PhotometricFit(GEOMETRY, targets), targets), []
+    image = scene().render(np.array(STANDING))
+    squares = finder.squares(image)
+    assert sorted(squares.which) == [0, 1, 2]
+
+    def never(_image: object, target: int, centre: complex, psi: float) -> None:
+        looks.append((target, round(centre.real, 3), round(centre.imag, 3)))
+
+    monkeypatch.setattr(finder, "near", never)
+    shifts = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1).reshape(-1, 1, 1, 2)
+    many = Squares((squares.corners + shifts).reshape(-1, 4, 2), np.tile(squares.which, len(shifts)))
+    for _ in range(30):
+        before, found = len(looks), finder.place(image, many)
+        assert len(looks) - before < 0.2 * len(many.which), "it takes a millisecond for each"
+        assert found.squares is not None
+        many = found.squares
+    assert len(set(looks)) == len(many.which)

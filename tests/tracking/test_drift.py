@@ -254,6 +254,34 @@ def test_a_kicked_tag_is_used_again_when_it_lies_where_it_was() -> None:
     assert [tag for event, tag, _ in lab.news if event == TrackerEvent.TAG_JUMPED] == [100, 100]
 
 
+def test_a_kicked_tag_alone_witnesses_nothing_until_it_lies_where_it_was() -> None:
+    lab = Lab(CORNERS)
+    lab.see(CALIBRATED, SECOND)
+    home = lab.tags.copy()
+    lab.tags[0, 0] += 0.02
+    lab.see(CALIBRATED, SECOND)
+    assert lab.monitor.witnessed
+    lab.see(KNOCKS["tilt"], 3, hidden=(1, 2, 3))
+    assert not lab.monitor.witnessed
+    lab.tags = home
+    lab.see(CALIBRATED, 2 * SECOND, hidden=(1, 2, 3))
+    assert lab.monitor.witnessed
+
+
+def test_while_a_small_knock_is_not_explained_nobody_is_sure_and_then_it_is_told() -> None:
+    lab, true = Lab(CORNERS[:1]), moved(0.06)
+    lab.see(CALIBRATED, SECOND)
+    for _ in range(SECOND - 1):
+        lab.see(true)
+        assert lab.monitor.trusted
+        off = lab.used.to_plane(true.project(ARENA), ROBOTS_M) - ARENA[:, :2]
+        spread = lab.monitor.covariance(ARENA)[:, :2, :2]
+        assert (np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) < 9.0).all()
+    assert lab.news == []
+    lab.see(true)
+    assert (lab.events(), lab.monitor.trusted) == ([TrackerEvent.CAMERA_MOVED], False)
+
+
 def test_knocked_while_some_are_hidden_and_one_is_kicked() -> None:
     lab = Lab(CORNERS + EDGES)
     lab.see(CALIBRATED, SECOND, hidden=(0, 5))

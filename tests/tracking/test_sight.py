@@ -41,6 +41,37 @@ def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt
     assert measured > 0.7 * KNOCKED * len(STANDING)
 
 
+def test_robots_that_are_found_with_floor_tags_are_not_placed_by_a_camera_that_was_knocked_meanwhile() -> None:
+    floor_tags = [{"tag": 100 + i, "side_m": 0.1, "x_m": x, "y_m": y} for i, (x, y) in enumerate(CORNERS)]
+    knocks = [{"at_s": 1.0, "rotation_deg": [0.08, 0.0, 0.0]}]
+    changes = [f"tracker.floor_tags={floor_tags}", f"camera.simulated.knocks={knocks}"]
+    config = load_config(ROOT / "configs/platoon.yaml", changes)
+    renderer, play, sight = scene_renderer(config, np.random.default_rng(3)), ScenePlay(config), FleetSight(config)
+    truth, measured = {robot.tag: row for robot, row in zip(config.robots, STANDING, strict=True)}, 0
+    for k in range(60):
+        geometry = play.camera(k * PERIOD_S)
+        if geometry is not None:
+            renderer.moved(geometry)
+        image = renderer.render(STANDING)
+        if 25 <= k < 45:  # nothing is seen for longer than tags are predicted
+            image = np.full_like(image, 120)
+        for robot in sight.see(image, round((1.0 + k * PERIOD_S) * 1e9)).robots:
+            if robot.coasted_ns == 0:
+                assert math.dist((robot.x, robot.y), truth[robot.tag][:2]) < 1e-3, k
+                measured += k >= 45
+    assert measured > 10 * len(STANDING)
+
+
+def test_a_camera_that_sees_no_floor_tag_goes_on_where_another_one_sees_some() -> None:
+    floor_tags = [{"tag": 100 + i, "side_m": 0.1, "x_m": -2.0 + i, "y_m": 0.8} for i in range(2)]
+    right = load_config(ROOT / "configs/two-cameras.yaml", [f"tracker.floor_tags={floor_tags}"]).views[1]
+    poses = np.array([(0.9 + 0.2 * i, 0.3 * (-1) ** i, 0.5 * i) for i in range(len(right.robots))])
+    sight, image = FleetSight(right), scene_renderer(right, np.random.default_rng(3)).render(poses)
+    for k in range(15):
+        robots = sight.see(image, round((1.0 + k * PERIOD_S) * 1e9)).robots
+    assert sum(robot.coasted_ns == 0 for robot in robots) == len(poses)
+
+
 def test_a_camera_that_vibrates_measures_all_robots_in_every_image() -> None:
     rows = evaluate({"floor tags": configuration(floor_tags=True)}, [0.05, 0.0, 0.0], 30)
     assert rows["floor tags"]["without"] == 0

@@ -188,3 +188,20 @@ def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
 
 def test_black_image_shows_nothing() -> None:
     assert detector().detect(np.zeros((720, 1280), np.uint8)) == Findings((), 0)
+
+
+def test_prints_at_the_edge_of_a_fisheye_that_looks_aslant_are_refused() -> None:
+    T = np.eye(4)
+    T[:3, :3], T[2, 3] = cv2.Rodrigues(np.array([0.75 * math.pi, 0.0, 0.0]))[0], 2.5
+    geometry = CameraGeometry([[420, 0, 640], [0, 420, 360], [0, 0, 1]], np.zeros(4), T, "fisheye")
+    fit = PhotometricFit(geometry, [Target(40, 0.1, 0.0, 0.2)])
+    finder = TagDetector(fit, [Target(40, 0.1, 0.0, 0.2)])
+    marker = np.kron(np.pad(APRILTAGS.generateImageMarker(40, 8), 1, constant_values=255), np.ones((3, 3), np.uint8))
+    for left, top in ((left, top) for left in (0, 20, 60, 1190, 1230, 1252) for top in range(0, 690, 15)):
+        image = np.full((720, 1280), 120, np.uint8)
+        image[top : top + 30, left : left + 30] = marker[:, : 1280 - left]
+        squares = finder.squares(image)
+        assert finder.place(image, squares) == Findings((), len(squares.which))
+        for corners in squares.corners:
+            guess = geometry.to_plane(corners, 0.0).mean(0) @ [1.0, 1j]  # the map from pixels is wild there
+            assert fit.fit(image, np.array([0]), np.array([guess]), np.zeros(1)).alike[0] < 0.9

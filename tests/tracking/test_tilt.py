@@ -20,8 +20,11 @@ TWIST = 0.15, 0.0, 0.6  # forward, left [m/s], turn [rad/s]
 IMAGES = 20
 
 
-def errors(tilts_deg: tuple[float, float], cable: Cable | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the headings' errors and standard deviations (IMAGES, 4) [deg] as the tracker sees four robots drive."""
+def errors(
+    tilts_deg: tuple[float, float], cable: Cable | None = None, images: int = IMAGES
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the headings' errors and standard deviations (images, 4) [deg] as the tracker sees four robots drive whose
+    tags are level from the image IMAGES on."""
     rng = np.random.default_rng(1)
     eye = camera(Scene(small=True))
     caster = RayCaster(eye, clutter(eye.size, rng), rng)
@@ -31,11 +34,13 @@ def errors(tilts_deg: tuple[float, float], cable: Cable | None = None) -> tuple[
         [Target(t, SIDE, HEIGHT, 0.3) for t in TAGS],
     )
     forward, left = math.radians(tilts_deg[0]), math.radians(tilts_deg[1])
-    tilts = (forward, left), (-forward, left), (forward, -left), (-forward, -left)
+    tilts = ((forward, left), (-forward, left), (forward, -left), (-forward, -left))
     off, sigma = [], []
-    for k in range(IMAGES):
+    for k in range(images):
         t = k * PERIOD_NS / S
         poses = [tuple(map(float, along(start, TWIST, t))) for start in STARTS]
+        if k == IMAGES:
+            tilts = ((0.0, 0.0),) * len(TAGS)
         prints = [
             Print(tag, SIDE, HEIGHT, (x, y, psi), cable=cable if k > 2 else None, tilt=tilt)
             for tag, (x, y, psi), tilt in zip(TAGS, poses, tilts, strict=True)
@@ -64,3 +69,10 @@ def test_a_tilt_is_learnt_and_no_longer_turns_the_heading(tilts_deg: tuple[float
 def test_what_lies_across_level_tags_is_not_taken_for_a_tilt() -> None:
     off, _ = errors((0.0, 0.0), Cable(0.0, 0.005, 0.4, 0.004, 0.004, 20.0))
     assert math.sqrt((off[3:] ** 2).mean()) < 0.06
+
+
+def test_a_tag_that_is_put_straight_is_learnt_anew() -> None:
+    off, sigma = errors((5.0, 0.0), images=4 * IMAGES)
+    assert np.abs(off[IMAGES]).max() > 0.3
+    assert math.sqrt((off[-IMAGES:] ** 2).mean()) < 0.06
+    assert (off[-IMAGES:] ** 2 / sigma[-IMAGES:] ** 2).mean() < 4.0

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from robofleet.config.calibrated import CameraModel
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.events import TrackerEvent
+from robofleet.tracking.tags import Findings
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import Sightings, TagSighting, TagTracker
 
@@ -198,6 +200,26 @@ def test_a_flash_that_hides_everything_is_survived(renderer: SceneRenderer) -> N
         assert [pose.coasted_ns > 0 for pose in blind.poses] == [True] * 3
     (after,) = watched.at(renderer, STANDING)
     assert measured(after).keys() == set(IDS)
+
+
+def test_a_flash_that_hides_floor_tags_and_robots_costs_a_few_searches_an_image(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks: list[str] = []
+    speeds = [0.0] * 9 + [MAX_SPEED] * 9
+    targets = [Target(1 + i, SIDE_M, 0.0 if speed == 0.0 else HEIGHT_M, speed) for i, speed in enumerate(speeds)]
+    image = SceneRenderer(GEOMETRY, SIZE, targets, 3.0, np.random.default_rng(2)).render(
+        np.array([(-1.2 + 0.3 * (i % 9), 0.4 if i < 9 else -0.4, 0.3) for i in range(18)])
+    )
+    tracker = TagTracker(GEOMETRY, SIZE, targets)
+    for k in range(3):
+        seen = tracker.track(image, 10**9 + k * PERIOD_NS, lambda _: None)
+    assert len(seen.poses) == 18
+    monkeypatch.setattr(DeepSearch, "near", lambda *_, **__: looks.append("near"))
+    monkeypatch.setattr(DeepSearch, "detect", lambda *_: (looks.append("detect"), Findings((), 0))[1])
+    tracker.track(np.full_like(image, 255), 10**9 + 3 * PERIOD_NS, lambda _: None)
+    assert looks.count("near") == 8
+    assert looks.count("detect") == 1
 
 
 def test_a_robot_that_leaves_the_image_is_not_seen_elsewhere(renderer: SceneRenderer) -> None:

@@ -266,6 +266,14 @@ def test_stamps_of_another_clock_are_refused(age_s: float) -> None:
         read(capture, camera, scene(), age_s * 1e3)
 
 
+def test_a_stamp_that_jumps_later_is_left_to_the_watch() -> None:
+    capture = Capture()
+    camera = camera_of(capture, "camera.v4l2.format=GREY")
+    for age_s in (0.02, -5.0, 20.0, 0.02):
+        frame, stamped_ns = read(capture, camera, scene(), age_s * 1e3)
+        assert abs(frame.exposure_ns - stamped_ns) < 15 * MS
+
+
 def test_a_device_that_gives_nothing_is_unplugged() -> None:
     with pytest.raises(CameraError, match=f"{DEVICE} gives no image"):
         camera_of(Capture()).read()

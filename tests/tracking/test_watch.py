@@ -120,6 +120,16 @@ def test_late_images_are_no_jump_of_the_clock() -> None:
     assert E.CLOCK_JUMPED not in sight.events()
 
 
+def test_a_camera_that_becomes_slow_for_good_is_believed_to_be_as_late_as_it_says() -> None:
+    sight = Sight()
+    assert all(sight.look(exposure_ns=sight.now_ns + PERIOD_NS - 20 * MS) for _ in range(10))
+    sight.now_ns += 280 * MS
+    for _ in range(20):
+        assert sight.look(exposure_ns=sight.now_ns + PERIOD_NS - 300 * MS)
+        assert sight.watch.exposed_ns == sight.now_ns - 300 * MS
+    assert sight.events() == []
+
+
 def test_of_a_camera_whose_clock_was_never_right_nothing_is_believed() -> None:
     sight = Sight()
     assert not any(sight.look(exposure_ns=sight.now_ns + 10 * S) for _ in range(20))
