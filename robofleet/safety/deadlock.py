@@ -92,7 +92,7 @@ def answer(
 ) -> tuple[float, float]:  # fmt: skip
     """Return what robot i gets for (x, y), and remember whether it gets on; rows from ``first`` on are the others'.
 
-    ``whose``: who each row keeps it off; ``asking``: which bodies ``asks`` tells; ``times``: as ``in_ticks`` gives them.
+    ``whose``: who each row keeps it off; ``asking``: which bodies ``asks`` tells; ``times``: those of ``in_ticks``.
     """
     mine, (met, stands, idle, walled) = memory[i], _held_by(x, y, rows, first, whose, asking, memory)
     wanted = np.hypot(x, y)
