@@ -338,7 +338,7 @@ def _refuse_viewers(shown: dict[str, str], tree: "Config", *, lockstep: bool) ->
     for viewer, at in shown.items():
         option = viewers.option(viewer)
         if lockstep:
-            raise RefusedError(f"{option}: a lockstep run ends too soon for viewers: open its run.mcap in one")
+            raise RefusedError(f"{option} needs a run in real time: after --lockstep open its run.mcap")
         viewers_command.need(viewer)
         viewers.Address.read(viewer, at, option).check(tree.arena.name, option)
 

@@ -47,7 +47,7 @@ class Sighting:
 
     @property
     def named(self) -> bytes:
-        """The names of the newest images of each camera but the first, as a tick tells them."""
+        """Epoch and number of the newest image of each camera but the first, for a tick."""
         return np.array(self.taken[1:], np.float64).tobytes() if len(self.taken) > 1 else b""
 
     def read(self, index: int, grid: TickGrid) -> Instants | None:

@@ -185,8 +185,8 @@ class DriftMonitor:
         return (state @ self._sensitivity.T).reshape(*state.shape[:-1], -1, 3)
 
     def _follow_noise(self, left: Array, variance: Array) -> None:
-        """Learn the sightings' noise from how what the camera leaves changes, of which a landmark's own is nothing: as
-        many below as above."""
+        """Adapt the noise to the median change of the residuals between images. A landmark's own offset, which is
+        constant, cancels in it."""
         spread = (self._sensitivity @ self._uncertainty * self._sensitivity).sum(-1).reshape(-1, 3)
         free = variance / (variance + spread)
         left = np.where(free > _LEAST_FREE, left / np.sqrt(free), np.nan)
@@ -204,8 +204,8 @@ class DriftMonitor:
         return distance
 
     def _correct(self, surprise: Array, variance: Array, weight: Array, prior: Array) -> None:
-        """Correct what remains, whose covariance is ``prior``, and estimate what this image has of its own, by the
-        landmarks whose weight (L,) is more than 0."""
+        """Correct the drift, whose covariance is ``prior``, and estimate this image's vibration, from the landmarks of
+        weight (L,) above 0."""
         surprise = np.where(weight[:, None] > 0, surprise, 0.0)
         weighted = self._sensitivity * (weight[:, None] / variance).reshape(-1, 1)
         information = weighted.T @ self._sensitivity

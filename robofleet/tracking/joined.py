@@ -93,7 +93,7 @@ class Joined:
         return newest[0].exposed_ns - oldest[0].exposed_ns
 
     def _late(self, seen: Seen) -> bool:
-        """Return whether the filter would not take all of an image any more."""
+        """Return whether an image is older than the filter for some robot."""
         return bool((seen.measured & (seen.instants_ns <= self._filter.instants_ns)).any())
 
     def _take(self, images: list[Seen]) -> NDArray[np.int64]:

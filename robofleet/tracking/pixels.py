@@ -25,7 +25,7 @@ _LANES = 16  # of the processor, at most: chunks are filled up to a multiple of 
 
 
 def vertices(white: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return what meets in the corners of a print's cells (C, C), ((C + 3)^2,), with a row of corners around them.
+    """Return a code ((C + 3)^2,) for each corner of a print's cells (C, C), and of one row of corners around it.
 
     Of the four cells around a corner, black -1 and white 0: the upper left one, what is more to the right, below, and
     in the diagonal beyond these two. Each, plus 2, is an octal digit; the first one is the lowest.

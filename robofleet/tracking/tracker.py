@@ -157,7 +157,7 @@ class TagTracker:
         return Sightings(tuple(poses), self._refused, self._news.take())
 
     def _carry(self, index: Indices, centre: Complex, before: CameraGeometry) -> None:
-        """Take tags for where the camera sees them now at the pixels where one before saw ``centre`` (M,)."""
+        """Move tags, which camera ``before`` placed at ``centre`` (M,), to where the new camera places them."""
         heights = self._fit.heights[index]
         pixels = before.project(np.column_stack([centre.real, centre.imag, heights]))
         x_y = self.geometry.to_plane(pixels, heights)

@@ -23,7 +23,7 @@ NODE = "robofleet"
 
 
 class Part(Protocol):
-    """What tells something of a run, or takes something for it."""
+    """A part of the gateway: it publishes, or subscribes."""
 
     def step(self, now_ns: int) -> None:
         """Say what is new."""

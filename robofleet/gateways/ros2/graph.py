@@ -16,7 +16,7 @@ _WALL = WallClock()
 class Graph:
     """What a part of the gateway needs of ROS: publishers by the table, stamps, and a line in the log.
 
-    ``epoch_ns`` makes an instant of the run's clock a stamp: it is added. In simulated time nothing is.
+    ``epoch_ns`` is added to the run's clock to give a stamp; it is 0 in simulated time.
     """
 
     def __init__(self, node: Node, clock: Clock, epoch_ns: Callable[[], int]) -> None:

@@ -24,7 +24,7 @@ def foxglove(
     arena: ArenaName = None,
     config: _Copy = None,
     at: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Where viewers find it; beyond this computer by TLS.")
+        str, typer.Option(metavar="HOST:PORT", help="Address to serve at; TLS beyond this computer.")
     ] = DEFAULTS[FOXGLOVE],
     lifeline: LifelineFd = None,
 ) -> None:
