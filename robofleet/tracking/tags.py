@@ -76,6 +76,8 @@ class TagDetector:
             new = ~(np.abs(centre - known[found]) < 0.5 * self._sides[found])
             found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
         may = found[plausible]
+        if not len(may):
+            return Findings((), len(found))
         fit = self._fit.fit(image, may, centre[plausible], psi[plausible])
         good = np.flatnonzero(fit.alike > ALIKE)
         tags = (fit.found(k, target) for k, target in zip(good.tolist(), may[good].tolist(), strict=True))

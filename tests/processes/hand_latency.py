@@ -10,7 +10,7 @@ import argparse
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +37,14 @@ Act = Callable[[bool], int]  # hold the button, or let it go; returns when that 
 @contextmanager
 def pad(config: Config, bus: ZenohBus) -> Iterator[Act]:
     """Drive by a gamepad of this computer."""
-    one, over = PipedDevice(), threading.Event()
-    driven = EventPad(one), config, bus, CLOCK, GROUP, over.is_set
-    threading.Thread(target=driving.drive, args=driven, daemon=True).start()
+    one = PipedDevice()
+
+    def drive() -> None:
+        with suppress(OSError, ValueError):  # it is closed
+            driving.drive(EventPad(one), config, bus, CLOCK, GROUP, lambda: False)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
     one.happens((EV_ABS, ABS_Y, -32768))
 
     def act(held: bool) -> int:
@@ -48,7 +53,8 @@ def pad(config: Config, bus: ZenohBus) -> Iterator[Act]:
         return now_ns
 
     yield act
-    over.set()
+    one.close()
+    thread.join()
 
 
 @contextmanager
