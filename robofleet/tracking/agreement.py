@@ -2,8 +2,8 @@
 
 A camera that was knocked shows every robot elsewhere, by millimetres to centimetres. Two cameras are compared by the
 robots that both see. They need not expose together: a robot's place in an image of one is compared with the arc between
-its places in the two images of the other around it. of them
-is not believed any more, until they agree again for a while. Of the two it is
+its places in the two images of the other around it. Of two cameras that disagree one is not believed any more, until
+they agree again for a while:
 
 1. the one that disagrees with further cameras, too;
 2. the one that jumped: in the first of those images it was the further one from where robots were expected;

@@ -44,9 +44,8 @@ class Seen(NamedTuple):
         return np.isfinite(self.poses[:, 0])
 
 
-Judge = Callable[
-    [Seen, Array], bool
-]  # of an image, and where it was expected to see the robots (N, 3): is it believed?
+# Of an image, and where it was expected to see the robots (N, 3): is it believed?
+Judge = Callable[[Seen, Array], bool]
 
 
 def _believe(_seen: Seen, _expected: Array) -> bool:
