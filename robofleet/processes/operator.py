@@ -18,9 +18,8 @@ from robofleet.comms.zenoh_bus import ZenohBus
 from robofleet.processes.arena_file import ArenaFile, found
 from robofleet.processes.estop import emergency_stop, urgent
 from robofleet.recording.causes import halt_cause, named, run_cause
-from robofleet.safety.advice import advised
+from robofleet.safety.advice import WAY_OUT, advised
 from robofleet.safety.gate import GateStatus, Latch
-from robofleet.safety.requests import WAY_OUT
 from robofleet.safety.supervisor import Phase
 
 _CONNECT_WITHIN_S = 1.0

@@ -22,10 +22,11 @@ from robofleet.processes.fleet_view import FleetListener
 from robofleet.processes.handing import Handing
 from robofleet.processes.rescues import Words
 from robofleet.safety import arming, busy, monitor, rescue, scan
+from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import Memory, MonitorSettings
-from robofleet.safety.requests import WAY_OUT, acknowledged, latched, refusal
+from robofleet.safety.requests import acknowledged, latched, refusal
 from robofleet.safety.rescue import Rescue
 from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import CAUSES, MOVING, NOBODY, Event, Happening, Phase, RunStatus, describe

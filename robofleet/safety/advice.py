@@ -1,6 +1,20 @@
-"""What an operator does about a cause: said beside it, once, where a run ends or stands. Pure."""
+"""What an operator does about a cause: said beside it, once, where a run ends or stands; and in each phase. Pure.
 
-from robofleet.safety.supervisor import Event
+It imports nothing heavy: `robofleet stop` and `status` wait for it.
+"""
+
+from robofleet.safety.supervisor import Event, Phase
+
+WAY_OUT: dict[int, str] = {  # by phase
+    Phase.IDLE: "nothing runs: start it",
+    Phase.ARMED: "the fleet is being armed: start it once the checks are passed, or stop",
+    Phase.RUNNING: "the run goes on: hold it, or stop it",
+    Phase.POSITIONING: "the robots go to their start: hold them, or stop",
+    Phase.PARKING: "the robots are being parked: hold them, or stop",
+    Phase.HOLD: "the run is held: resume it, or stop it",
+    Phase.FAULT: "the run ended by a fault: mend it, then reset",
+    Phase.ESTOP: "the emergency stop is latched: look at the robots, then reset",
+}
 
 _SEE_LOG = "its log is in the run's folder"
 _BUSY = "end other programs that keep this machine busy"

@@ -1,5 +1,6 @@
 """What an operator may ask for, and why it is refused: in words that say what to do. Pure."""
 
+from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import SILENT_NS
 from robofleet.safety.supervisor import MOVING, TRANSITIONS, Event, Happening, Phase, RunStatus, describe
@@ -17,16 +18,6 @@ _MET = {
     Event.PARK_REQUESTED: (Phase.PARKING,),
     Event.ESTOP_REQUESTED: (Phase.ESTOP,),
     Event.RESET: (Phase.IDLE,),
-}
-WAY_OUT: dict[int, str] = {  # by phase
-    Phase.IDLE: "nothing runs: start it",
-    Phase.ARMED: "the fleet is being armed: start it once the checks are passed, or stop",
-    Phase.RUNNING: "the run goes on: hold it, or stop it",
-    Phase.POSITIONING: "the robots go to their start: hold them, or stop",
-    Phase.PARKING: "the robots are being parked: hold them, or stop",
-    Phase.HOLD: "the run is held: resume it, or stop it",
-    Phase.FAULT: "the run ended by a fault: mend it, then reset",
-    Phase.ESTOP: "the emergency stop is latched: look at the robots, then reset",
 }
 
 
