@@ -78,7 +78,8 @@ class SceneRenderer:
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
         self._even = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
-        self._gain = np.float32(light) * self._even
+        self._light = np.float32(light)
+        self._gain = self._light * self._even
         self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._whole, BLUR_PX, rng, obstacles)
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
@@ -113,15 +114,15 @@ class SceneRenderer:
         """Draw exposures of another length from now on, with ``light`` times the greys of full light, and with
         ``noise`` times the noise: what gain makes of both."""
         self._shutter = (exposure_s, self._shutter[1])
-        gain = np.float32(light) * self._even
+        if (np.float32(light), noise) == (self._light, self._noise):
+            return
         if noise != self._noise:
             self._noise = noise
             self._offset = min(math.ceil(self._quiet_offset * noise), 127)
             bank = np.rint((self._quiet_bank.astype(np.float32) - self._quiet_offset) * noise) + self._offset
             self._bank = np.clip(bank, 0, 2 * self._offset).astype(np.uint8)
-        elif np.array_equal(gain, self._gain):
-            return
-        self._gain = gain
+        self._light = np.float32(light)
+        self._gain = self._light * self._even
         self._light_ground()
 
     def _light_ground(self) -> None:
