@@ -16,8 +16,8 @@ def asked_elsewhere(script: str, at_most_s: float = _AT_MOST_S) -> Any:
     """Return the JSON that a Python script prints in its last line; NoAnswerError where it hangs or fails."""
     try:
         done = subprocess.run(
-            [sys.executable, "-c", script], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=at_most_s,
-            check=True,
+            [sys.executable, "-P", "-c", script], stdin=subprocess.DEVNULL, capture_output=True, text=True,
+            timeout=at_most_s, check=True,
         )  # fmt: skip
         return json.loads(done.stdout.splitlines()[-1])
     except subprocess.TimeoutExpired as error:

@@ -86,7 +86,7 @@ class Children:
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
         with theirs, log.open("ab") as output:
-            command = [sys.executable, "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
+            command = [sys.executable, "-P", "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
             process = subprocess.Popen(
                 [*command, "--lifeline", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],

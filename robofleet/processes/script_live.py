@@ -196,7 +196,7 @@ class OwnRun:
         file.write_text(resolved_yaml(config))
         self._said = (place / "stderr").open("w+b")
         theirs, self._lifeline = os.pipe()
-        command = [sys.executable, "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
+        command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(
             [*command, "--out", str(self.folder.absolute())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=self._said, start_new_session=True, pass_fds=[theirs],

@@ -25,7 +25,9 @@ LOCAL, RAY = "local", "ray"
 WORKER_DIED = "its worker process died (out of memory, or killed)"
 
 _AHEAD = 2  # units under way for each worker: one that works, one that waits
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # of a worker: there is one for each core
+_ENVIRONMENT = {  # of a worker: there is one for each core, and modules of the current folder are no worker's
+    "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1",
+}  # fmt: skip
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -122,8 +124,8 @@ def _through(
 def _pool(work: Callable[[Any], Any], jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Open a pool whose workers end with us: whatever is under way when this is left is not waited for."""
     others = set(active_children())
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
+    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
+    os.environ.update(_ENVIRONMENT)
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (work, list(sys.path)))
     finished = False
     try:

@@ -106,8 +106,9 @@ def bodies_there(settings: MocapSettings) -> list[str]:
     where = f"{settings.system} at {settings.host}"
     try:
         asked = subprocess.run(
-            [sys.executable, "-c", _ASK], input=given, capture_output=True, text=True, timeout=_ANSWER_S, check=False
-        )
+            [sys.executable, "-P", "-c", _ASK], input=given, capture_output=True, text=True, check=False,
+            timeout=_ANSWER_S,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         mend = "start its streaming, and compare tracker.mocap.host with its address"
         raise CameraError(f"{where} sends nothing within {_ANSWER_S:g} s: {mend}") from None
