@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from importlib.metadata import packages_distributions
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,16 @@ from tests.processes.realrun import own_folders
 
 ROOT = Path(__file__).parents[1]
 PROGRAM = str(Path(sys.executable).with_name("robofleet"))
-PACKAGES = {name for name in packages_distributions() if name.isidentifier()} - {"robofleet"}
-MODULES = {*PACKAGES, "robofleet", *sys.stdlib_module_names} - {*sys.builtin_module_names}
+
+
+def _files(names: Iterable[str]) -> set[str]:
+    """Return which modules are files: one that is spread over folders (a namespace) gives way to any file."""
+    specs = {name: find_spec(name) for name in names if name.isidentifier()}
+    return {name for name, spec in specs.items() if spec is not None and spec.origin not in (None, "built-in")}
+
+
+PACKAGES = _files({*packages_distributions()} - {"robofleet"})
+STANDARD = _files(sys.stdlib_module_names)
 LEAVES_A_MARK = """\
 import posix, sys
 mark = posix.open({mark!r}, posix.O_WRONLY | posix.O_CREAT | posix.O_APPEND, 0o644)
@@ -37,7 +46,7 @@ import sys
 import robofleet
 with robofleet.Fleet(sys.argv[1], out=sys.argv[2]) as fleet:
     for _ in fleet.ticks(0.5):
-        fleet.drive([0.1], [0.0])
+        pass
 """
 WORK = """\
 from robofleet.studies.engine import opened
@@ -69,7 +78,7 @@ class Trap:
 @pytest.fixture
 def trap(tmp_path: Path) -> Trap:
     (tmp_path / "trap").mkdir()
-    return Trap(tmp_path / "trap", MODULES)
+    return Trap(tmp_path / "trap", {*PACKAGES, *STANDARD, "robofleet"})
 
 
 def test_the_trap_catches_who_imports_from_there(trap: Trap) -> None:
