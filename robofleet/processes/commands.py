@@ -236,7 +236,7 @@ def _wait_for_runs(unit: str) -> None:
         robot = load_robot_file(file)
         if robot.unit != unit:
             raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
-    os.execv(sys.executable, [sys.executable, "-P", "-m", "robofleet.processes.daemon"])
+    os.execv(sys.executable, [sys.executable, "-P", "-X", "faulthandler", "-m", "robofleet.processes.daemon"])
 
 
 def router(

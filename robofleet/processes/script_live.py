@@ -26,6 +26,7 @@ from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import script_own
 from robofleet.processes.arena_file import ArenaFile, running
+from robofleet.processes.children import ended_by
 from robofleet.processes.script_link import FleetError, ended, held, refuse
 from robofleet.recording.after import SUMMARY
 from robofleet.safety.supervisor import Event, Phase, RunStatus
@@ -227,8 +228,9 @@ class OwnRun:
     def why(self) -> str:
         """Return what it said last."""
         self._said.seek(0)
-        lines = self._said.read().decode(errors="replace").strip().splitlines()
-        return "\n".join(lines[-5:]) or f"the run ended with exit code {self._process.returncode}"
+        lines = self._said.read().decode(errors="replace").strip().splitlines()[-5:]
+        code = self._process.returncode
+        return "\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"])
 
     def interrupt(self) -> None:
         """End it as Ctrl-C does: a controlled stop."""

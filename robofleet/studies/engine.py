@@ -5,6 +5,7 @@ schedules nothing itself, and keeps few units under way, so that whoever ends it
 raises, or whose worker dies, is named and ends nothing else.
 """
 
+import faulthandler
 import gc
 import os
 import signal
@@ -147,6 +148,7 @@ def _begin(work: Callable[[Any], Any], path: list[str]) -> None:
     """Be a worker: Ctrl-C is for the one who started it, and without that one it ends."""
     global _work  # noqa: PLW0603 - a worker is its work
     _work = work
+    faulthandler.enable()  # one that crashes says where
     gc.freeze()  # what was loaded for it stays: no collector need look there
     sys.path[:] = path
     signal.signal(signal.SIGINT, signal.SIG_IGN)
