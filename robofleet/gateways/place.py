@@ -29,7 +29,7 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
     try:
         there = joined_arena(arena)
         if there is None:
-            run = chosen(arena)
+            run = chosen(arena, own=True)
             folder = Path(run.folder)
             return load_config(folder / "config.yaml"), Place(run.endpoint, None, OPERATOR, folder)
     except NoArenaError as error:

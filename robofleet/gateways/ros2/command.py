@@ -97,7 +97,7 @@ def _need_ros() -> None:
     """Refuse where there is no rclpy, or one of another Python."""
     chosen = os.environ.get("RMW_IMPLEMENTATION")
     if chosen:  # rclpy ends the process that imports it and has no such one
-        tried = subprocess.run([sys.executable, "-c", "import rclpy"], stderr=subprocess.DEVNULL, check=False)
+        tried = subprocess.run([sys.executable, "-P", "-c", "import rclpy"], stderr=subprocess.DEVNULL, check=False)
         if tried.returncode not in (0, _RAISED):
             raise RefusedError(f"RMW_IMPLEMENTATION={chosen}: this rclpy does not start with it: unset it")
     missing = [package for package in _PACKAGES if package != _OPTIONAL and find_spec(package) is None]
