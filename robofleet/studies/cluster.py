@@ -96,7 +96,7 @@ def _started(where: str, mend: str, **options: Any) -> Iterator[Any]:
 
     try:
         ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
-    except Exception as error:  # noqa: BLE001 - Ray raises whatever its parts do, and Exception itself
+    except Exception as error:
         ray.shutdown()
         raise RefusedError(f"--on: {where} cannot be used: {' '.join(str(error).split())}: {mend}") from error
     try:
