@@ -21,10 +21,13 @@ from robofleet.comms.keys import (
     NOTE,
     REQUEST,
     SAFE_REQUEST,
+    TELEOP,
     TOPICS,
     WISH,
     Topic,
     key,
+    sender_key,
+    split,
 )  # fmt: skip
 from robofleet.comms.permissions import (
     ANSWERS,
@@ -59,7 +62,20 @@ def about(topic: Topic) -> tuple[str, ...]:
     return NAMES[topic.key.partition("/")[0]] if "{}" in topic.key else ("",)
 
 
-KEYS = {key(ARENA, topic, name): topic for topic in TOPICS if topic is not ALIVE for name in about(topic)}
+SENDERS = tuple(f"{role}/{name}/{session}" for role in ROLES for name in (role, "mallory") for session in ("1f", "2e"))
+
+
+def full_keys(topic: Topic) -> Iterator[str]:
+    """Yield a topic's keys: where each sender has one of its own, those of every role, and of two of each role."""
+    for name in about(topic):
+        yield from (
+            [sender_key(ARENA, topic, name, sender) for sender in SENDERS]
+            if topic.by_sender
+            else [key(ARENA, topic, name)]
+        )
+
+
+KEYS = {full: topic for topic in TOPICS if topic is not ALIVE for full in full_keys(topic)}
 OPERATIONS = SAYS, HEARS, ASKS, ANSWERS
 
 
@@ -258,12 +274,18 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     assert [one.name for one in who if request in may[one.name, ASKS]] == ["web", "operator"]
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
-    wishes = {key(ARENA, WISH, group) for group in NAMES["group"]}
-    assert [one.name for one in who if may[one.name, SAYS] & wishes] == ["web", "operator", "script"]
-    assert may["script", SAYS] - wishes == {key(ARENA, NOTE, group) for group in NAMES["group"]}
+    said = {
+        (name, topic): {full for full in may[name, SAYS] if KEYS[full] is topic} for name, _ in may for topic in TOPICS
+    }
+    assert [one.name for one in who if said[one.name, WISH]] == ["script"]
+    assert [one.name for one in who if said[one.name, TELEOP]] == ["web", "operator"], "a person's, and no program's"
+    for one, topic in product(who, (WISH, TELEOP)):
+        senders = {split(full)[1] for full in said[one.name, topic]}
+        assert all(sender.startswith(f"{one.role}/{one.name}/") for sender in senders), "nobody in another's name"
+    assert may["script", SAYS] - said["script", WISH] == {key(ARENA, NOTE, group) for group in NAMES["group"]}
     assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
     news = {full for full, topic in KEYS.items() if topic is NEWS}
     assert [one.name for one in who if may[one.name, SAYS] & news] == ["controller", "tracker"], "who doubts a camera"
     assert may["viewer", SAYS] == set()
-    assert may["operator", SAYS] == may["web", SAYS] == wishes, "a gamepad's, in groups that a person drives"
+    assert all(may[name, SAYS] == said[name, TELEOP] for name in ("operator", "web")), "in groups that a person drives"
     assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])

@@ -14,7 +14,6 @@ from robofleet.config.names import SHIPPED
 from robofleet.processes.hand import Hand, Stick
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.replay import replay
-from robofleet.processes.rescues import Way
 from robofleet.recording.lines import state_lines
 from robofleet.recording.log import RunLog
 from robofleet.recording.reading import read
@@ -38,7 +37,7 @@ class Held:
         self.config = load_config(TELEOP, given, faults)
         self.log = None if file is None else RunLog(file, self.config)
         self.run = Lockstep(self.config, log=self.log)
-        self.hand = Hand(self.run.bus, self.config, GROUP, Way.GAMEPAD)
+        self.hand = Hand(self.run.bus, self.config, GROUP)
         self.stick: Stick | None = LET_GO
         self.out: str | None = None
         self.held_s = 0.0  # when the button was held last
