@@ -55,12 +55,13 @@ SENSORS = Topic("unit/{}/sensors", "unit", "all", 0.033, "DATA", _LONG, messages
 CONFIG = Topic("unit/{}/config", "supervisor", "unit", 0.0, "DATA", _LONG, messages.HANDED, reliable=True)
 HOST = Topic("unit/{}/host", "operator viewer", "unit", 0.0, "DATA_LOW", 1024, None, reliable=True)
 REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
-# What makes nothing move: who may only look may ask for it too.
+# What makes nothing move: who may only look may ask for it too, and operators ask for it by the topic above.
 SAFE_REQUEST = Topic(
     "request/{}/safe", "operator viewer script", "process", 0.0, "REAL_TIME", _FIXED, None, reliable=True
 )
 ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 
+ESTOP = b"estop"  # a request; every process that serves requests keeps places for this one
 CAMERA = OVERHEAD  # in the key of the poses of a camera that has no other name
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 

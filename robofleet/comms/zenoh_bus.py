@@ -16,6 +16,7 @@ from robofleet.comms.bus import Answer, Arrival, BySender, Publish, Request, Str
 from robofleet.comms.credentials import Credentials
 from robofleet.comms.keys import (
     ALIVE,
+    ESTOP,
     LARGEST_MESSAGE,
     REQUEST,
     SAFE_REQUEST,
@@ -247,13 +248,14 @@ class ZenohBus:
         return _Stream(self._declare(self._session.declare_subscriber), expressions, capacity, self._clock)
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
-        """Return the function that takes the next request on a topic."""
-        waiting: deque[zenoh.Query] = deque(maxlen=_REQUESTS)
+        """Return the function that takes the next request on a topic; nothing takes the place of an emergency stop."""
+        stops, others = (deque[_ZenohRequest](maxlen=_REQUESTS) for _ in range(2))
 
         def put(query: zenoh.Query) -> None:
             if query.payload is not None and len(query.payload) > topic.largest:
                 return
-            waiting.append(query)
+            request = _ZenohRequest(query)
+            (stops if request.payload == ESTOP else others).append(request)
             if wake is not None:
                 wake(self._clock.now_ns())
 
@@ -261,7 +263,7 @@ class ZenohBus:
         self._declare(self._session.declare_queryable)(full, zenoh.handlers.Callback(put, indirect=False))
 
         def take() -> Request | None:
-            return _ZenohRequest(waiting.popleft()) if waiting else None
+            return stops.popleft() if stops else others.popleft() if others else None
 
         return take
 

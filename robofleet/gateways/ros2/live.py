@@ -68,7 +68,7 @@ def serve(config: Config, place: Place, namespace: str) -> None:
             closing(joined(config.arena.name, place.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
                            credentials=place.credentials))
         )  # fmt: skip
-        asking = held.enter_context(closing(Asking(bus, clock, config)))
+        asking = held.enter_context(closing(Asking(bus, clock, config, place.role)))
         executor = SingleThreadedExecutor(context=made.context)
         executor.add_node(made)
         served = Served(lambda: is_over(config, place), clock.now_ns())

@@ -80,7 +80,7 @@ def serve(
             raise SystemExit
 
     bus = joined(config.arena.name, place.endpoint, VIEWER, clock, within_s, look, place.credentials)
-    run = Run(config, place, folder, Asking(bus, clock, config))
+    run = Run(config, place, folder, Asking(bus, clock, config, place.role))
 
     def opened(channels: Sequence[Channel]) -> Opened:
         try:
