@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -35,6 +36,7 @@ from robofleet.comms.permissions import (
     HEARS,
     ROLES,
     SAYS,
+    SCRIPT,
     UNIT,
     Identity,
     access_control,
@@ -53,6 +55,7 @@ NAMES = {
     "request": ("supervisor", "tracker"),
     "group": ("left", "right"),
 }
+MALLORY = "mallory"  # another script
 CLOCK = WallClock()
 WITHIN_S = 5.0
 
@@ -62,7 +65,7 @@ def about(topic: Topic) -> tuple[str, ...]:
     return NAMES[topic.key.partition("/")[0]] if "{}" in topic.key else ("",)
 
 
-SENDERS = tuple(f"{role}/{name}/{session}" for role in ROLES for name in (role, "mallory") for session in ("1f", "2e"))
+SENDERS = tuple(f"{role}/{name}/{session}" for role in ROLES for name in (role, MALLORY) for session in ("1f", "2e"))
 
 
 def full_keys(topic: Topic) -> Iterator[str]:
@@ -82,6 +85,7 @@ OPERATIONS = SAYS, HEARS, ASKS, ANSWERS
 class Net(NamedTuple):
     """A router that is reached by certificates, and who has one."""
 
+    local: str
     endpoint: str
     who: dict[str, Identity]
     authority: Authority
@@ -92,7 +96,8 @@ class Net(NamedTuple):
         own = Credentials.at(self.authority.folder, name)
         told = self.authority.entries()[name].newest
         session = session_id(told) if told.kind == UNIT else None
-        return ZenohBus(ARENA, self.endpoint, name, CLOCK, credentials=own, session=session)
+        role = name if told.kind == UNIT else told.kind
+        return ZenohBus(ARENA, self.endpoint, role, CLOCK, credentials=own, session=session)
 
 
 @pytest.fixture(scope="module", params=["tls", "quic"])
@@ -101,13 +106,14 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
     for name in (*UNITS, *ROLES):
         authority.issue(name, UNIT if name in UNITS else name, addresses=["127.0.0.1"])
+    authority.issue(MALLORY, SCRIPT)
     local, beyond = own_endpoint(), f"{request.param}/127.0.0.1:{free_port()}"
     who = identities(authority)
     network = Network([beyond], Credentials.at(authority.folder, ROUTER), access_control(ARENA, who))
     router = open_router(local, network)
     bus = ZenohBus(ARENA, local, "witness", CLOCK)
     try:
-        yield Net(beyond, {one.name: one for one in who}, authority, bus._session)
+        yield Net(local, beyond, {one.name: one for one in who}, authority, bus._session)
     finally:
         bus.close()
         router.close()
@@ -262,6 +268,34 @@ def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Ne
     finally:
         bus.close()
         seen.undeclare()
+
+
+def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> None:
+    """Whatever it sends, and however much: its messages have its own name, and a place beside the others'."""
+    with closing(ZenohBus(ARENA, net.local, "controller", CLOCK)) as controller, ExitStack() as stack:
+        programs, persons = (controller.newest_by_sender(topic, "left") for topic in (WISH, TELEOP))
+        first, second = (stack.enter_context(closing(net.joined(name))) for name in ("script", MALLORY))
+        sends, floods = (bus.publisher(WISH, "left") for bus in (first, second))
+        found: dict[str, bytes] = {}
+
+        def came(*texts: bytes) -> bool:
+            found.update(programs.take())
+            return sorted(found.values()) == sorted(texts)
+
+        assert until(lambda: (sends(b"first"), came(b"first"))[1])
+        (own,) = found
+        forged = [key(ARENA, topic, "left") for topic in (WISH, TELEOP)]
+        forged += [sender_key(ARENA, topic, "left", sender) for topic in (WISH, TELEOP) for sender in (own, *SENDERS)]
+        forged = [full for full in forged if f"/script/{MALLORY}/" not in full]
+        sends(b"newest")
+        for k in range(2000):
+            second._session.put(forged[k % len(forged)], b"forged")
+            floods(b"flood")
+        Tried(net, second._session, net.who[MALLORY])._marked("forged")
+        assert until(lambda: (floods(b"flood"), came(b"newest", b"flood"))[1])
+        assert found.pop(own) == b"newest"
+        assert [sender.rpartition("/")[0] for sender in found] == [f"script/{MALLORY}"]
+        assert not persons.take()
 
 
 def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
