@@ -116,7 +116,7 @@ def _base(arena: str, into: Path | None, *, service: bool) -> Path:
     """Return the folder for keys and robot.yaml; RefusedError where keys there would hide this user's authority."""
     if into is not None:
         return into
-    if not service and (os.geteuid() != 0 or os.environ.get("XDG_CONFIG_HOME")):
+    if not service and (not _is_root() or os.environ.get("XDG_CONFIG_HOME")):
         return folders.own_settings()
     own = folders.own_settings() / "keys" / arena
     if (own / "authority.key").exists() and not (folders.SYSTEM / "keys" / arena).exists():
@@ -151,6 +151,10 @@ def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
     return file
 
 
+def _is_root() -> bool:
+    return os.geteuid() == 0
+
+
 def _refuse_service(kind: str, into: Path | None) -> None:
     from robofleet.comms.permissions import UNIT  # noqa: PLC0415
 
@@ -158,7 +162,7 @@ def _refuse_service(kind: str, into: Path | None) -> None:
         raise RefusedError("--service: it starts at /etc/robofleet of this computer: leave --service or --into out")
     if kind != UNIT:
         raise RefusedError("--service: only a unit's driver is a service")
-    if os.geteuid() != 0:
+    if not _is_root():
         raise RefusedError("--service: run it as root: `sudo robofleet join FILE --service`")
     if not _SERVICE.parent.is_dir():
         raise RefusedError(f"--service: there is no {_SERVICE.parent}: this computer has no systemd")

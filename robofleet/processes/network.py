@@ -3,7 +3,7 @@
 from typing import Any
 
 from robofleet.clock import S, WallClock
-from robofleet.comms.credentials import REGISTER, KeysError, credentials, keys_folder
+from robofleet.comms.credentials import REGISTER, ROUTER, KeysError, credentials, keys_folder
 from robofleet.comms.zenoh_bus import Network, router_settings
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import running
@@ -18,7 +18,7 @@ def network(config: Config, *, all_units: bool = True) -> Network | None:
     if not config.bus.listen:
         return None
     need_extra("lab", "cryptography")
-    from robofleet.comms.authority import ROUTER, Authority, identities  # noqa: PLC0415
+    from robofleet.comms.authority import Authority, identities  # noqa: PLC0415
     from robofleet.comms.permissions import access_control  # noqa: PLC0415
 
     arena = config.arena.name

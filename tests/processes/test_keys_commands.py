@@ -36,7 +36,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setattr(folders, "SYSTEM", tmp_path / "etc")
     monkeypatch.setattr(join_command, "_SERVICE", tmp_path / "systemd" / "robofleet-unit.service")
-    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    monkeypatch.setattr(join_command, "_is_root", lambda: False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -192,7 +192,7 @@ def test_a_roster_is_added_and_only_what_it_lacks(desk: Path) -> None:
 
 def test_simulated_robots_get_no_keys(desk: Path) -> None:
     said("keys", "init", "platoon")
-    said("keys", "add", "platoon", "--from", CONFIGS / "platoon.yaml", "--address", "lab.example")
+    said("keys", "add", "platoon", "--from", CONFIGS / "platoon.yaml", "--address", "lab.local")
     assert {*names("platoon")} == {"router", "operator", "viewer"}
 
 
@@ -440,14 +440,14 @@ def test_root_joins_for_the_whole_computer_and_a_user_alone(
     monkeypatch.delenv("XDG_CONFIG_HOME")
     said("join", bundle)
     assert (desk / "home" / ".config" / "robofleet" / "robot.yaml").exists()
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     said("join", bundle)
     assert (desk / "etc" / "robot.yaml").exists()
     assert credentials_of.keys_folder("lab") == desk / "etc" / "keys" / "lab"
 
 
 def test_root_joins_in_a_folder_that_it_names(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(desk / "host"))
     said("join", bundle)
     assert (desk / "host" / "robofleet" / "robot.yaml").exists()
@@ -457,7 +457,7 @@ def test_root_joins_in_a_folder_that_it_names(bundle: Path, desk: Path, monkeypa
 def test_keys_of_the_whole_computer_do_not_hide_an_authority(
     lab: Path, bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     (desk / "home").mkdir()
     (desk / "config").rename(desk / "home" / ".config")
     monkeypatch.setenv("HOME", str(desk / "home"))
@@ -470,7 +470,7 @@ def test_keys_of_the_whole_computer_do_not_hide_an_authority(
 def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(desk / "robot"))
     assert "as root" in refused("join", bundle, "--service")
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     assert "this computer has no systemd" in refused("join", bundle, "--service")
     assert not (desk / "etc").exists()
     (desk / "systemd").mkdir()
@@ -485,7 +485,7 @@ def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
 def test_systemd_has_nothing_to_complain_of_in_it(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CONFIG_HOME")
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     (desk / "systemd").mkdir()
     said("join", bundle, "--service")
     service = desk / "systemd" / "robofleet-unit.service"
