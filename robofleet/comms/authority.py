@@ -258,7 +258,10 @@ def _general_name(address: str) -> x509.GeneralName:
 def _within(name: x509.GeneralName, subtree: x509.GeneralName) -> bool:
     """Return whether an address or a host's name is one that a subtree of name constraints permits."""
     if isinstance(name, x509.IPAddress) and isinstance(subtree, x509.IPAddress):
-        return name.value in subtree.value
+        networks = ipaddress.IPv4Network, ipaddress.IPv6Network
+        return (
+            isinstance(subtree.value, networks) and not isinstance(name.value, networks) and name.value in subtree.value
+        )
     if isinstance(name, x509.DNSName) and isinstance(subtree, x509.DNSName):
         return f".{name.value.lower()}".endswith(f".{subtree.value.lower()}")
     return False
