@@ -135,9 +135,21 @@ class Credentials(NamedTuple):
 
 
 def keys_folder(arena: str) -> Path:
-    """Return the folder of an arena's keys: the system's where it is there and can be read, else this user's."""
+    """Return the folder of an arena's keys.
+
+    That of the copies that systemd hands to this service, else the system's where it is there and can be read, else
+    this user's.
+    """
+    if (handed := _handed()) is not None:
+        return handed
     system = folders.SYSTEM / "keys" / arena
     return system if os.access(system, os.R_OK | os.X_OK) else folders.own_settings() / "keys" / arena
+
+
+def _handed() -> Path | None:
+    """Return the folder of systemd's LoadCredential=, which this service alone enters; None where it has no keys."""
+    folder = os.environ.get("CREDENTIALS_DIRECTORY")
+    return Path(folder) if folder and (Path(folder) / AUTHORITY).exists() else None
 
 
 def joined() -> dict[str, Joined]:
@@ -179,7 +191,7 @@ def credentials(arena: str, name: str) -> Credentials:
             mode = file.stat().st_mode
         except OSError as error:
             raise KeysError(f"{file}: {error.strerror}: join again, or add {name} again") from error
-        if file is found.key and stat.S_IMODE(mode) & 0o077:
+        if file is found.key and stat.S_IMODE(mode) & 0o077 and file.parent != _handed():
             raise KeysError(f"{file}: others can read this private key: `chmod 600 {file}`, and renew it")
     return found
 
