@@ -160,7 +160,10 @@ def test_a_name_of_this_computer_that_others_reach_is_not_served_without_keys(
 ) -> None:
     clock = WallClock()
     served = Served(platoon_of(), tmp_path, MemoryBus("platoon", clock, 0), clock, "localhost", lambda: False)
-    with Elsewhere() as listening, pytest.raises(RefusedError, match=r"localhost is 192\.168\.7\.7, which others reach"):
+    with (
+        Elsewhere() as listening,
+        pytest.raises(RefusedError, match=r"localhost is 192\.168\.7\.7, which others reach"),
+    ):
         asyncio.run(serve(served, listening, lambda _: None, lambda: True))
 
 
