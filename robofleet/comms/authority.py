@@ -1,7 +1,7 @@
 """The authority of an arena: it signs the certificate of everybody who may join from another host.
 
 Zenoh reads no list of revoked certificates. Permissions are given to common names, and after a revocation a name's next
-certificate has another common name: ``r1``, then ``r1#2``. So the router's next start refuses the old one.
+certificate has another common name: ``r1``, then ``r1#2``. So the router refuses the old one, and begins anew for that.
 """
 
 import ipaddress
@@ -147,7 +147,7 @@ class Authority:
         return self._issued(name, entry.kind, entry.generation, before.addresses, days or max(1, lasted))
 
     def revoke(self, name: str) -> None:
-        """Let nobody in by this name's certificate any more, from the router's next start on."""
+        """Let nobody in by this name's certificate any more: a router of this computer hears of it at once."""
         entry = self._known(name)
         if entry.revoked:
             raise KeysError(f"{name} is revoked already")

@@ -237,14 +237,16 @@ def renew(
 
 @keys.command()
 def revoke(arena: ArenaName, name: Who) -> None:
-    """Let nobody in by a name's certificate any more, from the router's next start on.
+    """Let nobody in by a name's certificate any more, at once.
+
+    The router begins anew. A run that is on may be held by that: its robots stand, and `robofleet resume` goes on.
 
     $ robofleet keys revoke lab r1
     """
     with _authority(arena) as authority:
         authority.revoke(name)
     print(
-        f"{name} is revoked; a run that is on still has it: end that run\n"
+        f"{name} is revoked, and cut off; if a run is held by that, go on: robofleet resume {arena}\n"
         f"`robofleet keys add {arena} {name}` lets it in again"
     )
 

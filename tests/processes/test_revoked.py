@@ -1,9 +1,11 @@
 """A certificate that is revoked while a run is on: its owner is cut off at once, and the run and all others go on."""
 
 import json
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from tempfile import mkdtemp
 
 import pytest
 
@@ -34,7 +36,12 @@ class Viewer:
     """Somebody on another computer who hears where the run is."""
 
     def __init__(self, authority: Authority, name: str, endpoint: str, stack: ExitStack) -> None:
-        own = Credentials.at(authority.folder, name)
+        theirs = Path(
+            mkdtemp(dir=authority.folder.parent)
+        )  # on their own computer: a revocation takes nothing away there
+        for file in Credentials.at(authority.folder, name)[1:]:
+            shutil.copy(file, theirs)
+        own = Credentials.at(theirs, name)
         self.bus: ZenohBus = joined(ARENA, endpoint, name, CLOCK, 20.0, credentials=own)
         stack.callback(self.bus.close)
         self._heard: Subscription = self.bus.newest(STATE)
@@ -60,8 +67,11 @@ def test_who_is_revoked_in_a_run_hears_and_says_nothing_more_and_the_others_come
     for viewer in viewers.values():
         assert wait(viewer.hears, 20), "everybody hears before"
 
+    def log(line: str) -> int:
+        return (run.folder / "log" / "router.log").read_text().count(line)
+
     def anew() -> int:
-        return (run.folder / "log" / "router.log").read_text().count("the router begins anew")
+        return log("the router begins anew")
 
     for name in ("carol", "dave"):
         authority.issue(name, VIEWER)
@@ -79,6 +89,7 @@ def test_who_is_revoked_in_a_run_hears_and_says_nothing_more_and_the_others_come
         assert wait(viewer.hears, 20), "who is not revoked is back"
 
     eves = [viewers["eve", at] for at in endpoints]
+    assert wait(lambda: log("eve is revoked, or unknown") == 2, 20), "she knocks again, by both links"
     for viewer in eves:
         viewer.hears()  # what came before
     for _ in range(20):
