@@ -6,12 +6,13 @@ from collections.abc import Callable
 import pytest
 
 from robofleet.safety import arming
-from robofleet.safety.arming import ArmingState, Stage, free_m
+from robofleet.safety.arming import ArmingState, Stage
+from robofleet.safety.distances import least_room_m, room_m
 from robofleet.safety.gate import Latch
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView
-from robofleet.safety.wiggle import BACK, FORTH, room_m
+from robofleet.safety.wiggle import BACK, FORTH
 from robofleet.vehicles.interface import RobotFault
 from robofleet.vehicles.solids import Solid
 from tests.safety.arming_lab import BODY_M, MS, PROVED, Alter, Lab, S, one
@@ -112,7 +113,7 @@ def test_nobody_leaves_the_room_that_the_checks_leave_it(wiring: str) -> None:
         furthest = max(furthest, math.hypot(now.x - start.x, now.y - start.y))
     spins = wiring in ("left_reversed", "right_reversed")  # and gets nowhere: it is refused because it does not rest
     assert (happening.event, happening.robot) == (Event.NOT_AT_REST if spins else Event.WRONG_GAIN, 0)
-    assert furthest < free_m(0.016)
+    assert furthest < room_m(0.016)
 
 
 def test_three_images_of_a_robot_at_rest_are_looked_at_before_the_next_stroke() -> None:
@@ -215,7 +216,7 @@ def test_every_stage_tells_when_it_began() -> None:
         assert lab.state.since_ns == lab.now_ns
 
 
-FREE_M = 0.01 + room_m(0.016)  # a centimetre more than a wiggle may take
+FREE_M = least_room_m(0.016)
 
 
 @pytest.mark.parametrize(
@@ -366,7 +367,7 @@ def test_a_bystander_keeps_clear_of_a_wiggle(row: int, spare: float) -> None:
     lab = Lab(3)
     lab.noise = (0.0, 0.0, 0.0)
     bystanders(lab, *range(row, 3))
-    reach = 2 * BODY_M + free_m(0.016) + spare
+    reach = 2 * BODY_M + least_room_m(0.016) + spare
     x, y, psi = lab.plants[0].truth()[:3] if row == 1 else lab.plants[1].truth()[:3]
     near = one(row, pose=(x + reach * math.cos(2.0), y + reach * math.sin(2.0), psi))
     before = lab.alter
@@ -392,7 +393,7 @@ def test_a_bystanders_own_wheels_need_no_room(spare: float) -> None:
     lab.settings = lab.settings._replace(wheel_radius=radii)
     bystanders(lab, 2)
     x, y, psi = lab.plants[1].truth()[:3]
-    near = one(2, pose=(x + 2 * BODY_M + free_m(0.016) + spare, y, psi))
+    near = one(2, pose=(x + 2 * BODY_M + least_room_m(0.016) + spare, y, psi))
     before = lab.alter
     lab.alter = lambda view: near(before(view))
     assert lab.arm() == (PROVED if spare > 0 else Happening(Event.TOO_CLOSE, 1, 2))

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, apart, apart_at_rest, from_edge
+from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier
+from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from tests.robots import GTERNAL
 from tests.safety import barrier_scenes
