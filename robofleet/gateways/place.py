@@ -39,6 +39,17 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
     return load_config(copy), Place(there.router, there.credentials, there.role)
 
 
+def joined_otherwise(config: "Config", place: Place, role: str) -> str | None:
+    """Return why the router lets through no setpoints from here, and how to mend it; None where it does."""
+    if place.credentials is None or place.role == role:
+        return None
+    arena = config.arena.name
+    return (
+        f"this computer has joined {arena} as {place.role}, whose commands reach no robot: join as {role}: "
+        f"`robofleet keys add {arena} NAME --kind {role}` there, then bundle and `robofleet join`"
+    )
+
+
 def is_over(config: "Config", place: Place) -> bool:
     """Return whether a run has ended whose supervisor is silent."""
     from robofleet.processes.arena_file import running  # noqa: PLC0415

@@ -128,7 +128,7 @@ class LiveLink:
     def ask(self, what: bytes) -> None:
         """Ask the supervisor."""
         try:
-            answer = asked(self._bus, self._clock, "supervisor", what).decode(errors="replace")
+            answer = asked(self._bus, self._clock, "supervisor", what, role=SCRIPT).decode(errors="replace")
         except TimeoutError as error:
             raise FleetError(f"{what.decode()}: {error}") from error
         if not answer.startswith("ok"):

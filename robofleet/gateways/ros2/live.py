@@ -11,12 +11,14 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from robofleet.behaviours.ros2 import Ros2
 from robofleet.clock import WallClock, epoch_ns
 from robofleet.comms.joining import joined
 from robofleet.comms.permissions import SCRIPT
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.place import Place, is_over, joined_otherwise
 from robofleet.gateways.ros2 import services
 from robofleet.gateways.ros2.gateway import NODE, Gateway
 from robofleet.gateways.served import Served
@@ -68,7 +70,7 @@ def serve(config: Config, place: Place, namespace: str) -> None:
             closing(joined(config.arena.name, place.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
                            credentials=place.credentials))
         )  # fmt: skip
-        asking = held.enter_context(closing(Asking(bus, clock, config)))
+        asking = held.enter_context(closing(Asking(bus, clock, config, place.role)))
         executor = SingleThreadedExecutor(context=made.context)
         executor.add_node(made)
         served = Served(lambda: is_over(config, place), clock.now_ns())
@@ -76,6 +78,8 @@ def serve(config: Config, place: Place, namespace: str) -> None:
         held.callback(gateway.velocities.stand)
         services.serve(made, asking)
         made.create_timer(_LOOK_S, gateway.step)
+        if groups.wishing(config, Ros2) and (why := joined_otherwise(config, place, SCRIPT)):
+            print(why, file=sys.stderr)
         print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
         while not served.is_over(clock.now_ns()):
             executor.spin_once(timeout_sec=_LOOK_S)
