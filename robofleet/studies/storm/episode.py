@@ -39,6 +39,7 @@ _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most 
 _MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
 _POLL_S = 0.002  # of whoever stops the fleet
 _LOOK_S = 0.05  # the operator's eye
+_WAITING_S = 30.0  # of a robot that lets others by
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
 _NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
 
@@ -135,14 +136,19 @@ class _Player:
         yield from sorted([*acts, *((t, None) for t in looks.tolist() if t < self._plan.healed_s)], key=lambda a: a[0])
 
     def _again(self, within_s: float) -> None:
-        """Bring the fleet back to running, and see every robot's wheels turn, or its robot where it is to be."""
+        """Bring the fleet back to running, and see every robot's wheels turn, or its robot where it is to be.
+
+        A robot whose gate lets commands through may wait longer, as long as others drive: a plan gives them the way.
+        """
         lockstep = self._lockstep
         end_s = lockstep.clock.now_ns() / S + within_s
+        last_s = end_s + _WAITING_S
         stay_s = _STAY_S if self._config.run.seed % _LONG else _LONG_STAY_S
         turned: set[str] = set()
+        members = {robot.id for robot in self._config.members}
         while lockstep.clock.now_ns() / S < end_s:
             self._look()
-            everybody = len(turned) == len(self._config.members)
+            everybody = turned >= members
             lockstep.advance(stay_s if everybody else _LOOK_S)
             if everybody and Event.ACCOMPLISHED is lockstep.status.cause:
                 return
@@ -150,7 +156,10 @@ class _Player:
                 turned.clear()
             elif everybody:
                 return
-            turned |= self._ledger.turning() | (self._ledger.obeying() & at_goals(self._config, self._true_poses()))
+            turning, obeying = self._ledger.turning(), self._ledger.obeying()
+            turned |= turning | (obeying & at_goals(self._config, self._true_poses()))
+            if turning and obeying >= members and lockstep.status.phase is Phase.RUNNING:
+                end_s = min(last_s, max(end_s, lockstep.clock.now_ns() / S + 2 * _LOOK_S))
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
             words = lockstep.status.describe(self._config.ids)

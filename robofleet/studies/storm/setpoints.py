@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.script import Script
-from robofleet.behaviours.teleop import Teleop
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TICK, WISH, key
+from robofleet.comms.keys import TELEOP, TICK, Topic, key
 from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD
+from robofleet.comms.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config, Group
@@ -34,14 +34,14 @@ class Senders:
     """A sender for each group that takes setpoints; ``calm`` lets all of them drive every robot about."""
 
     def __init__(self, config: Config, bus: MemoryBus) -> None:
-        by_hand, scripts = groups.wishing(config, Teleop), groups.wishing(config, Script)
-        wanted = [group for group in config.groups if group.title in groups.scripted(config)]
+        topics, scripts = setpoint_topics(config), groups.wishing(config, Script)
         self._senders = [
-            _Sender(config, bus, group, alone=group.title in by_hand, anything=group.title in scripts)
-            for group in wanted
+            _Sender(config, bus, group, topics[group.title], anything=group.title in scripts)
+            for group in config.groups
+            if group.title in topics
         ]
         self._tick_key = key(config.arena.name, TICK)
-        if wanted:
+        if self._senders:
             bus.tap(self._heard)
 
     def calm(self) -> None:
@@ -59,9 +59,9 @@ class Senders:
 
 
 class _Sender:
-    """``alone``: it drives the group's first robot, as a person does; ``anything``: it knows every kind of setpoint."""
+    """A person drives the group's first robot alone; ``anything``: it knows every kind of setpoint."""
 
-    def __init__(self, config: Config, bus: MemoryBus, group: Group, *, alone: bool, anything: bool) -> None:
+    def __init__(self, config: Config, bus: MemoryBus, group: Group, topic: Topic, *, anything: bool) -> None:
         self._rng = generator(config.run.seed, "setpoints", group.title)
         self._epoch, self._seq, self._order = slices.drawn_id(self._rng, _EPOCH_BITS), 0, 0
         self._rows = np.array([config.ids.index(robot) for robot in group.robots])
@@ -70,9 +70,9 @@ class _Sender:
         self._speeds = np.array([_SHARE * drive.max_speed for drive in drives])
         self._half, self._tick_s = np.array(config.arena.size_m) / 2, config.controller.tick_s
         self._robots = np.zeros(len(group.robots), SCRIPT_WISH.item_dtype)
-        self._robots["told"] = [row == 0 or not alone for row in range(len(group.robots))]
+        self._robots["told"] = [row == 0 or topic is not TELEOP for row in range(len(group.robots))]
         self._values = SCRIPT_WISH.floats(self._robots)  # of the same memory (N, 3)
-        self._publish: Callable[[bytes], None] = bus.publisher(WISH, group.title)
+        self._publish: Callable[[bytes], None] = bus.publisher(topic, group.title)
         self.kinds: tuple[WishKind, ...] = _KINDS if anything else (WishKind.BODY, WishKind.BODY, WishKind.STAND)
         self.reach, self.left_ticks = _BEYOND, 0
         self._kind, self._goals = WishKind.STAND, np.zeros((len(group.robots), 2))
