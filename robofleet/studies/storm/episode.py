@@ -39,7 +39,7 @@ _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most 
 _MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
 _POLL_S = 0.002  # of whoever stops the fleet
 _LOOK_S = 0.05  # the operator's eye
-_WAITING_S = 30.0  # of a robot that lets others by
+_WAITING_S, _PAUSE_S = 30.0, 3.0  # of a robot that lets others by, and of all of them for another plan
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
 _NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
 
@@ -159,7 +159,7 @@ class _Player:
             turning, obeying = self._ledger.turning(), self._ledger.obeying()
             turned |= turning | (obeying & at_goals(self._config, self._true_poses()))
             if turning and obeying >= members and lockstep.status.phase is Phase.RUNNING:
-                end_s = min(last_s, max(end_s, lockstep.clock.now_ns() / S + 2 * _LOOK_S))
+                end_s = min(last_s, max(end_s, lockstep.clock.now_ns() / S + _PAUSE_S))
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
             words = lockstep.status.describe(self._config.ids)
