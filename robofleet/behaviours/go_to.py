@@ -33,7 +33,7 @@ from robofleet.control.flow import integrator_gain
 from robofleet.control.following import Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
-from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge, from_solid
+from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
 from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.vehicles.solids import distances
@@ -107,9 +107,6 @@ class GoTo(Behaviour):
         self._distance = max(apart(team.keepout, a, b) for a in team.bodies for b in team.bodies) + ahead
         self._beside_bodies = self._distance - radius  # of a centre from the edge of another body
         self._edge = max(from_edge(team.keepout, body) for body in team.bodies) + ahead / 2
-        solids = team.keepout.solids
-        kept = (from_solid(team.keepout, body, solid) for body in team.bodies for solid in solids)
-        self._beside_solids = max(kept, default=0.0) + ahead / 2
         self.rehearsed = False  # in this process
         self._follower = Follower(self._following(settings, team), [body.drive for body in team.bodies])
         self.restart()
@@ -231,7 +228,7 @@ class GoTo(Behaviour):
 
     def _ways(self, starts: Array, goals: Array, obstacles: Array) -> Problem:
         half = (self.team.arena[0] / 2 - self._edge, self.team.arena[1] / 2 - self._edge)
-        keeps = self.team.keepout.solids, self._beside_solids
+        keeps = self.team.keepout.solids, self._edge
         return Problem(starts, goals, obstacles, half, self._distance, self._distance / _FINE, *keeps)
 
     def _wrong(self, now: Situation) -> bool:
@@ -293,7 +290,7 @@ class GoTo(Behaviour):
         if not self.team.keepout.solids or len(starts) < len(self.team):
             return
         problem = self._ways(starts, self._goals[:, :2].copy(), np.zeros((0, 3)))
-        mend = f"a way must be {2 * self._beside_solids:.2g} m wide: move the goal or an obstacle"
+        mend = f"a way must be {2 * self._edge:.2g} m wide: move the goal or an obstacle"
         if self.settings.assignment == "nearest":
             ways = _done(planning.ways(problem))
             for row, goal in enumerate(_shared_out(ways)):
@@ -339,8 +336,8 @@ class GoTo(Behaviour):
 
     def _beside(self, name: str, goal: Array) -> Iterator[Bound]:
         keepout = self.team.keepout
+        near = max(from_edge(keepout, body) for body in self._bodies(name))
         for solid, away in zip(keepout.solids, distances(keepout.solids, self._kept(goal)[None])[:, 0], strict=True):
-            near = max(from_solid(keepout, body, solid) for body in self._bodies(name))
             of = "the floor's edge (floor_m)" if solid.floor else solid.name
             mend = f"the barrier keeps robots from {of}, so move the goal" + ("" if solid.floor else f" or {of}")
             what = f"the distance of {name}'s goal from {of}"

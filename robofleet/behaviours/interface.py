@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.safety.barrier import Body, Keepout
+from robofleet.safety.distances import Body, Keepout
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import Event
 from robofleet.settings import Model
