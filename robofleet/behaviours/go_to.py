@@ -84,7 +84,8 @@ class GoTo(Behaviour):
         speed_m_s: Annotated[float, within(0.01, 10)] | None = None
         """Speed under way. Without it each robot drives at 95 % of its top speed."""
         position_accuracy_m: Annotated[float, within(0.001, 0.1)] = 0.002
-        """A robot stops within this distance of its goal. Where it comes to rest further off, it is corrected, for 8 s at most."""
+        """A robot stops within this distance of its goal. One that comes to rest further off is corrected, for 8 s at
+        most."""
         heading_accuracy_deg: Annotated[float, within(0.2, 90)] = 0.9
         """A robot stops within this angle of its goal's heading, and is corrected likewise."""
         slowest_wheel_rad_s: Annotated[float, within(0, 10)] = 0.9

@@ -32,6 +32,6 @@ def _estimate(config: Config, figures: Mapping[str, Any]) -> Iterator[str]:
         return
     if timed["mean"] > _TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
         yield (
-            f"the timed error is {timed['mean']:.1f} mm, the control error {control['mean']:.1f} mm: the wheels move the"
-            " robot otherwise than commanded (slip, wear); `controller.disturbance: estimated` corrects that"
+            f"the timed error is {timed['mean']:.1f} mm, the control error {control['mean']:.1f} mm: the wheels move"
+            " the robot otherwise than commanded (slip, wear); `controller.disturbance: estimated` corrects that"
         )
