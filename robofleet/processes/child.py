@@ -102,7 +102,8 @@ def _route(config: Config, lifeline: Lifeline) -> None:
             threading.Event().wait(0.05)
     if not lifeline.cut:
         _say("the keys have changed: the router begins anew")
-        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # Zenoh keeps its sockets until the end
+        # As a new program: Zenoh keeps its sockets until the end.
+        os.execv(sys.executable, [sys.executable, "-P", "-m", "robofleet", *sys.argv[1:]])
 
 
 def _log_refused(say: FewLines) -> None:

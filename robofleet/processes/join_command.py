@@ -168,7 +168,7 @@ def _install(unit: str) -> None:
     """Write the service of a unit's driver."""
     from robofleet.files import write_text  # noqa: PLC0415
 
-    program = shutil.which("robofleet") or f"{sys.executable} -m robofleet"
+    program = shutil.which("robofleet") or f"{sys.executable} -P -m robofleet"
     text = f"""\
 [Unit]
 Description=robofleet's driver of {unit}

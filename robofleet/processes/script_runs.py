@@ -89,7 +89,7 @@ def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:
 
     there = joined_arena(arena)
     if there is None:
-        run = chosen(arena)
+        run = chosen(arena, own=True)
         config = load_config(Path(run.folder) / "config.yaml" if copy is None else Path(copy))
         return LiveLink(config, group_of(config, group), run.endpoint)
     if copy is None:

@@ -201,7 +201,8 @@ class Supervisor:
         for request in safe:
             if request.payload not in SAFE:
                 self._replies.append((request, f"refused: only {SAFE_WORDS} are for everybody: ask as an operator"))
-        return [*orders, *(request for request in safe if request.payload in SAFE)]
+        known = [request for request in (*orders, *safe) if request.payload in SAFE]
+        return [*(request for request in orders if request.payload not in SAFE), *known]
 
     def _speak(self) -> None:
         """Answer and say what this step left."""
