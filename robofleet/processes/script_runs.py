@@ -38,7 +38,7 @@ def opened(
             return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
         return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
     except (RefusedError, DriverError, NoArenaError) as error:
-        raise FleetError(str(error)) from error
+        raise FleetError(str(error)) from None  # the words say all, and a chain of tracebacks hides them
 
 
 def _as_driven(config: Config, robots: int | None) -> Config:

@@ -99,6 +99,7 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
         lines.append("No bounds are configured: nothing was judged.")
     if (busy := summary["busy_machine"]) is not None:
         lines.append(busy["words"])
+    lines += summary.get("remarks", [])
     if recording.trouble:
         lines.append(f"The recording is not whole: the file {recording.trouble}.")
     if recording.dropped:
