@@ -18,6 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
 from robofleet.processes import driver_settings
 from robofleet.processes.attached import in_words
+from robofleet.processes.children import ended_by
 from robofleet.vehicles.interface import SimulatedDriver, is_concurrent
 
 _OWN_SIMULATION = "simulated"
@@ -117,9 +118,7 @@ def _complaints_of(news: Connection, process: BaseProcess, robots: Sequence[Robo
             robot, complaint = news.recv()
         except EOFError:  # the process is gone
             process.join()
-            code = process.exitcode or 0
-            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-            crash = f"the process that opened it {how}: mend its driver"
+            crash = f"the process that opened it {ended_by(process.exitcode or 0)}: mend its driver"
             return complaints | {robot: crash for robot, begun in waiting.items() if begun}
         if complaint is None:
             waiting[robot] = True
