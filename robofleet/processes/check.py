@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,22 @@ from robofleet.vehicles.solids import distances
 _LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
 
 
+class Study(NamedTuple):
+    """What many configurations of one study share, so that each file is read once, and each robot opened once."""
+
+    files: Files
+    opened: dict[
+        str, list[Complaint]
+    ]  # what was wrong with robots and sources of poses, by the settings they depend on
+
+    def unreachable(self, config: Config, opens: Callable[[Config], list[Complaint]], *keys: str) -> list[Complaint]:
+        """Return what is wrong with what ``opens`` opens; it is opened again only if one of the keys has changed."""
+        settings = opens.__module__ + config.model_dump_json(include=set(keys))
+        if settings not in self.opened:
+            self.opened[settings] = opens(config)
+        return self.opened[settings]
+
+
 def load_checked(
     file: FilePath,
     overrides: Sequence[str | Change] = (),
@@ -33,20 +50,23 @@ def load_checked(
     *,
     lockstep: bool = False,
     change: Callable[[Config], Config] | None = None,
-    files: Files | None = None,
+    study: Study | None = None,
 ) -> Config:
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
     Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too. ``change``
-    makes another one of it before it is judged: its groups do something else, for example. ``files``: as of ConfigFile.
+    makes another one of it before it is judged: its groups do something else, for example. ``study``: of many like it.
     """
-    source = ConfigFile(file, overrides, faults_file, files)
+    shared = study or Study({}, {})
+    source = ConfigFile(file, overrides, faults_file, shared.files)
     config = source.config if change is None else change(source.config)
     complaints = refusals(config, lockstep=lockstep)
     if not any(path.startswith("robots.") for path, _ in complaints):
-        complaints += check_drivers.unreachable(config)
+        complaints += shared.unreachable(config, check_drivers.unreachable, "arena", "bus", "drivers", "robots")
     if not any(path.startswith(("robots.", "tracker.")) for path, _ in complaints):
-        complaints += check_poses.unreachable(config)
+        complaints += shared.unreachable(
+            config, check_poses.unreachable, "arena", "robots", "tracker", "camera", "cameras"
+        )
     source.refuse(complaints)
     return config
 

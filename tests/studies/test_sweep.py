@@ -16,7 +16,9 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet import cli
+from robofleet.studies.progress import bar
 from robofleet.studies.sweep import journal
+from robofleet.studies.sweep.load import load
 from robofleet.studies.sweep.plan import Distribution, Sweep, settings
 from robofleet.studies.sweep.plots import scale
 
@@ -101,6 +103,25 @@ def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, int
 def _same_in_parquet(folder: Path, found: list[dict[str, str]]) -> None:
     table = pytest.importorskip("pyarrow.parquet").read_table(folder / "runs.parquet").to_pylist()
     assert [{name: "" if cell is None else str(cell) for name, cell in row.items()} for row in table] == found
+
+
+def test_robots_are_opened_once_for_each_setting_that_is_theirs_and_not_for_each_combination(tmp_path: Path) -> None:
+    opened = tmp_path / "opened"
+    (tmp_path / "counted.py").write_text(
+        "from robofleet.drivers.simulated import SimulatedRobot\n"
+        "class Counted(SimulatedRobot):\n"
+        "    def __init__(self, context):\n"
+        f"        open({str(opened)!r}, 'a').write('x')\n"
+        "        super().__init__(context)\n"
+    )
+    (tmp_path / "lab.yaml").write_text((CONFIGS / "platoon.yaml").read_text())
+    (tmp_path / "s.yaml").write_text(
+        "config: lab.yaml\nset: {robots.0.driver: 'counted:Counted'}\n"
+        "grid: {controller.alpha: [30, 31, 32], robots.1.tag: [12, 13], run.duration_s: [1, 2]}\n"
+    )
+    study = load(tmp_path / "s.yaml", lambda of: bar("checks", of))
+    assert len(study.runs) == 12
+    assert opened.read_text() == "xx", "once for each tag of robots"
 
 
 def test_bounds_are_met_missed_or_not_judged_and_only_met_is_green(tmp_path: Path) -> None:

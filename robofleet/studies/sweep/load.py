@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.config.faults import counted
-from robofleet.config.load import Change, ConfigError, Files, spelled
+from robofleet.config.load import Change, ConfigError, spelled
 from robofleet.config.parameters import Loc, load_placed, mistake_at
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Mistake, Node, printable
+from robofleet.processes.check import Study as CheckedStudy
 from robofleet.processes.check import load_checked
 from robofleet.studies.progress import Bar
 from robofleet.studies.sweep.plan import Setting, Sweep, settings
@@ -53,7 +54,7 @@ def load(file: Path, told: Told) -> Study:
     if wrong := list(_complaints(sweep, root)):
         raise ConfigError(map(str, wrong))
     config = _beside(file, sweep.config)
-    files: Files = {}
+    shared = CheckedStudy({}, {})
     changes = [Change(key, _written(root, ("set", key), value)) for key, value in sweep.set.items()]
     plans: list[Planned] = []
     broken = _Broken()
@@ -63,7 +64,7 @@ def load(file: Path, told: Told) -> Study:
         name = sweep.faults[setting.faults]
         faults = None if name is None else _beside(file, name)
         try:
-            tree = load_checked(config, [*changes, *own], faults, lockstep=True, files=files)
+            tree = load_checked(config, [*changes, *own], faults, lockstep=True, study=shared)
         except ConfigError as error:
             broken.add(error, 1 + done * len(sweep.every_seed), setting)
             continue
