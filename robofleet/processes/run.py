@@ -18,7 +18,7 @@ from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import RecordingError, read
-from robofleet.recording.run import Recording, Watch
+from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.vehicles.interface import DriverError
 
 if TYPE_CHECKING:
@@ -36,10 +36,15 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
             run = Lockstep(config, log=log)
         except DriverError as error:
             raise RefusedError(str(error)) from error
-        outcome, cause = driven(run, view)
+
+        def watch(recording: Recording, phase: str) -> None:
+            view(recording, phase)
+            recording.keep_newest(SHOWN)  # all of it is in the file
+
+        outcome, cause = driven(run, watch)
         log.end(run.recording.ending())
-        run.recording.dropped = log.dropped
-    return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
+    recording = _recorded(config, folder)
+    return summary(recording, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
 
 
 def driven(run: "Lockstep", watch: Watch) -> tuple[str, str | None]:
