@@ -39,12 +39,14 @@ class Report(NamedTuple):
     trouble: str | None  # what is wrong with the recording
 
 
-def report(run: Path, figures: Path | None = None, imports: Imports = nothing_imported) -> Report:
+def report(
+    run: Path, figures: Path | None = None, imports: Imports = nothing_imported, columns: Run | None = None
+) -> Report:
     """Write a run's page and columns again, and its figures as files where a folder for them is given.
 
-    ``imports``: as of ``reading.read``.
+    ``imports``: as of ``reading.read``; ``columns``: the run, where somebody has looked at it.
     """
-    columns, summary = _looked_at(run, imports)
+    columns, summary = _looked_at(run, imports, columns)
     parts = None if columns.reduced is None else looks(run, imports)
     page = pages.write(columns.recording, summary, _folder(run), figures, columns, parts)
     return Report(page, summary, columns.recording.trouble)
@@ -62,12 +64,12 @@ def _side(run: Path, imports: Imports) -> comparison.Side:
     return comparison.Side(_name(run), pages.view_of(columns.recording, summary, columns), summary)
 
 
-def _looked_at(run: Path, imports: Imports) -> tuple[Run, Summary]:
+def _looked_at(run: Path, imports: Imports, columns: Run | None = None) -> tuple[Run, Summary]:
     """Return a run in columns, and its figures, worked out anew.
 
     What the file does not say of the run, its summary may.
     """
-    columns = look(run, imports)
+    columns = columns or look(run, imports)
     recording = columns.recording
     told = _told(_folder(run) / SUMMARY)
     outcome, cause = recording.outcome or told.outcome, recording.cause or told.cause

@@ -30,7 +30,7 @@ from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Own, Recording
 from robofleet.recording.scanning import NO_MCAP, Scan
 
-TOGETHER = 16 << 20  # [bytes] of messages that are looked at together: three minutes of four robots
+TOGETHER = 10 << 20  # [bytes] of messages that are looked at together: two minutes of four robots
 _AROUND_NS = 10 * S  # what belongs together is no further apart
 _STEP_NS = S
 

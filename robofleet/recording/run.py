@@ -256,6 +256,7 @@ class Run:
     ``every_tick``: also those in which the fleet was not running. ``own``: the part that is looked at.
     """
 
+    every: int = 1  # of so many ticks the columns have one
     reduced: Reduced | None = None  # of a long run, of which the columns have only some ticks: its figures
 
     def __init__(self, recording: Recording, *, every_tick: bool = False, own: Own = Own()) -> None:  # noqa: B008

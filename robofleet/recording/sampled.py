@@ -14,7 +14,7 @@ from robofleet.recording.reading import TOGETHER, Imports, nothing_imported, par
 from robofleet.recording.reduced import Reduced, joined
 from robofleet.recording.run import Array, Own, Run
 
-_MOST_BYTES = 32 << 20  # of ticks: three quarters of an hour of four robots
+_MOST_BYTES = 24 << 20  # of ticks: a quarter to half an hour of four robots
 _SPARSE = 64  # of so many statuses one tells what time it was
 _KEPT = BUSY, NOTE, SENSORS  # topics of which every message is kept
 
