@@ -52,10 +52,10 @@ def write(
                 f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
             )
         _bounds(page, summary)
-    if view.series.run.every > 1:
+    if (every := view.series.run.every) > 1:
         page.note(
-            f"The run is long: curves, and the means of the groups' own figures, are of every {view.series.run.every}th "
-            "tick. All other figures, and the largest values, are of every tick."
+            f"The run is long: curves, and the means of the groups' own figures, are of every {every}th tick. "
+            "All other figures, and the largest values, are of every tick."
         )
     with mpl.rc_context(STYLE):
         _plots(page, view, None if figures is None else FigureFiles(figures, folder / PAGE))
