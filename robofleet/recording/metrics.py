@@ -18,6 +18,7 @@ from robofleet.recording.bounds import judged
 from robofleet.recording.causes import named
 from robofleet.recording.measures import compute_us, delays, delays_ms, pose_errors
 from robofleet.recording.reduced import Counted, Images, Mean, Reduced, short
+from robofleet.recording.remarks import remarks
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.stops import stops
 from robofleet.recording.timeline import moments
@@ -81,6 +82,7 @@ def summary(
         "filtered_fraction": _mean(whole.filtered),
         "recording": {"messages": recording.count, "dropped": recording.dropped},
         "stops": whole.stops,
+        "remarks": remarks(config, groups),
         "busy_machine": busy_machine.figures(recording.messages.get(key(config.arena.name, BUSY), ()), config.ids),
         "rejected": {
             robot.id: None if of is None else of.newest - of.first
