@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
     from robofleet.config.tree import Config
     from robofleet.processes.page_process import PageWanted
+    from robofleet.processes.run import Result
 
 _COLLECT_AFTER = 50_000  # objects: loading libraries makes hundreds of thousands, and hardly any garbage
 
@@ -175,8 +176,8 @@ def run(
             new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         with bad_input():
-            summary = _summary(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
-    ending = Ending(tree, folder, summary, as_json=as_json)
+            result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
+    ending = Ending(tree, folder, result, as_json=as_json)
     ending.tell()
     if junit is not None:
         ending.write_junit(junit)
@@ -392,7 +393,7 @@ def _settled(tree: "Config") -> "Config":
         raise RefusedError(str(error)) from error
 
 
-def _summary(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> dict[str, Any]:
+def _result(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> "Result":
     from robofleet.processes import run as runs  # noqa: PLC0415
 
     try:

@@ -303,7 +303,10 @@ class Behaviour:
         return ()
 
     def measures(self, past: Past) -> Sequence[Measure]:
-        """Return what is measured afterwards beyond its figures."""
+        """Return what is measured afterwards beyond its figures: of each tick by itself.
+
+        A long run is measured part by part, and as a whole by every n-th tick of it.
+        """
         return ()
 
     def summary(self, past: Past) -> dict[str, Any]:

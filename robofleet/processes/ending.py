@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robofleet.config.yamlfile import printable
 from robofleet.files import write_text
@@ -10,13 +10,15 @@ from robofleet.valid_json import dumps
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
+    from robofleet.processes.run import Result
 
 
 class Ending:
     """The end of a run whose summary is made; results that cannot be kept are in ``lost``, a line each."""
 
-    def __init__(self, config: "Config", folder: Path, summary: dict[str, Any], *, as_json: bool) -> None:
-        self._config, self._folder, self._summary, self._as_json = config, folder, summary, as_json
+    def __init__(self, config: "Config", folder: Path, result: "Result", *, as_json: bool) -> None:
+        self._config, self._folder, self._as_json = config, folder, as_json
+        self._summary, self._columns = result
         self.lost: list[str] = []
 
     def tell(self) -> None:
@@ -82,7 +84,7 @@ class Ending:
         from robofleet.recording.reading import RecordingError  # noqa: PLC0415
 
         try:
-            made = after.report(self._folder, imports=groups.own(self._config).__contains__)
+            made = after.report(self._folder, imports=groups.own(self._config).__contains__, columns=self._columns)
         except OSError as error:
             self._lose(self._folder / "report.html", f"cannot be written: {error.strerror}: make room")
             return None

@@ -1,6 +1,7 @@
 """Lockstep's event queue: each process is called at the instant that it asked for, or when a message wakes it."""
 
 import heapq
+from array import array
 from collections.abc import Callable, Iterable
 
 from robofleet.clock import S, SimulatedClock, stopwatch_ns
@@ -29,7 +30,7 @@ class Slot:
         self.clock: SteppedClock | None = None  # the process's own, if it ever jumps
         self.next_ns = 0
         self.timed = False
-        self.durations_ns: list[int] = []
+        self.durations_ns = array("q")
 
     def __call__(self, instant_ns: int) -> None:
         """Wake the process at an instant."""

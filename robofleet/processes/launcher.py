@@ -27,7 +27,7 @@ from robofleet.processes.readiness import missing
 from robofleet.processes.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
 from robofleet.processes.viewers_process import ViewersProcess
 from robofleet.recording import busy_machine
-from robofleet.recording.run import Recording, Watch
+from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.gate import Latch
@@ -41,7 +41,6 @@ _LOAD_WITHIN_NS = S // 2
 _ANSWER_WITHIN_NS = 15 * S  # to a start: nothing moves before, and a busy machine is slow to tell who is there
 _ATTENDED_NS = 200 * MS
 _STREAM = 65536  # messages; half a minute of a fleet of four
-_SHOWN = 512  # messages of a key, for the live view
 _AT_REST_RAD_S = 0.01
 _PHASES = {
     Phase.ARMED: "arming",
@@ -338,7 +337,7 @@ class Launcher:
                 heard_ns = at_ns
         if heard_ns:
             self._silence.heard(heard_ns)
-        self.recording.keep_newest(_SHOWN)
+        self.recording.keep_newest(SHOWN)
         self._faults.step()
         self._fleet.check(spare=self._trackers)
         if self._page is not None:

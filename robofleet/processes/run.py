@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robofleet.clock import WallClock, utc_now
 from robofleet.config import groups
@@ -17,16 +17,24 @@ from robofleet.processes.terminal import Terminal, hangup_interrupts
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE
 from robofleet.recording.metrics import summary
-from robofleet.recording.reading import RecordingError, read
-from robofleet.recording.run import Recording, Watch
+from robofleet.recording.reading import RecordingError
+from robofleet.recording.run import SHOWN, Recording, Run, Watch
+from robofleet.recording.sampled import look
 from robofleet.vehicles.interface import DriverError
 
 if TYPE_CHECKING:
     from robofleet.processes.lockstep import Lockstep
 
 
-def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict[str, Any]:
-    """Run on a simulated clock and return the summary."""
+class Result(NamedTuple):
+    """What a run left."""
+
+    summary: dict[str, Any]
+    columns: Run  # of its file
+
+
+def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> Result:
+    """Run on a simulated clock."""
     from robofleet.processes.lockstep import Lockstep  # noqa: PLC0415 - it loads all that its processes need
 
     began = _now()
@@ -36,10 +44,16 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> dict
             run = Lockstep(config, log=log)
         except DriverError as error:
             raise RefusedError(str(error)) from error
-        outcome, cause = driven(run, view)
+
+        def watch(recording: Recording, phase: str) -> None:
+            view(recording, phase)
+            recording.keep_newest(SHOWN)  # all of it is in the file
+
+        outcome, cause = driven(run, watch)
         log.end(run.recording.ending())
-        run.recording.dropped = log.dropped
-    return summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
+    columns = _look(config, folder)
+    columns.recording.dropped = log.dropped
+    return _result(columns, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
 
 
 def driven(run: "Lockstep", watch: Watch) -> tuple[str, str | None]:
@@ -67,24 +81,28 @@ def _first(raised: BaseException) -> str:
 def in_real_time(
     config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None,
     viewers: Mapping[str, str] | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Run with real processes and return the summary."""
+) -> Result:  # fmt: skip
+    """Run with real processes."""
     began = _now()
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
         run = Launcher(
             config, folder, view, terminal, reset=reset, take_over=take_over, web=web, viewers=viewers
         )  # fmt: skip
         outcome, cause = run.run()
-    recording = _recorded(config, folder) if run.began or outcome != "stopped" else Recording(config)
-    recording.elapsed_s = run.recording.elapsed_s
-    return summary(recording, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+    columns = _look(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
+    columns.recording.elapsed_s = run.recording.elapsed_s
+    return _result(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
 
 
-def _recorded(config: Config, folder: Path) -> Recording:
+def _result(columns: Run, **ended: Any) -> Result:
+    return Result(summary(columns.recording, run=columns, **ended), columns)
+
+
+def _look(config: Config, folder: Path) -> Run:
     """Return what is in the run's file, whatever became of the recorder; nothing, if it never came to write."""
     try:
-        return read(folder, groups.own(config).__contains__)
+        return look(folder, groups.own(config).__contains__)
     except RecordingError as error:
         if (folder / FILE).exists() or not folder.exists():  # a run that never began has a folder and no file
             print(error, file=sys.stderr)
-        return Recording(config)
+        return Run(Recording(config))

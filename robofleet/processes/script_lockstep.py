@@ -19,6 +19,8 @@ from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.metrics import summary
 from robofleet.recording.reading import RecordingError
+from robofleet.recording.run import SHOWN, Recording, Run
+from robofleet.recording.sampled import look
 from robofleet.safety.supervisor import Phase, RunStatus
 from robofleet.valid_json import dumps
 
@@ -80,6 +82,8 @@ class LockstepLink:
 
     def next_tick(self) -> bytes:
         """Let simulated time pass until the next tick."""
+        if self.folder is not None:
+            self.run.recording.keep_newest(SHOWN)  # all of it is in the file
         ticks, count, run = self._ticks, len(self._ticks), self.run
         phase = run.status.phase
         if phase is Phase.HOLD:
@@ -141,16 +145,28 @@ class LockstepLink:
             recording.outcome, recording.cause = outcome, cause
             recording.elapsed_s = (stopwatch_ns() - self._began_ns) / S
             self._close_log(recording.ending())
-        made = summary(recording, name=self._name, mode="lockstep", outcome=outcome, cause=cause, began=self._began)
+        columns = Run(recording) if self.folder is None else self._look(self.folder)
+        columns.recording.dropped = recording.dropped
+        made = summary(
+            columns.recording, name=self._name, mode="lockstep", outcome=outcome, cause=cause, began=self._began,
+            run=columns,
+        )  # fmt: skip
         if self.folder is not None:
-            self._keep(self.folder, made)
+            self._keep(self.folder, made, columns)
         return made
 
-    def _keep(self, folder: Path, made: dict[str, Any]) -> None:
+    def _look(self, folder: Path) -> Run:
+        try:
+            return look(folder, groups.own(self.config).__contains__)
+        except RecordingError as error:
+            print(f"results are lost: {error}", file=sys.stderr)
+            return Run(Recording(self.config))
+
+    def _keep(self, folder: Path, made: dict[str, Any], columns: Run) -> None:
         """Write what a run leaves beside its recording; what cannot be written is said."""
         try:
             write_text(folder / SUMMARY, dumps(made, indent=1) + "\n")
-            report(folder, imports=groups.own(self.config).__contains__)
+            report(folder, imports=groups.own(self.config).__contains__, columns=columns)
         except (OSError, RecordingError) as error:
             print(f"results are lost: {folder}: {error}", file=sys.stderr)
 

@@ -11,8 +11,9 @@ from robofleet.clock import S
 from robofleet.files import read_plain
 from robofleet.recording import comparison, metrics
 from robofleet.recording import report as pages
-from robofleet.recording.reading import Imports, nothing_imported, read
+from robofleet.recording.reading import Imports, nothing_imported
 from robofleet.recording.run import Recording, Run
+from robofleet.recording.sampled import look, looks
 
 Summary = dict[str, Any]
 
@@ -38,14 +39,17 @@ class Report(NamedTuple):
     trouble: str | None  # what is wrong with the recording
 
 
-def report(run: Path, figures: Path | None = None, imports: Imports = nothing_imported) -> Report:
+def report(
+    run: Path, figures: Path | None = None, imports: Imports = nothing_imported, columns: Run | None = None
+) -> Report:
     """Write a run's page and columns again, and its figures as files where a folder for them is given.
 
-    ``imports``: as of ``reading.read``.
+    ``imports``: as of ``reading.read``; ``columns``: the run, where somebody has looked at it.
     """
-    columns, recording, summary = _looked_at(run, imports)
-    page = pages.write(recording, summary, _folder(run), figures, columns)
-    return Report(page, summary, recording.trouble)
+    columns, summary = _looked_at(run, imports, columns)
+    parts = None if columns.reduced is None else looks(run, imports)
+    page = pages.write(columns.recording, summary, _folder(run), figures, columns, parts)
+    return Report(page, summary, columns.recording.trouble)
 
 
 def compare(first: Path, second: Path, out: Path | None, imports: Imports = nothing_imported) -> Path:
@@ -56,24 +60,24 @@ def compare(first: Path, second: Path, out: Path | None, imports: Imports = noth
 
 
 def _side(run: Path, imports: Imports) -> comparison.Side:
-    columns, recording, summary = _looked_at(run, imports)
-    return comparison.Side(_name(run), pages.view_of(recording, summary, columns), summary)
+    columns, summary = _looked_at(run, imports)
+    return comparison.Side(_name(run), pages.view_of(columns.recording, summary, columns), summary)
 
 
-def _looked_at(run: Path, imports: Imports) -> tuple[Run, Recording, Summary]:
-    """Return a run in columns, its recording, and its figures, worked out anew.
+def _looked_at(run: Path, imports: Imports, columns: Run | None = None) -> tuple[Run, Summary]:
+    """Return a run in columns, and its figures, worked out anew.
 
     What the file does not say of the run, its summary may.
     """
-    recording = read(run, imports)
+    columns = columns or look(run, imports)
+    recording = columns.recording
     told = _told(_folder(run) / SUMMARY)
     outcome, cause = recording.outcome or told.outcome, recording.cause or told.cause
     mode = recording.provenance.mode if recording.provenance else told.mode
     name = _name(run) if told.config is None else told.config
-    columns = Run(recording)
     began = told.began or _began(recording, columns)
     summary = metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns)
-    return columns, recording, summary
+    return columns, summary
 
 
 def _began(recording: Recording, run: Run) -> str | None:

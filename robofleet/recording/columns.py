@@ -7,7 +7,7 @@ said in a sentence.
 from collections.abc import Callable, Iterable, Sequence
 from io import BufferedWriter, TextIOWrapper
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 import numpy as np
 
@@ -133,19 +133,25 @@ def own_table(part: Part, names: Sequence[str]) -> Array:
     return values.transpose(2, 0, 1)
 
 
-def write_csv(columns: Series, file: Path) -> None:
-    """Write one row a tick and robot; a value that is not known is empty."""
+def write_csv(parts: Iterable[Series], file: Path) -> None:
+    """Write one row a tick and robot, of a run part by part; a value that is not known is empty."""
+    with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
+        for k, part in enumerate(parts):
+            _write_rows(part, out, headed=k == 0)
+
+
+def _write_rows(columns: Series, out: TextIO, *, headed: bool) -> None:
     parts = columns.run.parts
     own = own_names(part.gauge for part in parts)
-    names = [*(column.csv or column.name for column in COLUMNS), *own]
+    if headed:
+        names = [*(column.csv or column.name for column in COLUMNS), *own]
+        out.write(",".join(["t_s", "tick", "run_tick", "robot", "group", *names]) + "\n")
     values = np.concatenate([table(columns), np.concatenate([own_table(part, own) for part in parts], axis=1)], axis=2)
     robots = [f"{robot},{part.said.name}" for part in parts for robot in part.said.robots]
     row = "".join(",%.0f" if column.whole else ",%.6g" for column in COLUMNS) + ",%.6g" * len(own)
-    with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
-        out.write(",".join(["t_s", "tick", "run_tick", "robot", "group", *names]) + "\n")
-        ticks = columns.run.ticks
-        whens = zip(columns.t.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
-        for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written
-            when = f"{t:.3f},{tick},{run_tick},"
-            for robot, of in zip(robots, of_tick.tolist(), strict=True):
-                out.write(when + robot + (row % tuple(of)).replace("nan", "") + "\n")
+    ticks = columns.run.ticks
+    whens = zip(columns.t.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
+    for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written
+        when = f"{t:.3f},{tick},{run_tick},"
+        for robot, of in zip(robots, of_tick.tolist(), strict=True):
+            out.write(when + robot + (row % tuple(of)).replace("nan", "") + "\n")

@@ -7,7 +7,7 @@ only: then it is not imported. What it cannot tell is missing, and nothing else 
 import re
 import sys
 import traceback
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -123,6 +123,26 @@ class Gauge:
                 said = self.said
                 print(f"group {said.name}: {said.behaviour} cannot measure: its figures are missing", file=sys.stderr)
             return otherwise
+
+
+def peaked(figures: Figures, parts: Sequence[Figures]) -> Figures:
+    """Return a group's part of a summary, of some ticks, with the largest values (``max...``) of all ticks.
+
+    ``parts``: the same of the parts of the run. What is so of its end (``final_...``) is as it is.
+    """
+    return {
+        name: {key: _largest(key, value, [part.get(name) for part in parts]) for key, value in own.items()}
+        if isinstance(own, dict) and not name.startswith("final_")
+        else own
+        for name, own in figures.items()
+    }
+
+
+def _largest(key: str, value: Any, parts: Sequence[Any]) -> Any:
+    if not key.startswith("max") or not isinstance(value, float):
+        return value
+    others = [part[key] for part in parts if isinstance(part, dict) and isinstance(part.get(key), float)]
+    return max([value, *others])
 
 
 def gauges(config: Config, said: tuple[described.Group, ...], foreign: Collection[str] = ()) -> tuple[Gauge, ...]:

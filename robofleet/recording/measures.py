@@ -1,7 +1,7 @@
 """What every robot has, tick by tick: the filter's errors and delays in columns. A group's own is in ``gauge.py``."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.recording.gauge import gauges
+from robofleet.recording.reduced import Delays, short
 from robofleet.recording.run import Array, Recording, Run
 
 
@@ -42,30 +43,34 @@ def exposure_to_wheel_ms(status: NDArray[Any]) -> Array:
     return np.where(status["applied_exposure_ns"] > 0, delays, np.nan)
 
 
-class Delays(NamedTuple):
-    """How long after mid-exposure [ms]: the poses were sent, a tick took them, a command of theirs reached a wheel."""
-
-    poses: Array
-    tick: Array
-    wheel: Array
-
-
-def delays_ms(run: Run) -> Delays:
-    """Return the delays of every image, every tick, and every command that was applied while running."""
+def delays(run: Run) -> Delays:
+    """Return the delays of every image, every tick, and every command that was applied while running [ns]."""
+    if run.reduced is not None:
+        return run.reduced.delays
     ticks, wheel = run.ticks, []
-    for status in run.statuses if len(ticks) else ():
-        running = status["applied_ns"] >= ticks["stamp_ns"][0]
+    for row, status in enumerate(run.statuses) if run.start_ns is not None else ():
+        running = status["applied_ns"] >= run.start_ns
         _, newest = np.unique(status["applied_ns"][running], return_index=True)
-        wheel.append(_known(exposure_to_wheel_ms(status[running][newest])))
-    poses = np.array([frame.sent_ns - frame.exposure_ns for frame in run.frames]) / 1e6
-    return Delays(poses, _known(exposure_to_tick_ms(run)), np.concatenate(wheel) if wheel else np.empty(0))
+        of = status[running][newest][run.own_statuses(row)[running][newest]]
+        wheel.append((of["applied_ns"] - of["applied_exposure_ns"])[of["applied_exposure_ns"] > 0])
+    poses = np.array([frame.sent_ns - frame.exposure_ns for frame in run.frames], np.int64)
+    tick = (ticks["stamp_ns"] - ticks["exposure_ns"])[ticks["exposure_ns"] > 0]
+    return Delays(short(poses), short(tick), short(np.concatenate(wheel) if wheel else np.empty(0, np.int64)))
 
 
-def _known(values: Array) -> Array:
-    return values[np.isfinite(values)]
+def delays_ms(run: Run) -> tuple[Array, Array, Array]:
+    """Return the same [ms]."""
+    poses, tick, wheel = delays(run)
+    return poses / 1e6, tick / 1e6, wheel / 1e6
 
 
 def compute_us(run: Run, recording: Recording) -> Array:
     """Return how long each tick computed [us]."""
-    lockstep = recording.tick_durations_ns  # there no time passes on the controller's clock
-    return (run.ticks["compute_ns"][1:] if lockstep is None else np.array(lockstep)) / 1e3
+    if recording.tick_durations_ns is not None:  # in lockstep no time passes on the controller's clock
+        return np.array(recording.tick_durations_ns) / 1e3
+    return (run.ticks["compute_ns"][1:] if run.reduced is None else run.reduced.compute_ns[1:]) / 1e3
+
+
+def lateness_us(run: Run) -> Array:
+    """Return how late each tick began [us]."""
+    return (run.ticks["lateness_ns"] if run.reduced is None else run.reduced.lateness_ns) / 1e3

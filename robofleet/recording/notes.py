@@ -12,7 +12,7 @@ from robofleet.comms.messages import NOTE as LAYOUT
 from robofleet.comms.messages import NoteKind
 from robofleet.config.yamlfile import printable
 from robofleet.recording.groups_said import ShapeSaid
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Own, Recording
 
 _MOST_MARKS = 100  # of a group, by name: more are not drawn
 _TEXT = TypeAdapter(Annotated[str, Field(max_length=100_000)])
@@ -46,9 +46,9 @@ def noted(payload: bytes) -> Noted | None:
     return None
 
 
-def of_group(recording: Recording, group: str) -> Iterator[Noted]:
-    """Yield a group's notes, in their order."""
-    for payload in recording.messages.get(key(recording.config.arena.name, NOTE, group), ()):
+def of_group(recording: Recording, group: str, own: Own = Own()) -> Iterator[Noted]:  # noqa: B008
+    """Yield a group's notes, in their order; ``own``: of a part of the run."""
+    for payload in recording.between(key(recording.config.arena.name, NOTE, group), own.first, own.until):
         if (note := noted(payload)) is not None:
             yield note
 

@@ -6,14 +6,16 @@ A file may come from a stranger, so it decides nothing about which code runs her
 
 import os
 import re
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from mcap.records import Attachment, Channel, Header, Metadata
 from pydantic import ValidationError
 
+from robofleet.clock import S
 from robofleet.comms.layouts import VERSION
 from robofleet.config.faults import cross_checks
 from robofleet.config.tree import Config
@@ -25,14 +27,27 @@ from robofleet.recording.chunks import Content, Message
 from robofleet.recording.groups_said import said
 from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, GROUPS, LIBRARY, PROFILE, PROVENANCE
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Own, Recording
 from robofleet.recording.scanning import NO_MCAP, Scan
 
-Imports = Callable[[str], bool]
+TOGETHER = 10 << 20  # [bytes] of messages that are looked at together: two minutes of four robots
+_AROUND_NS = 10 * S  # what belongs together is no further apart
+_STEP_NS = S
 
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
 _SHOWN = 80  # characters of what a file says of itself
 _MOST_DROPPED = 1 << 63  # more messages than this were never said
+
+
+Imports = Callable[[str], bool]
+
+
+class _Instant(NamedTuple):
+    """A message of a file: its place among all, when it came [ns], how many bytes were before it."""
+
+    place: int
+    ns: int
+    size: int
 
 
 class RecordingError(Exception):
@@ -50,15 +65,52 @@ def read(run: Path, imports: Imports = nothing_imported) -> Recording:
     Raises:
         RecordingError: if there is none that can be read.
     """
+    recording = None
+    for recording, _ in parts(run, imports, together=1 << 62):  # noqa: B007
+        pass
+    assert recording is not None
+    return recording
+
+
+def parts(
+    run: Path, imports: Imports = nothing_imported, *, together: int = TOGETHER
+) -> Iterator[tuple[Recording, Own]]:
+    """Yield a run part by part, each with what came shortly before and after it: it may be larger than memory.
+
+    ``imports``: as of ``read``; ``together``: so many bytes of messages are one part. A short run is one. What a file
+    says at its end only the last part knows.
+
+    Raises:
+        RecordingError: if there is none that can be read.
+    """
     file = file_of(run)
     with opened(file) as stream:
-        scan = scanned(stream)
-        recording = _recording(scan, file)
-    if recording is None or not recording.messages:
-        raise nothing(scan, file)
-    _know_groups(recording, file, imports)
-    recording.trouble = scan.trouble
-    return recording
+        content, first, size = _Content(scanned(stream), file), 0, 0
+        cut: _Instant | None = None  # where the next part begins
+        instants: deque[_Instant] = deque()  # of what comes before it
+        for full, message in content.messages():
+            recording = content.recording
+            assert recording is not None
+            at = _Instant(recording.count + 1, message.log_ns, size)
+            size += len(message.data)
+            if not instants or at.ns >= instants[-1].ns + _STEP_NS:
+                instants.append(at)
+                while cut is None and instants[0].ns < at.ns - _AROUND_NS:
+                    instants.popleft()
+            if cut is None and size >= together:
+                cut = at
+            elif cut is not None and (at.ns >= cut.ns + _AROUND_NS or size >= 2 * together):
+                _know_groups(recording, file, imports)
+                yield recording, Own(first, cut.place, last=False)
+                content.recording = recording = recording.since(instants[0].place)
+                size, first, cut = size - cut.size, cut.place, None
+            recording.add(full, message.data)
+        recording = content.recording
+        if recording is None or not recording.count:
+            raise nothing(content.scan, file)
+        _know_groups(recording, file, imports)
+        recording.trouble = content.scan.trouble
+        yield recording, Own(first)
 
 
 def about(run: Path, imports: Imports = nothing_imported) -> Recording:
@@ -150,24 +202,29 @@ def own(contents: list[Content], channels: dict[int, str]) -> Iterator[tuple[str
             channels[content.id] = content.topic
 
 
-def _recording(scan: Scan, file: Path) -> Recording | None:
-    recording: Recording | None = None
-    channels: dict[int, str] = {}
-    made_by = ""
-    for item in scan.items():
-        if isinstance(item, Header):
-            made_by = check_maker(item, file)
-        elif isinstance(item, Attachment) and item.name == CONFIG:
-            recording = Recording(_config(item.data, made_by, file))
-        elif recording is None:
-            continue
-        elif isinstance(item, Attachment | Metadata):
-            with suppress(KeyError, TypeError, ValueError):  # metadata have no CRC; another version may say less
-                _note(recording, item)
-        elif isinstance(item, list):
-            for full, message in own(item, channels):
-                recording.add(full, message.data)
-    return recording
+class _Content:
+    """What is in a file."""
+
+    def __init__(self, scan: Scan, file: Path) -> None:
+        self.scan, self._file = scan, file
+        self.recording: Recording | None = None  # from its configuration on
+
+    def messages(self) -> Iterator[tuple[str, Message]]:
+        """Yield the messages with their keys; what else the file says is noted in the recording."""
+        channels: dict[int, str] = {}
+        made_by = ""
+        for item in self.scan.items():
+            if isinstance(item, Header):
+                made_by = check_maker(item, self._file)
+            elif isinstance(item, Attachment) and item.name == CONFIG:
+                self.recording = Recording(_config(item.data, made_by, self._file))
+            elif self.recording is None:
+                continue
+            elif isinstance(item, Attachment | Metadata):
+                with suppress(KeyError, TypeError, ValueError):  # metadata have no CRC; another version may say less
+                    _note(self.recording, item)
+            elif isinstance(item, list):
+                yield from own(item, channels)
 
 
 def _note(recording: Recording, told: Attachment | Metadata) -> None:

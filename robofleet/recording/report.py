@@ -1,7 +1,7 @@
 """What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,13 @@ _SHOWN = 80  # entries of a table; a run that is worse shows its first ones
 
 
 def write(
-    recording: Recording, summary: Summary, folder: Path, figures: Path | None = None, run: Run | None = None
-) -> Path:
+    recording: Recording, summary: Summary, folder: Path, figures: Path | None = None, run: Run | None = None,
+    parts: Iterable[Run] | None = None,
+) -> Path:  # fmt: skip
     """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be.
 
     ``figures``: a folder for every plot as a file of its own, which the page links. ``run``: the recording in columns,
-    where somebody has it.
+    where somebody has it; ``parts``: the same with every tick, part by part, where it has only some.
     """
     view = view_of(recording, summary, run)
     page = Page(summary["config"], _subtitle(summary))
@@ -52,13 +53,18 @@ def write(
                 f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
             )
         _bounds(page, summary)
+    if (every := view.series.run.every) > 1:
+        page.note(
+            f"The run is long: curves, and the means of the groups' own figures, are of every {every}th tick. "
+            "All other figures, and the largest values, are of every tick."
+        )
     with mpl.rc_context(STYLE):
         _plots(page, view, None if figures is None else FigureFiles(figures, folder / PAGE))
     _stops(page, summary)
     _entries(page, view.timeline)
     _robots(page, summary)
     _origin(page, recording, folder, linked=figures is not None)
-    write_csv(view.series, folder / CSV)
+    write_csv([view.series] if parts is None else map(series, parts), folder / CSV)
     if recording.config.sensing:
         sensors.write_csv(recording, folder / sensors.CSV)
     page.write(folder / PAGE)

@@ -1,11 +1,12 @@
 """What a run left: every message, and the columns that its figures are made from."""
 
 from array import array
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +28,14 @@ from robofleet.comms.messages import (
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError
-from robofleet.recording.gauge import Curve, Figures, Gauge, gauges
+from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
+from robofleet.recording.reduced import Reduced
 from robofleet.valid_json import dumps
 
 Array = NDArray[np.float64]
 
+SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
 
 Duration = Annotated[int, Field(ge=0, lt=1 << 62)]
@@ -64,8 +67,8 @@ class Recording:
     cause: str | None = None
     elapsed_s: float = 0.0
     trace_hash: str | None = None
-    tick_durations_ns: list[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
-    tracker_durations_ns: list[int] | None = None
+    tick_durations_ns: Sequence[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
+    tracker_durations_ns: Sequence[int] | None = None
     said: tuple[described.Group, ...] | None = None  # the groups, as the file says; None: as the configuration does
     foreign: frozenset[str] = frozenset()  # behaviours that only a file names: their modules are not imported
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
@@ -97,6 +100,25 @@ class Recording:
         self.messages[full].append(payload)
         self._places[full].append(self.count)
 
+    def between(self, full: str, first: int, until: int) -> list[bytes]:
+        """Return the messages of a key from a place in the order of all messages up to another one."""
+        places = self._places.get(full, ())
+        return self.messages.get(full, [])[bisect_left(places, first) : bisect_left(places, until)]
+
+    def since(self, place: int) -> "Recording":
+        """Return a recording that goes on from a place in the order of all messages."""
+        later = self.emptied()
+        for full, places in self._places.items():
+            first = bisect_left(places, place)
+            later.messages[full], later._places[full] = self.messages[full][first:], places[first:]
+        return later
+
+    def emptied(self) -> "Recording":
+        """Return the recording without its messages."""
+        made = replace(self, messages=defaultdict(list), _places=defaultdict(lambda: array("Q")), _arrays={})
+        made.__dict__.update({name: self.__dict__[name] for name in ("groups", "gauges") if name in self.__dict__})
+        return made
+
     def keep_newest(self, most: int) -> None:
         """Let go of old messages where there are more than ``most`` of a key: a run that goes on is in its file."""
         for full, messages in self.messages.items():
@@ -110,21 +132,18 @@ class Recording:
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
-        return dumps({name: getattr(self, name) for name in EndingFile.model_fields}).encode()
+        told = {name: getattr(self, name) for name in EndingFile.model_fields}
+        return dumps({name: list(of) if isinstance(of, array) else of for name, of in told.items()}).encode()
 
     def end(self, text: bytes) -> None:
         """Take how the run ended from its file; ValueError where it does not say so."""
         for name, value in EndingFile.model_validate_json(text):
-            setattr(self, name, value)
+            setattr(self, name, array("q", value) if isinstance(value, list) else value)
 
-    def rows(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
-        """Return the messages of a key as a structured array; those of another size are left out."""
-        payloads = [p for p in self.messages.get(full, ()) if len(p) == layout.size]
-        return np.frombuffer(b"".join(payloads), dtype=layout.dtype)
-
-    def measured(self, full: str, layout: Layout[Any]) -> NDArray[Any]:
-        """Return the rows of a key whose figures can be true."""
-        rows = self.rows(full, layout)
+    def measured(self, full: str, layout: Layout[Any], own: "Own") -> NDArray[Any]:
+        """Return a key's messages of the right size whose figures can be true, as a structured array."""
+        payloads = [p for p in self.between(full, own.first, own.until) if len(p) == layout.size]
+        rows = np.frombuffer(b"".join(payloads), dtype=layout.dtype)
         return rows[_can_be(rows)]
 
     def of_robot(self, topic: Topic, robot: str) -> NDArray[Any]:
@@ -188,6 +207,16 @@ class Recording:
 Watch = Callable[[Recording, str], None]  # called during a run with what came so far, and the phase's name
 
 
+class Own(NamedTuple):
+    """Which part of a run is looked at, where a recording holds what came shortly before it and after it, too."""
+
+    first: int = 0  # place in the order of all messages
+    until: int = 1 << 62
+    start_ns: int | None = None  # the run's first tick, where it was before this part
+    began: tuple[int, ...] = ()  # the numbers of the images, of each camera, that it knew
+    last: bool = True  # nothing follows
+
+
 @dataclass(frozen=True)
 class Part:
     """One group of a run."""
@@ -196,6 +225,7 @@ class Part:
     rows: slice  # of the members' arrays
     past: Past  # of the ticks while the fleet ran
     running: NDArray[np.bool_]  # (K,) which of the run's ticks those are
+    peaks: Sequence[Figures] = ()  # of a long run, of which the past has only some ticks: figures of its parts
 
     @property
     def said(self) -> described.Group:
@@ -212,7 +242,7 @@ class Part:
 
     def summary(self) -> Figures:
         """Return its part of ``summary.json``."""
-        return self.gauge.summary(self.past)
+        return peaked(self.gauge.summary(self.past), self.peaks)
 
     def _spread(self, values: Array) -> Array:
         spread = np.full((len(self.running), *values.shape[1:]), np.nan)
@@ -223,48 +253,71 @@ class Part:
 class Run:
     """The recording in columns: ticks of the run (K,), robots of all groups, group by group (N,).
 
-    ``every_tick``: also those in which the fleet was not running.
+    ``every_tick``: also those in which the fleet was not running. ``own``: the part that is looked at.
     """
 
-    def __init__(self, recording: Recording, *, every_tick: bool = False) -> None:
-        self.recording = recording
+    every: int = 1  # of so many ticks the columns have one
+    reduced: Reduced | None = None  # of a long run, of which the columns have only some ticks: its figures
+
+    def __init__(self, recording: Recording, *, every_tick: bool = False, own: Own = Own()) -> None:  # noqa: B008
+        self.recording, self.own = recording, own
         config = self.config = recording.config
         arena, robots = config.arena.name, config.members
         dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
-        payloads = recording.messages.get(key(arena, TICK), ())
-        self.all_ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
-        self._counted = (self.all_ticks["run_tick"] >= 0) | every_tick
-        self.ticks = self.all_ticks[self._counted]
-        self.running = self.ticks["run_tick"] >= 0  # (K,)
-        self.t = self.ticks["run_tick"] * config.controller.tick_s
-        self.items = _with_gaps(self.ticks["items"])  # NaN: a figure that nobody can have measured
-        self.groups = recording.groups
-        numbers = self.ticks["figures"]
-        numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
-        self.told = described.told(self.groups, numbers)  # of each group
+        placed = [(place, p) for place, p in recording.placed(key(arena, TICK)) if len(p) == dtype.itemsize]
+        told = np.frombuffer(b"".join(p for _, p in placed), dtype=dtype)
+        places = np.array([place for place, _ in placed], np.uint64)
+        first, until = np.searchsorted(places, (own.first, own.until))
+        self.near = told  # ticks, with those shortly before and after this part
+        self.before = told[:first][-1:]  # (1,) the tick before these; (0,) where there is none
+        self.all_ticks, places = told[first:until], places[first:until]
+        counted = (self.all_ticks["run_tick"] >= 0) | every_tick
+        self._tick_places = places[counted]
+        self._take(self.all_ticks[counted])
         statuses = [recording.of_robot(STATUS, r.id) for r in robots]
         self.statuses = [status[_can_be(status)] for status in statuses]
-        places = {unit: np.array(recording.places(key(arena, STATUS, unit)), np.uint64) for unit in config.units}
+        of_units = {unit: np.array(recording.places(key(arena, STATUS, unit)), np.uint64) for unit in config.units}
         self.status_places = [
-            places[config.unit_of[robot.id]][status["message"]]
+            of_units[config.unit_of[robot.id]][status["message"]]
             for robot, status in zip(robots, self.statuses, strict=True)
         ]
         truths = [true[_can_be(true)] for true in (recording.of_robot(TRUTH, r.id) for r in config.bodies)]
         known = np.array([len(truth) > 0 for truth in truths])
-        # (K, M, 3) of all bodies, the group's robots first; NaN: not told
-        self.bodies = self._at_ticks(truths) if known.any() and len(self.t) else None
-        self.known = known[: len(robots)]  # (N,) whose truth was told
-        self.truth = None if self.bodies is None or not self.known.any() else self.bodies[:, : len(robots)]
-        news = [recording.measured(key(arena, NEWS, camera), TRACKER_NEWS) for camera in config.camera_names]
+        self._know(self._at_ticks(truths) if known.any() and len(self.t) else None, known)
+        news = [recording.measured(key(arena, NEWS, camera), TRACKER_NEWS, own) for camera in config.camera_names]
         self.news = np.concatenate(news)  # of all cameras
         self.news_of = np.repeat(config.camera_names, [len(of) for of in news])  # whose each of them is
         self.states = _changes(recording, key(arena, STATE))
-        began = [int(self.ticks["poses_seq"][0]), *self._further_began()] if len(self.ticks) else None
+        self.start_ns = int(self.ticks["stamp_ns"][0]) if own.start_ns is None and len(self.ticks) else own.start_ns
+        self.began = own.began
+        if not self.began and len(self.ticks):
+            self.began = int(self.ticks["poses_seq"][0]), *self._further_began()
         self.images = {  # of each camera, without those of the checks before
-            camera: _images(recording, camera, 0 if began is None else began[row])
+            camera: _images(recording, camera, own, self.began[row] if self.began else 0)
             for row, camera in enumerate(config.camera_names)
         }
         self.frames = [frame for images in self.images.values() for frame in images]
+
+    def _take(self, ticks: NDArray[Any]) -> None:
+        """Take the ticks that count."""
+        self.ticks = ticks
+        self.running = self.ticks["run_tick"] >= 0  # (K,)
+        self.t = self.ticks["run_tick"] * self.config.controller.tick_s
+        self.items = _with_gaps(self.ticks["items"])  # NaN: a figure that nobody can have measured
+        self.groups = self.recording.groups
+        numbers = self.ticks["figures"]
+        numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
+        self.told = described.told(self.groups, numbers)  # of each group
+
+    def _know(self, bodies: Array | None, known: NDArray[np.bool_]) -> None:
+        """Take the true poses of all bodies, and of which they are known (M,)."""
+        self.bodies, self.all_known = bodies, known  # (K, M, 3), the groups' robots first; NaN: not told
+        self.known = known[: len(self.config.members)]  # (N,) whose truth was told
+        self.truth = None if bodies is None or not self.known.any() else bodies[:, : len(self.known)]
+
+    def own_statuses(self, robot: int) -> NDArray[np.bool_]:
+        """Return which of a robot's statuses (S,) are of this part."""
+        return np.asarray((self.status_places[robot] >= self.own.first) & (self.status_places[robot] < self.own.until))
 
     def _further_began(self) -> list[int]:
         """Return the numbers of the images, of each camera but the first, that the first tick knew."""
@@ -278,12 +331,13 @@ class Run:
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
         parts = []
+        peaks = self.reduced.peaks if self.reduced else {}
         for gauge, told, of in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
             figures = {name: values[running] for name, values in told.figures.items()}
             past = Past(
                 t, poses[:, of], points[:, of], self.known[of], settled, spaced, told.references[running], figures
             )
-            parts.append(Part(gauge, of, past, running))
+            parts.append(Part(gauge, of, past, running, peaks.get(gauge.said.name, ())))
         return tuple(parts)
 
     @cached_property
@@ -296,9 +350,15 @@ class Run:
         """For each robot the row of the newest status that came before each tick (K,); -1: there was none."""
         if not len(self.ticks):
             return []
-        size, placed = self.all_ticks.dtype.itemsize, self.recording.placed(key(self.config.arena.name, TICK))
-        ticks = np.array([place for place, p in placed if len(p) == size], np.uint64)[self._counted]
-        return [np.searchsorted(places, ticks) - 1 for places in self.status_places]
+        return [np.searchsorted(places, self._tick_places) - 1 for places in self.status_places]
+
+    @cached_property
+    def instants(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Stamps of the drivers' statuses and their places in the order of all messages, in that order."""
+        places = np.concatenate([np.array(own, dtype=np.int64) for own in self.status_places])
+        stamps = np.concatenate([status["stamp_ns"] for status in self.statuses])
+        order = np.argsort(places)
+        return stamps[order], places[order]
 
     def _at_ticks(self, truths: list[NDArray[Any]]) -> Array:
         """True poses at the ticks' instants (K, N, 3): on one host the stamps are of one clock."""
@@ -320,7 +380,7 @@ class Run:
     def standing(self) -> Array:
         """Poses of the bystanders' centres at the end (B, 3): true ones, else as seen last, else NaN."""
         config = self.config
-        places = np.full((len(config.bystanders), 3), np.nan)
+        places = np.full((len(config.bystanders), 3), np.nan) if self.reduced is None else self.reduced.standing
         tags = {robot.tag: row for row, robot in enumerate(config.bystanders)}
         for frame in self.frames if tags else ():
             for pose in frame.poses:
@@ -344,9 +404,9 @@ class Run:
         return np.asarray(self.t >= start_s)
 
 
-def _images(recording: Recording, camera: str, began: int) -> list[FleetPoses]:
+def _images(recording: Recording, camera: str, own: Own, began: int) -> list[FleetPoses]:
     """Return what a camera saw, from an image's number on."""
-    payloads = recording.messages.get(key(recording.config.arena.name, POSES, camera), ())
+    payloads = recording.between(key(recording.config.arena.name, POSES, camera), own.first, own.until)
     frames = (FLEET_POSES.decode(payload) for payload in payloads)
     return [frame for frame in frames if frame is not None and frame.seq >= began]
 

@@ -28,7 +28,7 @@ class Series(NamedTuple):
 def series(run: Run) -> Series:
     """Return the columns of a run; the groups' own are its parts' curves."""
     stamps, truth = run.ticks["stamp_ns"], run.truth
-    t = (stamps - stamps[:1]) / 1e9
+    t = (stamps - (run.start_ns or 0)) / 1e9
     if truth is None:
         return Series(run, t, run.points(), None, None)
     off, turn = pose_errors(run, truth)

@@ -35,15 +35,17 @@ def stops(run: Run) -> list[dict[str, Any]]:
     the operator asked for it, so the robot did not stop by itself. A controlled stop that ends the run is none.
     """
     found: list[dict[str, Any]] = []
-    if not len(run.ticks):
+    if run.start_ns is None:
         return found
-    start_ns, end_ns = int(run.ticks["stamp_ns"][0]), int(run.ticks["stamp_ns"][-1])
+    start_ns = end_ns = run.start_ns
+    if len(run.ticks):
+        end_ns = int(run.ticks["stamp_ns"][-1])
     for row, status in enumerate(run.statuses):
-        opened = status["gate"] == GateStatus.OPEN
-        for k in 1 + np.flatnonzero(opened[:-1] & ~opened[1:]):
+        opened, own = status["gate"] == GateStatus.OPEN, run.own_statuses(row)
+        for k in 1 + np.flatnonzero(opened[:-1] & ~opened[1:] & own[1:]):
             at_ns = int(status["stamp_ns"][k])
             why = _why(run, row, int(k)) if at_ns > start_ns else None
-            if why is not None and (why.cause or at_ns <= end_ns):
+            if why is not None and (why.cause or at_ns <= end_ns or not run.own.last):
                 gate = named(GateStatus, int(status["gate"][k]))
                 cause = f"{gate}: {why.cause}" if why.cause else gate
                 found.append(_stop(run, row, at_ns - start_ns, _Why(cause, why.by_operator)) | _times(status[k:]))
@@ -107,7 +109,8 @@ def _times(closed: NDArray[Any]) -> dict[str, float | None]:
 def _lost(run: Run, row: int, start_ns: int) -> list[dict[str, Any]]:
     """Return when the controller let a robot stand because no image shows it, where its gate was open."""
     status, found = run.statuses[row], []
-    for k in np.flatnonzero(np.diff(run.items["lost"][:, row], prepend=0.0) > 0):
+    before = run.before["items"]["lost"][:, row] if len(run.before) else [0.0]
+    for k in np.flatnonzero(np.diff(run.items["lost"][:, row], prepend=before) > 0):
         at_ns = int(run.ticks["stamp_ns"][k])
         newest = int(np.searchsorted(status["stamp_ns"], at_ns, side="right")) - 1
         if newest < 0 or status["gate"][newest] == GateStatus.OPEN:

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from robofleet.config.troubles import InjectedFault
 from robofleet.recording import notes
 from robofleet.recording.causes import named, run_cause
+from robofleet.recording.reduced import Moment
 from robofleet.recording.run import Run
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import NO_TAG, describe
 
 RUN, TRACKER, CONTROLLER, FAULTS = "run", "tracker", "controller", "faults"
 _IDLE_SHOWN_S = 3.0  # before the checks of a start
-_TOGETHER_S = 0.5  # what happens again so soon is one entry
+_TOGETHER_NS = 500_000_000  # what happens again so soon is one entry
 
 
 class Entry(NamedTuple):
@@ -44,7 +45,7 @@ class Timeline:
     def __init__(self, run: Run, stops: Sequence[dict[str, Any]]) -> None:
         """Collect; ``stops`` are the summary's."""
         self._run = run
-        self._stamps, self._places = _instants(run)
+        self._stamps, self._places = run.instants
         begun = (run.ticks["stamp_ns"], self._stamps, run.all_ticks["stamp_ns"])
         self._zero_ns = next((int(stamps[0]) for stamps in begun if len(stamps)), 0)
         lasts = [
@@ -57,7 +58,7 @@ class Timeline:
         self.shown_s = max(self.begin_s, awake - _IDLE_SHOWN_S)  # kernels may have been compiled for a minute before
         said = [Entry(s.t_s, s.t_s, RUN, f"{s.name}: {s.cause}" if s.cause else s.name) for s in self.phases]
         halts = [Entry(s["t_s"], s["t_s"], s["robot"], s["cause"], stop=True) for s in stops]
-        found = *said, *halts, *self._news(), *self._overruns(), *self._barrier(), *self._faults(), *self._said()
+        found = *said, *halts, *self._moments(), *self._faults()
         self.entries = sorted(found, key=lambda entry: entry.t_s)
 
     def _seconds(self, stamps: NDArray[Any]) -> NDArray[np.float64]:
@@ -79,38 +80,11 @@ class Timeline:
             cause = run_cause(state, robots) if state.cause else ""
             yield Span(t, until, state.phase, named(Phase, state.phase), cause)
 
-    def _said(self) -> Iterator[Entry]:
-        """Yield what scripts said; a note has no stamp of its own: it knows the newest tick."""
-        ticks = self._run.all_ticks
-        stamps = dict(zip(ticks["tick"].tolist(), self._seconds(ticks["stamp_ns"]).tolist(), strict=True))
-        for group in self._run.groups:
-            for note in notes.of_group(self._run.recording, group.name):
-                if note.line is not None and (t := stamps.get(note.echo_tick)) is not None:
-                    yield Entry(t, t, group.name, note.line)
-
-    def _news(self) -> Iterator[Entry]:
-        robots = {robot.tag: robot.id for robot in self._run.config.robots}
-        run, several = self._run, len(self._run.images) > 1
-        for row, t, camera in zip(run.news, self._seconds(run.news["stamp_ns"]), run.news_of, strict=True):
-            tag, named = int(row["tag"]), str(camera) if several else ""
-            who = TRACKER if tag == NO_TAG else robots.get(tag, TRACKER)
-            yield Entry(float(t), float(t), who, describe(int(row["event"]), tag, float(row["value"]), named))
-
-    def _overruns(self) -> Iterator[Entry]:
-        ticks = self._run.all_ticks
-        count = np.diff(ticks["overruns"].astype(np.int64), prepend=ticks["overruns"][:1].astype(np.int64))
-        t = self._seconds(ticks["stamp_ns"])
-        for first, last in _episodes(t, count > 0):
-            many = int(count[first : last + 1].sum())
-            yield Entry(float(t[first]), float(t[last]), CONTROLLER, f"{many} tick{'s' * (many > 1)} overrun")
-
-    def _barrier(self) -> Iterator[Entry]:
-        t = self._seconds(self._run.ticks["stamp_ns"])
-        for row, robot in enumerate(self._run.config.members):
-            for first, last in _episodes(t, self._run.items["filtered"][:, row] > 0):
-                took = t[last] - t[first] + self._run.config.controller.tick_s
-                what = f"the barrier changed its command for {took:.2f} s"
-                yield Entry(float(t[first]), float(t[last]), robot.id, what)
+    def _moments(self) -> Iterator[Entry]:
+        run = self._run
+        for moment in moments(run) if run.reduced is None else run.reduced.moments:
+            first, last = ((ns - self._zero_ns) / 1e9 for ns in (moment.first_ns, moment.last_ns))
+            yield Entry(first, last, moment.who, moment.what)
 
     def _faults(self) -> Iterator[Entry]:
         for fault in self._run.config.faults:
@@ -118,6 +92,55 @@ class Timeline:
             until = self.end_s if fault.duration_s is None else begin + fault.duration_s
             if begin <= self.end_s:
                 yield Entry(begin, min(until, self.end_s), FAULTS, _in_words(fault))
+
+
+def moments(run: Run) -> Iterator[Moment]:
+    """Yield the tracker's news, what was overrun, what the barrier did and what scripts said in a run, or a part."""
+    yield from _news(run)
+    yield from _overruns(run)
+    yield from _barrier(run)
+    yield from _said(run)
+
+
+def _news(run: Run) -> Iterator[Moment]:
+    robots = {robot.tag: robot.id for robot in run.config.robots}
+    several = len(run.images) > 1
+    for row, camera in zip(run.news, run.news_of, strict=True):
+        tag, named, at_ns = int(row["tag"]), str(camera) if several else "", int(row["stamp_ns"])
+        who = TRACKER if tag == NO_TAG else robots.get(tag, TRACKER)
+        yield Moment(at_ns, at_ns, who, describe(int(row["event"]), tag, float(row["value"]), named))
+
+
+def _overruns(run: Run) -> Iterator[Moment]:
+    ticks = run.all_ticks
+    before = (run.before if len(run.before) else ticks[:1])["overruns"].astype(np.int64)
+    count = np.diff(ticks["overruns"].astype(np.int64), prepend=before)
+    for first, last in _episodes(ticks["stamp_ns"], count > 0):
+        many = int(count[first : last + 1].sum())
+        at_ns = int(ticks["stamp_ns"][first]), int(ticks["stamp_ns"][last])
+        yield Moment(*at_ns, CONTROLLER, f"{many} tick{'s' * (many > 1)} overrun")
+
+
+def _barrier(run: Run) -> Iterator[Moment]:
+    stamps = run.ticks["stamp_ns"]
+    for row, robot in enumerate(run.config.members):
+        for first, last in _episodes(stamps, run.items["filtered"][:, row] > 0):
+            first_ns, last_ns = int(stamps[first]), int(stamps[last])
+            took = (last_ns - first_ns) / 1e9 + run.config.controller.tick_s
+            yield Moment(first_ns, last_ns, robot.id, f"the barrier changed its command for {took:.2f} s")
+
+
+def _said(run: Run) -> Iterator[Moment]:
+    """Yield what scripts said; a note has no stamp of its own: it knows the newest tick."""
+    stamps: dict[int, int] = {}
+    for group in run.groups:
+        for note in notes.of_group(run.recording, group.name, run.own):
+            if note.line is None:
+                continue
+            if not stamps:
+                stamps = dict(zip(run.near["tick"].tolist(), run.near["stamp_ns"].tolist(), strict=True))
+            if (at_ns := stamps.get(note.echo_tick)) is not None:
+                yield Moment(at_ns, at_ns, group.name, note.line)
 
 
 def _in_words(fault: InjectedFault) -> str:
@@ -129,18 +152,10 @@ def _in_words(fault: InjectedFault) -> str:
     return f"{fault.kind.replace('_', ' ')} ({'; '.join(values)})" if given else fault.kind.replace("_", " ")
 
 
-def _instants(run: Run) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return stamps of the drivers' statuses and their places in the order of all messages, in that order."""
-    places = np.concatenate([np.array(own, dtype=np.int64) for own in run.status_places])
-    stamps = np.concatenate([status["stamp_ns"] for status in run.statuses])
-    order = np.argsort(places)
-    return stamps[order], places[order]
-
-
-def _episodes(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _episodes(stamps_ns: NDArray[Any], on: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return first and last index of every time that something is on; shortly after one another is one."""
     where = np.flatnonzero(on)
     if not len(where):
         return []
-    breaks = np.flatnonzero(np.diff(t[where]) > _TOGETHER_S)
+    breaks = np.flatnonzero(np.diff(stamps_ns[where]) > _TOGETHER_NS)
     return list(zip(where[[0, *(breaks + 1)]].tolist(), where[[*breaks, -1]].tolist(), strict=True))

@@ -7,7 +7,7 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from robofleet.figures import COLOURS, QUIET
 from robofleet.recording.canvas import View, sheet
-from robofleet.recording.measures import compute_us, delays_ms
+from robofleet.recording.measures import compute_us, delays_ms, lateness_us
 from robofleet.recording.run import Array
 
 _BINS = 60
@@ -25,7 +25,7 @@ def delays(view: View) -> list[tuple[str, str]]:
 def latency(view: View) -> Figure | None:
     """Draw how long after its mid-exposure an image was a pose, in a tick, at a wheel."""
     delays = delays_ms(view.series.run)
-    if not len(delays.wheel):
+    if not len(delays[2]):
         return None
     figure, (axes,) = sheet(2.3)
     longest = max(float(values.max(initial=0.0)) for values in delays)
@@ -46,7 +46,7 @@ def ticks(view: View) -> Figure | None:
     run = view.series.run
     figure, (compute, late) = sheet(2.5, 1, 2)
     _histogram(compute, compute_us(run, view.recording), "computing a tick, us")
-    _histogram(late, run.ticks["lateness_ns"] / 1e3, "tick late by, us")
+    _histogram(late, lateness_us(run), "tick late by, us")
     compute.set_ylabel("ticks")
     return figure
 

@@ -106,7 +106,7 @@ def test_what_its_queue_dropped_is_counted_once(stand: Stand) -> None:
 
 def test_a_lockstep_runs_summary_is_the_same_from_its_file(platoon_of: ConfigOf, tmp_path: Path) -> None:
     config = platoon_of("tracker.source=truth", "run.duration_s=8")
-    told = in_lockstep(config, "platoon", tmp_path, quiet=True)
+    told = in_lockstep(config, "platoon", tmp_path, quiet=True).summary
     recording = read(tmp_path)
     outcome = {"outcome": str(recording.outcome), "cause": recording.cause}
     assert recording.trace_hash == told["trace_hash"] is not None

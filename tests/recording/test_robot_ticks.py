@@ -49,7 +49,7 @@ def test_each_robot_has_a_channel_with_every_column_of_every_tick(run_file: Path
     told, logged, _ = told_in(run_file)
     ticks = Run(recording, every_tick=True).ticks
     assert len(ticks) > 150, "more than a batch, or nothing is tried"
-    write_csv(series(Run(recording)), tmp_path / "m.csv")
+    write_csv([series(Run(recording))], tmp_path / "m.csv")
     with (tmp_path / "m.csv").open() as text:
         rows = {(row["robot"], int(row["tick"])): row for row in csv.DictReader(text)}
     compared = 0

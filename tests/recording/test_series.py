@@ -52,7 +52,7 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     told = story(ticks=40)
     told.aside(0.003)
     told.control_error[:, 2] = 0.0015
-    write_csv(series(Run(told.recording())), tmp_path / "m.csv")
+    write_csv([series(Run(told.recording()))], tmp_path / "m.csv")
     rows = rows_of(tmp_path / "m.csv")
     assert [row["robot"] for row in rows] == ["r1", "r2", "r3", "r4"] * 40
     assert [float(row["t_s"]) for row in rows[::4]] == pytest.approx([k * 0.033 for k in range(40)], abs=1e-9)
@@ -81,7 +81,7 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
 
 
 def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
-    write_csv(series(Run(story(ticks=3).recording(truth=False))), tmp_path / "m.csv")
+    write_csv([series(Run(story(ticks=3).recording(truth=False)))], tmp_path / "m.csv")
     told = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
     unknown = told | {
         "centre_error_mm",
@@ -102,7 +102,7 @@ def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None
 def test_a_run_without_a_tick_has_no_row(story: Make, tmp_path: Path) -> None:
     recording = story(ticks=1).recording()
     recording.messages[key("platoon", TICK)].clear()
-    write_csv(series(Run(recording)), tmp_path / "m.csv")
+    write_csv([series(Run(recording))], tmp_path / "m.csv")
     assert rows_of(tmp_path / "m.csv") == []
 
 

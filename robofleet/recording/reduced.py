@@ -1,0 +1,153 @@
+"""What the figures of a run need of every tick, message and image: sums, extremes, counts and delays, which add up.
+
+So a long run is looked at part by part, and its figures are those of all ticks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Whole = NDArray[Any]  # of integers, as short as they can be
+
+_SHORT = np.iinfo(np.int32)
+
+
+class Moment(NamedTuple):
+    """Something that happened."""
+
+    first_ns: int
+    last_ns: int  # the same, where it took no time
+    who: str
+    what: str
+
+
+class Delays(NamedTuple):
+    """How long after mid-exposure [ns]: the poses were sent, a tick took them, a command of theirs reached a wheel."""
+
+    poses: Whole
+    tick: Whole
+    wheel: Whole
+
+
+class Mean(NamedTuple):
+    """Values of which the mean is wanted."""
+
+    total: float = 0.0
+    many: int = 0
+
+    @property
+    def value(self) -> float | None:
+        """The mean; None of nothing."""
+        return self.total / self.many if self.many else None
+
+
+class Images(NamedTuple):
+    """What a camera saw."""
+
+    frames: int = 0
+    first_ns: int = 0  # mid-exposure
+    newest_ns: int = 0
+    measured: int = 0  # tags
+    members: int = 0  # of those, tags of robots in a group
+    strange: int = 0  # tags of nobody, also where they are only predicted
+    refused: int = 0  # by the newest image's count
+
+
+class Counted(NamedTuple):
+    """The first and the newest count of something that is counted on."""
+
+    first: int
+    newest: int
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A run, or a part of it."""
+
+    begun: bool  # whether the fleet ran in it, or before
+    ticks: int
+    delays: Delays
+    compute_ns: Whole
+    lateness_ns: Whole
+    work_ns: Whole  # of the trackers, for each image
+    overruns: Counted | None
+    nearest_m: Array | None  # smallest distance of each pair of bodies (P,), NaN: not known; None: no truth was told
+    obstacle_m: float  # smallest distance of a body from an obstacle, NaN: not known; infinite: there is none
+    off2: Mean  # squares of the filter's errors [m^2]
+    turn2: Mean  # [rad^2]
+    off_max_m: float
+    saturated: Mean
+    measured: Mean
+    filtered: Mean
+    images: dict[str, Images]  # of each camera
+    stops: list[dict[str, Any]]
+    moments: list[Moment]
+    rejected: list[Counted | None]  # of each robot
+    standing: Array  # poses of the bystanders (B, 3), NaN: not known
+    peaks: dict[str, list[dict[str, Any]]]  # each group's own figures, of each part
+
+
+def joined(parts: Sequence[Reduced]) -> Reduced:
+    """Return the parts of a run together, which come in order."""
+    first = next((k for k, part in enumerate(parts) if part.begun), 0)
+    counted = parts[first:]  # what images showed in the checks before does not count
+    told = [part.nearest_m for part in parts if part.nearest_m is not None]
+    standing = parts[0].standing
+    for part in parts:
+        standing = np.where(np.isfinite(part.standing), part.standing, standing)
+    return Reduced(
+        begun=parts[-1].begun,
+        ticks=sum(part.ticks for part in parts),
+        delays=Delays(
+            np.concatenate([part.delays.poses for part in counted]),
+            np.concatenate([part.delays.tick for part in parts]),
+            np.concatenate([part.delays.wheel for part in parts]),
+        ),
+        compute_ns=np.concatenate([part.compute_ns for part in parts]),
+        lateness_ns=np.concatenate([part.lateness_ns for part in parts]),
+        work_ns=np.concatenate([part.work_ns for part in counted]),
+        overruns=_counted([part.overruns for part in parts]),
+        nearest_m=np.minimum.reduce(told) if told else None,
+        obstacle_m=float(np.min([part.obstacle_m for part in parts])),
+        off2=_mean([part.off2 for part in parts]),
+        turn2=_mean([part.turn2 for part in parts]),
+        off_max_m=max(part.off_max_m for part in parts),
+        saturated=_mean([part.saturated for part in parts]),
+        measured=_mean([part.measured for part in parts]),
+        filtered=_mean([part.filtered for part in parts]),
+        images={name: _seen([part.images[name] for part in counted]) for name in parts[0].images},
+        stops=sorted((stop for part in parts for stop in part.stops), key=lambda stop: stop["t_s"]),
+        moments=[moment for part in parts for moment in part.moments],
+        rejected=[_counted(of) for of in zip(*(part.rejected for part in parts), strict=True)],
+        standing=standing,
+        peaks={name: [own for part in parts for own in part.peaks[name]] for name in parts[0].peaks},
+    )
+
+
+def short(values: NDArray[Any]) -> Whole:
+    """Return whole numbers in half the bytes, where they fit."""
+    fit = not len(values) or (values.min() >= _SHORT.min and values.max() <= _SHORT.max)
+    return values.astype(np.int32 if fit else np.int64)
+
+
+def _mean(parts: Sequence[Mean]) -> Mean:
+    return Mean(sum(part.total for part in parts), sum(part.many for part in parts))
+
+
+def _counted(parts: Sequence[Counted | None]) -> Counted | None:
+    known = [part for part in parts if part is not None]
+    return Counted(known[0].first, known[-1].newest) if known else None
+
+
+def _seen(parts: Sequence[Images]) -> Images:
+    known = [part for part in parts if part.frames]
+    if not known:
+        return Images()
+    together = (sum(part[k] for part in known) for k in range(len(Images._fields)))
+    return Images(*together)._replace(
+        first_ns=known[0].first_ns, newest_ns=known[-1].newest_ns, refused=known[-1].refused
+    )
