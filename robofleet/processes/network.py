@@ -59,7 +59,7 @@ class Keys:
             return False
         self._next_ns = now_ns + self._LOOK_NS
         state = self._state()
-        if state == self._seen or any(run.arena == self._config.arena.name for run in running()):
+        if state == self._seen or running(self._config.arena.name):
             return False
         self._seen = state
         return True

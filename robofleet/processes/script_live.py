@@ -212,7 +212,7 @@ class OwnRun:
         """Wait until its processes can be reached, and return where; FleetError where it ends before."""
         while True:
             self.check()
-            mine = [there for there in running() if (there.arena, there.pid) == (arena, self._process.pid)]
+            mine = [there for there in running(arena) if (there.arena, there.pid) == (arena, self._process.pid)]
             if mine and (self.folder / "config.yaml").is_file():
                 return mine[0]
             threading.Event().wait(_POLL_S)
