@@ -1,0 +1,237 @@
+"""Messages whose version, sizes and counts are right and whose content is hostile, on every topic of a fleet.
+
+    python -m tests.processes.hostile_messages --messages 10000 [--config configs/teleop.yaml] [--seed N]
+
+A fleet in lockstep hears them between its own, and with it whoever listens to a run: the operator's page, the terminal's
+live view, viewers, an operator's stop. Fields take the ends of their types, values of all enums and beyond them, NaN and
+infinity, instants and numbers of other times. Every process must step on. Then the fleet must start again, or say why not.
+It prints how many messages went where, and how the fleet was afterwards.
+"""
+
+import argparse
+import math
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from robofleet.clock import S
+from robofleet.comms.keys import ASKED, PICTURE, TOPICS, Topic, key, named
+from robofleet.comms.layouts import VERSION, BlobLayout, Layout, ListLayout
+from robofleet.config import groups
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.processes.estop import EmergencyStop
+from robofleet.processes.live import LiveView
+from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.terminal import Terminal
+from robofleet.processes.web.hearing import Hearing
+from robofleet.safety.supervisor import Phase
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SHIPPED = ("platoon", "two-groups", "script", "teleop", "two-cameras")
+_PERIOD_S = 0.011  # between two rounds, of one message on each topic
+_ROUNDS = 60  # until the fleet is asked to start again
+_WORDS = (
+    b"start",
+    b"stop",
+    b"hold",
+    b"resume",
+    b"park",
+    b"reset",
+    b"arm",
+    b"status",
+    b"estop",
+    b"pictures",
+    b"leave r1",
+    b"",
+    b"\xff" * 99,
+)
+_FLOATS = (
+    0.0, -0.0, 1.0, -1.0, 2.0, 0.5, 1e-9, 5e-324, 1e6, -1e6, 1e300, -1e300, math.pi, math.nan, math.inf, -math.inf,
+)  # fmt: skip
+
+
+@dataclass
+class Figures:
+    """What came of it."""
+
+    messages: dict[str, int] = field(default_factory=dict)  # by topic
+    starts: int = 0  # of the fleet, on the way
+    phases: set[str] = field(default_factory=set)
+    ending: str = ""  # how the fleet was in the end
+
+
+class Forge:
+    """Makes payloads for a topic: some by changing one that a process of the fleet has sent, some from nothing."""
+
+    def __init__(self, rng: np.random.Generator, now_ns: Callable[[], int]) -> None:
+        self._rng, self._now_ns = rng, now_ns
+        self.sent: dict[str, bytes] = {}  # newest true payload of each key
+
+    def payload(self, topic: Topic, full: str) -> bytes:
+        """Return a payload for a key."""
+        if topic.layout is None:
+            return self._pick(_WORDS)
+        sent = self.sent.get(full)
+        name, types = topic.layout.describe()
+        head = np.dtype([(name, kind) for name, kind in types["fields"]])
+        whole = sent is not None and len(sent) >= head.itemsize
+        heads = np.frombuffer(sent[: head.itemsize], head).copy() if whole else np.zeros(1, head)
+        rest = sent[head.itemsize :] if whole else b""
+        if not whole or self._rng.random() < 0.3:
+            self._spoil(heads, 1.0)
+        else:
+            self._spoil(heads, self._rng.choice((0.0, 0.1, 0.3)))
+        heads["version"] = VERSION
+        if isinstance(topic.layout, BlobLayout):
+            return heads.tobytes() + (
+                rest if self._rng.random() < 0.5 else self._rng.bytes(int(self._rng.integers(200)))
+            )
+        if isinstance(topic.layout, Layout):
+            return heads.tobytes()
+        item = np.dtype([(name, kind) for name, kind in types["items"]])
+        count = int.from_bytes(sent[head.itemsize - 2 : head.itemsize], "little") if whole else 4
+        if self._rng.random() < 0.1:
+            most = min(65535, (topic.largest - head.itemsize) // item.itemsize)
+            count = int(self._pick((0, 1, max(count - 1, 0), count + 1, most)))
+        items = np.zeros(count, item)
+        old = np.frombuffer(rest[: len(rest) // item.itemsize * item.itemsize][: count * item.itemsize], item)
+        items[: len(old)] = old
+        self._spoil(items, self._pick((0.0, 0.05, 0.3, 1.0)))
+        heads["count"] = count
+        numbers = b""
+        if "rest" in types:
+            first = int.from_bytes(sent[head.itemsize - 2 : head.itemsize], "little") * item.itemsize if whole else 0
+            old_numbers = np.frombuffer(rest[first:], "<f8").copy() if whole else np.zeros(3)
+            for k in np.flatnonzero(self._rng.random(len(old_numbers)) < 0.2):
+                old_numbers[k] = self._pick(_FLOATS)
+            numbers = old_numbers.tobytes()[: 8 * int(self._rng.integers(2, 1 + len(old_numbers) + 2))]
+            if self._rng.random() < 0.8:
+                numbers = old_numbers.tobytes()
+        return heads.tobytes() + items.tobytes() + numbers
+
+    def _spoil(self, rows: Any, share: float) -> None:
+        """Change a share of all fields."""
+        for row in range(min(len(rows), 16)):
+            for name in rows.dtype.names:
+                if self._rng.random() < share:
+                    rows[name][row] = self._value(rows.dtype[name])
+
+    def _value(self, kind: np.dtype[Any]) -> Any:
+        if kind.kind == "f":
+            return self._pick(_FLOATS) if self._rng.random() < 0.7 else self._rng.normal(0, 2)
+        ends = np.iinfo(kind)
+        low, high, now_ns = int(ends.min), int(ends.max), self._now_ns()
+        choices = [
+            0, 1, 2, int(self._rng.integers(0, 128)), low, low + 1, high, high - 1, high // 2, now_ns, now_ns + 3600 * S,
+            now_ns - S, int(self._rng.integers(low, high, endpoint=True, dtype=kind.type)),
+        ]  # fmt: skip
+        return min(max(self._pick(choices), low), high)
+
+    def _pick(self, values: Any) -> Any:
+        return values[int(self._rng.integers(len(values)))]
+
+
+class Attack:
+    """A fleet that is attacked, with everybody who listens to it."""
+
+    def __init__(self, config: Config, seed: int) -> None:
+        self.config, self.figures = config, Figures()
+        self.lockstep = Lockstep(config)
+        bus, clock = self.lockstep.bus, self.lockstep.clock
+        self._forge = Forge(np.random.default_rng(seed), clock.now_ns)
+        self._forging = False
+        bus.tap(self._keep)
+        self._keys = list(self._targets())
+        self._publish = {full: bus.publisher(topic, name) for topic, name, full in self._keys if topic not in ASKED}
+        self._page = Hearing(config, bus, clock, lambda _: None)
+        self._view = LiveView(config, clock, Terminal(None), quiet=False)
+        self._console = Console(file=open("/dev/null", "w"), width=120)  # noqa: PTH123, SIM115
+
+    def _keep(self, message: tuple[str, bytes]) -> None:
+        if not self._forging:
+            self._forge.sent[message[0]] = message[1]
+
+    def _targets(self) -> Iterator[tuple[Topic, str, str]]:
+        config = self.config
+        names = {"unit": [*config.units], "poses": [*config.camera_names], "group": [g.title for g in config.groups]}
+        names |= {"sim": names["unit"], "request": ["supervisor", *config.trackers]}
+        for topic in TOPICS:
+            for name in names.get(topic.key.partition("/")[0], []) if "{}" in topic.key else [""]:
+                yield topic, name, key(config.arena.name, topic, name)
+
+    def run(self, messages: int) -> Figures:
+        """Attack with so many messages on each key."""
+        for k in range(messages):
+            if k % _ROUNDS == 0:
+                self._start()
+            for topic, name, full in self._keys:
+                payload = self._forge.payload(topic, full)
+                if len(payload) > topic.largest:
+                    continue  # the bus itself drops it
+                self._forging = True
+                if topic in ASKED:
+                    self.lockstep.bus.ask(topic, name, payload)
+                else:
+                    self._publish[full](payload)
+                self._forging = False
+                self.figures.messages[topic.key] = self.figures.messages.get(topic.key, 0) + 1
+            self._listen()
+        self._recover()
+        return self.figures
+
+    def _listen(self) -> None:
+        self.lockstep.advance(_PERIOD_S)
+        self.figures.phases.add(self.lockstep.status.phase.name)
+        self._page.hear()
+        self._page.hear_the_rest()
+
+    def _start(self) -> None:
+        """Let the fleet start again, as an operator does after a look; show it in the terminal."""
+        for word in (b"reset", b"start"):
+            self.lockstep.request(word)
+            self.lockstep.advance(0.3)
+        running = self.lockstep.advance(
+            20.0, lambda: self.lockstep.status.phase in (Phase.RUNNING, Phase.FAULT, Phase.ESTOP)
+        )
+        self.figures.starts += running and self.lockstep.status.phase is Phase.RUNNING
+        self._console.print(self._view.picture(self.lockstep.recording, "running"))
+        stop = EmergencyStop(self.lockstep.bus, self.config.units, self.lockstep.clock.now_ns())
+        stop.step(self.lockstep.clock.now_ns())
+
+    def _recover(self) -> None:
+        """Leave the fleet alone, start it, and note how it is: it runs, or it says why not."""
+        self.lockstep.advance(5.0)
+        answers = []
+        for word in (b"reset", b"start"):
+            answer = self.lockstep.request(word)
+            self.lockstep.advance(1.0)
+            answers.append((answer.take() or b"no answer").decode())
+        self.lockstep.advance(60.0, lambda: self.lockstep.status.phase is Phase.RUNNING)
+        status = self.lockstep.status
+        self.figures.ending = f"{status.phase.name}: {status.describe(self.config.ids)} ({'; '.join(answers)})"
+        self.lockstep.close()
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--messages", type=int, default=10000)
+    parser.add_argument("--config", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    for file in [asked.config] if asked.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
+        figures = Attack(load_config(file, ["tracker.source=truth"]), asked.seed).run(asked.messages)
+        print(
+            f"{file}: {sum(figures.messages.values())} messages on {len(figures.messages)} topics, {figures.starts} starts"
+        )
+        print(f"    phases {', '.join(sorted(figures.phases))}; afterwards {figures.ending}")
+
+
+if __name__ == "__main__":
+    main()
