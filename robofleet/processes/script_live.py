@@ -28,7 +28,7 @@ from robofleet.processes import script_own
 from robofleet.processes.arena_file import ArenaFile, running
 from robofleet.processes.script_link import FleetError, ended, held, refuse
 from robofleet.recording.after import SUMMARY
-from robofleet.safety.supervisor import Event, Phase, RunStatus
+from robofleet.safety.supervisor import Phase, RunStatus
 
 _JOINED_WITHIN_S = 3.0
 _POLL_S = 0.02
@@ -97,10 +97,8 @@ class LiveLink:
     @property
     def status(self) -> RunStatus:
         """Where the run is."""
-        state = RUN_STATE.decode(self._state)
-        if state is None:
-            return RunStatus()
-        return RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
+        state = RUN_STATE.decode_head(self._state)
+        return RunStatus() if state is None else RunStatus.read(*state[2:6]) or RunStatus()
 
     @property
     def tick(self) -> bytes:
@@ -181,7 +179,9 @@ class LiveLink:
         self._sensors[unit] = payload
 
     def _heard_state(self, _at_ns: int, payload: bytes) -> None:
-        self._state = payload
+        head = RUN_STATE.decode_head(payload)
+        if head is not None and RunStatus.read(*head[2:6]) is not None:
+            self._state = payload
 
 
 class OwnRun:

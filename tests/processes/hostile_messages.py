@@ -150,7 +150,7 @@ class Attack:
         self._keys = list(self._targets())
         self._publish = {full: bus.publisher(topic, name) for topic, name, full in self._keys if topic not in ASKED}
         self._page = Hearing(config, bus, clock, lambda _: None)
-        self._view = LiveView(config, clock, Terminal(None), quiet=False)
+        self._view = LiveView(config, clock, Terminal(), quiet=False)
         self._console = Console(file=open("/dev/null", "w"), width=120)  # noqa: PTH123, SIM115
 
     def _keep(self, message: tuple[str, bytes]) -> None:
