@@ -56,7 +56,7 @@ class LiveLink:
         self._came = threading.Condition()
         self._tick, self._ticks = b"", 0  # the newest one, and how many came
         self._taken = 0
-        self._state = b""
+        self._state: RunStatus | None = None  # as the supervisor said last
         self._statuses: dict[str, bytes] = {}
         self._sensors: dict[str, bytes] = {}
         try:
@@ -73,7 +73,7 @@ class LiveLink:
             self._publish = self._bus.publisher(WISH, group)
             self.wish = self._publish
             self.note = self._bus.publisher(NOTE, group)
-            if not self._until(lambda: bool(self._tick and self._state), within_s):
+            if not self._until(lambda: bool(self._tick) and self._state is not None, within_s):
                 raise FleetError(f"the run of {config.arena.name} says nothing: see its logs")
             wanted = TICK_RECORD.dtype(
                 len(config.members), described.size(groups.descriptions(config), len(config.camera_names))
@@ -97,8 +97,7 @@ class LiveLink:
     @property
     def status(self) -> RunStatus:
         """Where the run is."""
-        state = RUN_STATE.decode_head(self._state)
-        return RunStatus() if state is None else RunStatus.read(*state[2:6]) or RunStatus()
+        return self._state or RunStatus()
 
     @property
     def tick(self) -> bytes:
@@ -166,7 +165,7 @@ class LiveLink:
         self._clock.sleep_until(self._clock.now_ns() + round(_POLL_S * S))
 
     def _heard_tick(self, _at_ns: int, payload: bytes) -> None:
-        if TICK_RECORD.decode_head(payload) is not None:
+        if TICK_RECORD.decode_head(payload) is not None and len(payload) == len(self._tick or payload):
             with self._came:
                 self._tick = payload
                 self._ticks += 1
@@ -180,8 +179,8 @@ class LiveLink:
 
     def _heard_state(self, _at_ns: int, payload: bytes) -> None:
         head = RUN_STATE.decode_head(payload)
-        if head is not None and RunStatus.read(*head[2:6]) is not None:
-            self._state = payload
+        if head is not None and (status := RunStatus.read(*head[2:6])) is not None:
+            self._state = status
 
 
 class OwnRun:
@@ -212,7 +211,7 @@ class OwnRun:
         """Wait until its processes can be reached, and return where; FleetError where it ends before."""
         while True:
             self.check()
-            mine = [there for there in running(arena) if (there.arena, there.pid) == (arena, self._process.pid)]
+            mine = [there for there in running() if (there.arena, there.pid) == (arena, self._process.pid)]
             if mine and (self.folder / "config.yaml").is_file():
                 return mine[0]
             threading.Event().wait(_POLL_S)
