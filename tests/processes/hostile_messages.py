@@ -10,7 +10,9 @@ It prints how many messages went where, and how the fleet was afterwards.
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,8 +35,10 @@ from robofleet.safety.supervisor import Phase
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = ("platoon", "two-groups", "script", "teleop", "two-cameras")
+TRUTH = "tracker.source=truth"
 _PERIOD_S = 0.011  # between two rounds, of one message on each topic
-_ROUNDS = 60  # until the fleet is asked to start again
+_FEW = 2  # topics
+_ROUNDS = 100  # of one fleet
 _WORDS = (
     b"start",
     b"stop",
@@ -59,10 +63,11 @@ _FLOATS = (
 class Figures:
     """What came of it."""
 
-    messages: dict[str, int] = field(default_factory=dict)  # by topic
-    starts: int = 0  # of the fleet, on the way
-    phases: set[str] = field(default_factory=set)
-    ending: str = ""  # how the fleet was in the end
+    messages: Counter[str] = field(default_factory=Counter)  # by topic
+    fleets: int = 0
+    starts: int = 0  # before and after the attacks
+    phases: set[str] = field(default_factory=set)  # in which messages came
+    endings: Counter[str] = field(default_factory=Counter)  # how the fleets were in the end
 
 
 class Forge:
@@ -137,38 +142,28 @@ class Forge:
 
 
 class Attack:
-    """A fleet that is attacked, with everybody who listens to it."""
+    """A fleet that is attacked on some topics, with everybody who listens to it."""
 
-    def __init__(self, config: Config, seed: int) -> None:
-        self.config, self.figures = config, Figures()
+    def __init__(self, config: Config, figures: Figures, rng: np.random.Generator, topics: Sequence[Topic]) -> None:
+        self.config, self.figures = config, figures
         self.lockstep = Lockstep(config)
         bus, clock = self.lockstep.bus, self.lockstep.clock
-        self._forge = Forge(np.random.default_rng(seed), clock.now_ns)
+        self._forge = Forge(rng, clock.now_ns)
         self._forging = False
         bus.tap(self._keep)
-        self._keys = list(self._targets())
+        self._keys = [target for target in targets(config) if target[0] in topics]
         self._publish = {full: bus.publisher(topic, name) for topic, name, full in self._keys if topic not in ASKED}
         self._page = Hearing(config, bus, clock, lambda _: None)
         self._view = LiveView(config, clock, Terminal(), quiet=False)
-        self._console = Console(file=open("/dev/null", "w"), width=120)  # noqa: PTH123, SIM115
 
     def _keep(self, message: tuple[str, bytes]) -> None:
         if not self._forging:
             self._forge.sent[message[0]] = message[1]
 
-    def _targets(self) -> Iterator[tuple[Topic, str, str]]:
-        config = self.config
-        names = {"unit": [*config.units], "poses": [*config.camera_names], "group": [g.title for g in config.groups]}
-        names |= {"sim": names["unit"], "request": ["supervisor", *config.trackers]}
-        for topic in TOPICS:
-            for name in names.get(topic.key.partition("/")[0], []) if "{}" in topic.key else [""]:
-                yield topic, name, key(config.arena.name, topic, name)
-
-    def run(self, messages: int) -> Figures:
-        """Attack with so many messages on each key."""
-        for k in range(messages):
-            if k % _ROUNDS == 0:
-                self._start()
+    def run(self) -> None:
+        """Start the fleet, attack it, and start it again."""
+        self._start()
+        for _ in range(_ROUNDS):
             for topic, name, full in self._keys:
                 payload = self._forge.payload(topic, full)
                 if len(payload) > topic.largest:
@@ -179,10 +174,10 @@ class Attack:
                 else:
                     self._publish[full](payload)
                 self._forging = False
-                self.figures.messages[topic.key] = self.figures.messages.get(topic.key, 0) + 1
+                self.figures.messages[topic.key] += 1
             self._listen()
+        self._show()
         self._recover()
-        return self.figures
 
     def _listen(self) -> None:
         self.lockstep.advance(_PERIOD_S)
@@ -191,18 +186,21 @@ class Attack:
         self._page.hear_the_rest()
 
     def _start(self) -> None:
-        """Let the fleet start again, as an operator does after a look; show it in the terminal."""
-        self._true_recorder()
+        """Let the fleet start, as an operator does."""
         for word in (b"reset", b"start"):
             self.lockstep.request(word)
             self.lockstep.advance(0.3)
-        running = self.lockstep.advance(
-            20.0, lambda: self.lockstep.status.phase in (Phase.RUNNING, Phase.FAULT, Phase.ESTOP)
-        )
-        self.figures.starts += running and self.lockstep.status.phase is Phase.RUNNING
-        self._console.print(self._view.picture(self.lockstep.recording, "running"))
+        self.lockstep.advance(60.0, lambda: self.lockstep.status.phase in (Phase.RUNNING, Phase.FAULT))
+        self.figures.starts += self.lockstep.status.phase is Phase.RUNNING
+
+    def _show(self) -> None:
+        """Draw the run in a terminal, sum it up, and begin an operator's emergency stop."""
+        with Path(os.devnull).open("w") as nowhere:
+            Console(file=nowhere, width=120).print(self._view.picture(self.lockstep.recording, "running"))
         stop = EmergencyStop(self.lockstep.bus, self.config.units, self.lockstep.clock.now_ns())
-        stop.step(self.lockstep.clock.now_ns())
+        for _ in range(20):
+            self.lockstep.advance(_PERIOD_S)
+            stop.step(self.lockstep.clock.now_ns())
 
     def _true_recorder(self) -> None:
         """Say what a recorder says all the time: lockstep has none that could contradict the attack."""
@@ -212,15 +210,38 @@ class Attack:
         """Leave the fleet alone, start it, and note how it is: it runs, or it says why not."""
         self._true_recorder()
         self.lockstep.advance(5.0)
-        answers = []
-        for word in (b"reset", b"start"):
-            answer = self.lockstep.request(word)
-            self.lockstep.advance(1.0)
-            answers.append((answer.take() or b"no answer").decode())
-        self.lockstep.advance(60.0, lambda: self.lockstep.status.phase is Phase.RUNNING)
+        self._start()
         status = self.lockstep.status
-        self.figures.ending = f"{status.phase.name}: {status.describe(self.config.ids)} ({'; '.join(answers)})"
+        running = status.phase is Phase.RUNNING
+        self.figures.endings["it runs" if running else status.describe(self.config.ids).rpartition(": ")[2]] += 1
         self.lockstep.close()
+
+
+def targets(config: Config) -> Iterator[tuple[Topic, str, str]]:
+    """Yield all keys of a fleet: topic, name, key."""
+    names = {"unit": [*config.units], "poses": [*config.camera_names], "group": [g.title for g in config.groups]}
+    names |= {"sim": names["unit"], "request": ["supervisor", *config.trackers]}
+    for topic in TOPICS:
+        for name in names.get(topic.key.partition("/")[0], []) if "{}" in topic.key else [""]:
+            yield topic, name, key(config.arena.name, topic, name)
+
+
+def attack(config: Config, messages: int, seed: int) -> Figures:
+    """Attack one fleet after the other, until each topic had so many messages; every second one on few topics only."""
+    figures, rng = Figures(), np.random.default_rng(seed)
+    topics = [*dict.fromkeys(topic for topic, *_ in targets(config))]
+    while few := [topic for topic in topics if figures.messages[topic.key] < messages]:
+        chosen = (
+            topics
+            if figures.fleets % 2 == 0
+            else few[:3]
+            if len(few) < len(topics)
+            else [few[int(rng.integers(len(few)))]]
+        )
+        Attack(config, figures, rng, few).run()
+        figures.fleets += 1
+        rng.shuffle(topics)  # type: ignore[arg-type]
+    return figures
 
 
 def main() -> None:
@@ -231,11 +252,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     for file in [asked.config] if asked.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
-        figures = Attack(load_config(file, ["tracker.source=truth"]), asked.seed).run(asked.messages)
+        figures = attack(load_config(file, [TRUTH]), asked.messages, asked.seed)
         print(
-            f"{file}: {sum(figures.messages.values())} messages on {len(figures.messages)} topics, {figures.starts} starts"
+            f"{file.stem}: {figures.messages.total()} messages on {len(figures.messages)} topics, {figures.fleets} fleets"
         )
-        print(f"    phases {', '.join(sorted(figures.phases))}; afterwards {figures.ending}")
+        print(f"    starts {figures.starts}; phases {', '.join(sorted(figures.phases))}; afterwards:")
+        for ending, times in figures.endings.most_common():
+            print(f"    {times:6d} {ending}")
 
 
 if __name__ == "__main__":
