@@ -2,10 +2,10 @@
 
     python -m tests.processes.hostile_messages --messages 10000 [--config configs/teleop.yaml] [--seed N]
 
-A fleet in lockstep hears them between its own, and with it whoever listens to a run: the operator's page, the terminal's
-live view, viewers, an operator's stop. Fields take the ends of their types, values of all enums and beyond them, NaN and
-infinity, instants and numbers of other times. Every process must step on. Then the fleet must start again, or say why not.
-It prints how many messages went where, and how the fleet was afterwards.
+A fleet in lockstep hears them between its own, and with it who listens to a run: the operator's page, the terminal's
+live view, an operator's stop. Fields take the ends of their types, values of all enums and beyond them, NaN and
+infinity, instants and numbers of other times. Every process must step on. Then the fleet must start again, or say why
+not. It prints how many messages went where, and how the fleets were afterwards.
 """
 
 import argparse
@@ -38,7 +38,7 @@ SHIPPED = ("platoon", "two-groups", "script", "teleop", "two-cameras")
 TRUTH = "tracker.source=truth"
 _PERIOD_S = 0.011  # between two rounds, of one message on each topic
 _FEW = 2  # topics
-_ROUNDS = 100  # of one fleet
+_ROUNDS = 250  # of one fleet
 _WORDS = (
     b"start",
     b"stop",
@@ -82,7 +82,7 @@ class Forge:
         if topic.layout is None:
             return self._pick(_WORDS)
         sent = self.sent.get(full)
-        name, types = topic.layout.describe()
+        _, types = topic.layout.describe()
         head = np.dtype([(name, kind) for name, kind in types["fields"]])
         whole = sent is not None and len(sent) >= head.itemsize
         heads = np.frombuffer(sent[: head.itemsize], head).copy() if whole else np.zeros(1, head)
@@ -132,8 +132,8 @@ class Forge:
         ends = np.iinfo(kind)
         low, high, now_ns = int(ends.min), int(ends.max), self._now_ns()
         choices = [
-            0, 1, 2, int(self._rng.integers(0, 128)), low, low + 1, high, high - 1, high // 2, now_ns, now_ns + 3600 * S,
-            now_ns - S, int(self._rng.integers(low, high, endpoint=True, dtype=kind.type)),
+            0, 1, 2, int(self._rng.integers(0, 128)), low, low + 1, high, high - 1, high // 2, now_ns,
+            now_ns + 3600 * S, now_ns - S, int(self._rng.integers(low, high, endpoint=True, dtype=kind.type)),
         ]  # fmt: skip
         return min(max(self._pick(choices), low), high)
 
@@ -231,13 +231,7 @@ def attack(config: Config, messages: int, seed: int) -> Figures:
     figures, rng = Figures(), np.random.default_rng(seed)
     topics = [*dict.fromkeys(topic for topic, *_ in targets(config))]
     while few := [topic for topic in topics if figures.messages[topic.key] < messages]:
-        chosen = (
-            topics
-            if figures.fleets % 2 == 0
-            else few[:3]
-            if len(few) < len(topics)
-            else [few[int(rng.integers(len(few)))]]
-        )
+        few = few[:_FEW] if figures.fleets % 2 else topics
         Attack(config, figures, rng, few).run()
         figures.fleets += 1
         rng.shuffle(topics)  # type: ignore[arg-type]
@@ -253,9 +247,8 @@ def main() -> None:
     asked = parser.parse_args()
     for file in [asked.config] if asked.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
         figures = attack(load_config(file, [TRUTH]), asked.messages, asked.seed)
-        print(
-            f"{file.stem}: {figures.messages.total()} messages on {len(figures.messages)} topics, {figures.fleets} fleets"
-        )
+        total, fleets = figures.messages.total(), figures.fleets
+        print(f"{file.stem}: {total} messages on {len(figures.messages)} topics, {fleets} fleets")
         print(f"    starts {figures.starts}; phases {', '.join(sorted(figures.phases))}; afterwards:")
         for ending, times in figures.endings.most_common():
             print(f"    {times:6d} {ending}")
