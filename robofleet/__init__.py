@@ -51,7 +51,7 @@ _MODULES = {name: module for module, names in _ROOMS.items() for name in names}
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib.metadata import version  # noqa: PLC0415 - `robofleet stop` is in a hurry
+        from importlib.metadata import version  # noqa: PLC0415 - slow to load
 
         return version("robofleet")
     if name not in _MODULES:

@@ -1,6 +1,9 @@
-"""The command line, as ``robofleet`` and as ``python -m robofleet``."""
+"""The command line: ``robofleet``, and ``python -m robofleet``, for which no module of the current folder is taken."""
 
 import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path:
+    del sys.path[0]  # the current folder, which Python puts before all others
 
 from robofleet.processes import direct
 

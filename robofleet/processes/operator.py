@@ -40,10 +40,10 @@ class UnreachableError(Exception):
     """A run is there and its bus does not answer."""
 
 
-def chosen(name: str | None) -> ArenaFile:
-    """Return the running arena of this user that was named, or the only one."""
+def chosen(name: str | None, *, own: bool = False) -> ArenaFile:
+    """Return the running arena of this user that was named, or the only one; ``own``: not another user's for root."""
     search = Search(name)
-    mine = [*islice(search.permitted(), None if name is None else 1)]
+    mine = [*islice(search.own() if own else search.permitted(), None if name is None else 1)]
     if name is None and len(mine) > 1:
         raise NoArenaError(f"several arenas have a run: name one of {', '.join(sorted(run.arena for run in mine))}")
     if not mine:
@@ -89,10 +89,10 @@ def _complain(search: Search) -> None:
 
 
 def _not_yours(there: ArenaFile) -> str:
-    return (
-        f"the arena {there.arena} has a run of {there.user} (process {there.pid}), which is not yours: "
-        f"ask {there.user} or an administrator (`sudo robofleet stop {there.arena}`)"
-    )
+    whose = f"the arena {there.arena} has a run of {there.user} (process {there.pid})"
+    if there.mine:  # root's, who may stop it
+        return f"{whose}, whose configuration may name code of {there.user}: do this as {there.user} (`sudo -u`)"
+    return f"{whose}, which is not yours: ask {there.user} or an administrator (`sudo robofleet stop {there.arena}`)"
 
 
 def stop(there: ArenaFile) -> tuple[bool, str]:

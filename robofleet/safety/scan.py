@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
 from robofleet.safety import monitor
+from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.monitor import Memory, MonitorSettings, Suspects
 from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.view import NEVER, FleetView
 from robofleet.vehicles.solids import away, outlines
 
-_SILENT_NS, _LATE_NS, _LOWEST_BATTERY, _CLOSEST_M = (
-    monitor.SILENT_NS, monitor.LATE_NS, monitor.LOWEST_BATTERY, monitor.CLOSEST_M,
-)  # fmt: skip
+_SILENT_NS, _LATE_NS, _LOWEST_BATTERY = monitor.SILENT_NS, monitor.LATE_NS, monitor.LOWEST_BATTERY
+_CLOSEST_M = CLOSEST_M
 _NEVER, _NOBODY = NEVER, np.uint64(0)
 _S = 1e9
 _MORE_M = 1e-9  # what rounding may hide: the monitor decides

@@ -42,7 +42,7 @@ def there(named: str | None, running: Callable[[str | None], ArenaFile], load: C
         return There(load(folder / _CONFIG), folder, run)
     file = file / _CONFIG if file.is_dir() else file
     config, folder = load(file), file.absolute().parent
-    mine = [*Search(config.arena.name).permitted()]
+    mine = [*Search(config.arena.name).own()]
     if mine and Path(mine[0].folder) == folder:
         return There(config, folder, mine[0])
     if (verdict := verdict_of(folder)) is not None:
