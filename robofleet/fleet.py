@@ -44,6 +44,8 @@ Summary = dict[str, Any]
 Goal = Sequence[float]  # x, y [m], and the heading [deg]
 
 _BEYOND = 1e6  # [m/s, rad/s]: as the controller refuses it
+_INTEGER_BITS = 64  # of a figure that is kept: others' JSON readers have no more
+_DEEPEST = 8  # lists in lists of such a figure
 _LONGEST_NOTE = 100_000  # [bytes]
 _OTHERS_S = 1.0  # for which another script's wishes are done and not ours
 _EPOCH_BITS = 30  # a figure of the group tells it, and no figure is beyond 1e9
@@ -374,7 +376,11 @@ class Fleet:
         self._note(NoteKind.MARK, described.plain_shape(shape))
 
     def keep(self, **figures: Any) -> None:
-        """Keep figures of the run by their names: numbers, texts, or lists of them, under the group in the summary."""
+        """Keep figures of the run by their names: numbers, texts, or lists of them, under the group in the summary.
+
+        Raises:
+            ValueError: if one is something else, or an integer of more than 64 bits.
+        """
         self._note(NoteKind.KEEP, {name: _plain(name, value) for name, value in figures.items()})
 
     # Inside
@@ -503,12 +509,16 @@ class Fleet:
         link.note(NOTE.encode(Note(self._epoch, self._notes, self._tick, kind, text)))
 
 
-def _plain(name: str, value: Any) -> Any:
-    """Return a figure as JSON has it; ValueError where it is none."""
+def _plain(name: str, value: Any, deep: int = 0) -> Any:
+    """Return a figure as JSON has it; ValueError where it is none. ``deep``: in so many lists."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(name, one) for one in value]
+        if deep == _DEEPEST:
+            raise ValueError(f"keep: {name} has lists in lists in more than {_DEEPEST} levels")
+        return [_plain(name, one, deep + 1) for one in value]
+    if isinstance(value, int) and value.bit_length() > _INTEGER_BITS:
+        raise ValueError(f"keep: {name} is an integer of {value.bit_length()} bits, must have at most {_INTEGER_BITS}")
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise ValueError(f"keep: {name} is a {type(value).__name__}: give a number, a text, or a list of them")

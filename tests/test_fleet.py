@@ -150,12 +150,22 @@ def test_a_plain_configuration_is_driven_as_one_group_of_all_its_robots() -> Non
         (lambda f: f.go_to({"r1": (0, 0, 0), "r2": (0.05, 0, 0)}), "goals of r1 and r2"),
         (lambda f: f.go_to({}), "at least one"),
         (lambda f: f.keep(x=object()), "x is a object"),
+        (lambda f: f.keep(x=[1, 10**400]), "x is an integer of 1329 bits"),
+        (lambda f: f.keep(x=-(10**5000)), "x is an integer of 16610 bits"),
+        (lambda f: f.keep(x=nested(1000)), "x has lists in lists"),
         (lambda f: f.mark("m", [[0, np.nan]]), "not finite"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_meant_is_refused_in_the_script(driven: Fleet, wish: Callable[[Fleet], None], why: str) -> None:
     with pytest.raises(ValueError, match=why):
         wish(driven)
+
+
+def nested(levels: int) -> list[Any]:
+    found: list[Any] = []
+    for _ in range(levels):
+        found = [found]
+    return found
 
 
 @pytest.fixture(scope="module")

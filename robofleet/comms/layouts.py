@@ -2,8 +2,9 @@
 
 numpy is imported where many messages are read at once, and not before: `robofleet stop` is in a hurry.
 
-``decode`` checks length, version and finiteness and returns None for a message that fails; the caller counts it and
-does nothing else with it.
+``decode`` checks length, version, finiteness and the head's instants, and returns None for a message that fails; the
+caller counts it and does nothing else with it. An instant is at most 146 years away from its clock's zero: so the
+difference of any two has 64 bits, also in arrays, which do not tell when they overflow.
 
 ``encode`` never raises, and what it returns can be decoded: a number that its field cannot hold becomes the nearest one
 that it can, and what is not a number becomes the least. So a wrong speed or pose is far outside every limit, a wrong
@@ -11,7 +12,7 @@ permission permits nothing, and a counter that is used up repeats its last value
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import accumulate
 from struct import Struct, error
@@ -26,6 +27,8 @@ _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8",
 _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
+_FURTHEST_NS = 2**62 - 1  # of an instant
+_RANGES["q"] = -_FURTHEST_NS, _FURTHEST_NS
 _MOST = 1e300  # so many of them have a finite sum, by which decoding judges
 _FEW = 4  # items
 _MOST_ITEMS = _RANGES["H"][1]
@@ -54,6 +57,19 @@ def _nearest(letter: str, value: float) -> float:
     return int(min(max(low, value), high))
 
 
+def _instants(letters: str) -> tuple[int, ...]:
+    """Return which fields are instants, or lengths of time [ns]."""
+    return tuple(k for k, letter in enumerate(letters) if letter == "q")
+
+
+def _near(values: Sequence[float], instants: tuple[int, ...]) -> bool:
+    """Return whether no instant is so far away that a difference of two overflows."""
+    for k in instants:  # a loop: this is done for every message, and takes half as long as `all` with a generator
+        if not -_FURTHEST_NS <= values[k] <= _FURTHEST_NS:
+            return False
+    return True
+
+
 def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
     return tuple(map(_nearest, letters, values))
 
@@ -65,7 +81,7 @@ class Layout(Generic[M]):
         self._make = make
         self._fields = fields + "d" * doubles
         self._struct, self._body = Struct(f"<B{self._fields}"), Struct(f"<x{self._fields}")
-        self._floats = slice(len(self._fields) - doubles, None)
+        self._floats, self._instants = slice(len(self._fields) - doubles, None), _instants(self._fields)
         self._columns = [("version", "u1"), *_columns(make, self._fields)]
         self._doubles = doubles
         self.size = self._struct.size
@@ -91,16 +107,20 @@ class Layout(Generic[M]):
             payload = self._struct.pack(VERSION, *message)
         except _TOO_LARGE:
             return self._struct.pack(VERSION, *_fitted(self._fields, message))
-        if self._doubles and not math.isfinite(sum(message[self._floats])):
-            return self._struct.pack(VERSION, *_fitted(self._fields, message))
-        return payload
+        if self._sound(message):
+            return payload
+        return self._struct.pack(VERSION, *_fitted(self._fields, message))
+
+    def _sound(self, values: tuple[float, ...]) -> bool:
+        finite = not self._doubles or math.isfinite(sum(values[self._floats]))
+        return finite and _near(values, self._instants)
 
     def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length, version or finiteness is wrong."""
+        """Return the message, or None where length, version, finiteness or an instant is wrong."""
         if len(payload) != self.size or payload[0] != VERSION:
             return None
         values = self._body.unpack(payload)
-        if self._doubles and not math.isfinite(sum(values[self._floats])):
+        if not self._sound(values):
             return None
         return tuple.__new__(self._make, values)  # the layout has as many as the message: no need to count
 
@@ -118,6 +138,7 @@ class ListLayout(Generic[M]):
         self._make, self._make_item, self._numbers = make, make_item, numbers
         self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
         self._head_letters, self._item_letters, self._count = head, item, Struct("<H")
+        self._instants = _instants(head)
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
         self._item_columns = _columns(make_item, item)
         plain = item.rstrip("d")
@@ -125,7 +146,6 @@ class ListLayout(Generic[M]):
         self.item_floats, self._floats_at = len(item) - len(plain), self._item.size - 8 * (len(item) - len(plain))
         self._strides = self._item.size, 8
         self._none: tuple[tuple[()], ...] = ((),) * (1 + numbers)  # the lists of a message that is only a head
-        self._head_floats = [name for name, kind in self._columns if kind == "<f8"]
 
     @cached_property
     def head_dtype(self) -> "np.dtype[Any]":
@@ -162,31 +182,30 @@ class ListLayout(Generic[M]):
         rest = length - self._head.size - count * self._item.size
         return rest == 0 or (self._numbers and rest > 0 and rest % 8 == 0)
 
-    def decode_head(self, payload: bytes) -> M | None:
-        """Return the message without its items, or None where length or version is wrong."""
+    def _opened(self, payload: bytes) -> tuple[list[Any], int] | None:
+        """Return the head and the number of items; None where length, version or an instant is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
-        return self._make._make((*head, *self._none)) if self._fits(len(payload), count) else None
+        return (head, count) if self._fits(len(payload), count) and _near(head, self._instants) else None
+
+    def decode_head(self, payload: bytes) -> M | None:
+        """Return the message without its items, or None where length, version or an instant is wrong."""
+        opened = self._opened(payload)
+        return None if opened is None else self._make._make((*opened[0], *self._none))
 
     def arrays(self, payload: bytes) -> "tuple[NDArray[Any], NDArray[Any]] | None":
         """Return the head (1,) and the items (N,) as structured arrays that share the payload's memory.
 
-        None where length, version or finiteness is wrong. The numbers of a message with ``numbers`` are left out.
+        None where ``decode`` returns None. The numbers of a message with ``numbers`` are left out.
         """
         read, size = self._reader, self._head.size
-        if len(payload) < size or payload[0] != VERSION:
+        if (opened := self._opened(payload)) is None:
             return None
-        (count,) = self._count.unpack_from(payload, size - 2)
-        if not self._fits(len(payload), count):
+        head, count = opened
+        if not (math.isfinite(sum(head)) and self._finite(payload, count, size)):
             return None
-        head: NDArray[Any] = read.array(1, self.head_dtype, payload)
-        items: NDArray[Any] = read.array(count, self.item_dtype, payload, size)
-        if not self._finite(payload, count, size):
-            return None
-        if self._head_floats and not math.isfinite(sum(head[name][0] for name in self._head_floats)):
-            return None
-        return head, items
+        return read.array(1, self.head_dtype, payload), read.array(count, self.item_dtype, payload, size)
 
     def head_of(self, payload: bytes, field: str) -> Any:
         """Return one field of a message's head; None where length or version is wrong."""
@@ -247,10 +266,10 @@ class ListLayout(Generic[M]):
         None where ``decode`` returns None. Nothing is copied, and nothing can be written there.
         """
         size = self._head.size
-        if len(payload) < size or payload[0] != VERSION:
+        if (opened := self._opened(payload)) is None:
             return None
-        _, *head, count = self._head.unpack_from(payload)
-        if not (self._fits(len(payload), count) and math.isfinite(sum(head)) and self._finite(payload, count, size)):
+        head, count = opened
+        if not (math.isfinite(sum(head)) and self._finite(payload, count, size)):
             return None
         return self._make._make((*head, *self._none)), self._reader.array(count, self.item_dtype, payload, size)
 
@@ -270,12 +289,13 @@ class ListLayout(Generic[M]):
             count, items = _MOST_ITEMS, items[: _MOST_ITEMS * self._item.size]
         try:
             packed = self._head.pack(VERSION, *head, count)
+            fits = math.isfinite(sum(head)) and _near(head, self._instants)
         except _TOO_LARGE:
-            head = _fitted(self._head_letters, head)
-            packed = self._head.pack(VERSION, *head, count)
-        if not math.isfinite(sum(head) + sum(map(sum, self._item.iter_unpack(items)))):
-            items = self._packed(self._item.iter_unpack(items))
+            fits = False
+        if not fits:
             packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
+        if not math.isfinite(sum(map(sum, self._item.iter_unpack(items)))):
+            items = self._packed(self._item.iter_unpack(items))
         return packed + items + numbers
 
     def encode_array(self, head: tuple[Any, ...], items: "NDArray[Any]", numbers: bytes = b"") -> bytes:
@@ -286,7 +306,7 @@ class ListLayout(Generic[M]):
         except _TOO_LARGE:
             return self.encode_parts(head, count, items.tobytes(), numbers)
         body = items.tobytes()
-        if not (math.isfinite(sum(head)) and self._finite(body, count, 0)):
+        if not (math.isfinite(sum(head)) and _near(head, self._instants) and self._finite(body, count, 0)):
             return self.encode_parts(head, count, body, numbers)
         return b"".join((packed, body, numbers))
 
@@ -303,12 +323,10 @@ class ListLayout(Generic[M]):
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)
 
     def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length, version or finiteness is wrong."""
-        if len(payload) < self._head.size or payload[0] != VERSION:
+        """Return the message, or None where length, version, finiteness or an instant is wrong."""
+        if (opened := self._opened(payload)) is None:
             return None
-        _, *head, count = self._head.unpack_from(payload)
-        if not self._fits(len(payload), count):
-            return None
+        head, count = opened
         end = self._head.size + count * self._item.size
         rows = list(self._item.iter_unpack(payload[self._head.size : end]))
         if not math.isfinite(sum(head) + sum(map(sum, rows))):
@@ -335,7 +353,7 @@ class BlobLayout(Generic[M]):
 
     def __init__(self, make: type[M], head: str) -> None:
         self._make, self._head, self._letters = make, Struct(f"<B{head}"), head
-        self._columns = [("version", "u1"), *_columns(make, head)]
+        self._columns, self._instants = [("version", "u1"), *_columns(make, head)], _instants(head)
 
     def describe(self) -> Description:
         """Return the message's name, and the numpy types of its parts."""
@@ -347,7 +365,8 @@ class BlobLayout(Generic[M]):
         return self._head.pack(VERSION, *_fitted(self._letters, head)) + bytes(blob)
 
     def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length or version is wrong."""
+        """Return the message, or None where length, version or an instant is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
-        return self._make._make([*self._head.unpack_from(payload)[1:], payload[self._head.size :]])
+        _, *head = self._head.unpack_from(payload)
+        return self._make._make([*head, payload[self._head.size :]]) if _near(head, self._instants) else None

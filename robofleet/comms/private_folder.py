@@ -2,7 +2,11 @@
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+
+_RUNTIME = Path("/run/user")  # where the system gives each user a folder
 
 
 class PlaceError(OSError):
@@ -26,6 +30,28 @@ def private_folder() -> Path:
         raise PlaceError(f"{folder}: {error.strerror}: set XDG_RUNTIME_DIR to a folder of yours") from error
     check_private(folder)
     return folder
+
+
+def users_folders() -> Iterator[tuple[Path, int]]:
+    """Yield the private folders that are there, with their owners' numbers; no link is followed.
+
+    Users' runtime folders lie beside each other, and so do the folders of those who have none.
+    """
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    beside = Path(runtime).absolute().parent if runtime else _RUNTIME
+    temporary = (folder for folder in _folders(temporary_folder()) if folder.name.startswith("robofleet-"))
+    for folder in (*(folder / "robofleet" for folder in _folders(beside)), *temporary):
+        with suppress(OSError):
+            found = folder.lstat()
+            if stat.S_ISDIR(found.st_mode) and not found.st_mode & 0o077:
+                yield folder, found.st_uid
+
+
+def _folders(parent: Path) -> list[Path]:
+    """Return the folders in a folder, none of them a link; none where it cannot be read."""
+    with suppress(OSError), os.scandir(parent) as entries:
+        return sorted(Path(entry.path) for entry in entries if entry.is_dir(follow_symlinks=False))
+    return []
 
 
 def check_private(folder: Path, variable: str = "XDG_RUNTIME_DIR") -> None:

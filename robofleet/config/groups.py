@@ -127,6 +127,14 @@ def jam_of(config: Config) -> Callable[[Sequence[Pose]], Reason | None]:
     return jam
 
 
+def phases(config: Config) -> frozenset[Phase]:
+    """Return the phases that a run can be in."""
+    known = frozenset(Phase)
+    if config.run.begin != "go_to_start":
+        known -= {Phase.POSITIONING}
+    return known if all(robot.park is not None for robot in config.members) else known - {Phase.PARKING}
+
+
 def on_the_way(config: Config, phase: Phase) -> Behaviour:
     """Return what drives all members to their start, or to the park."""
     goals = starts_of(config) if phase is Phase.POSITIONING else parks_of(config)

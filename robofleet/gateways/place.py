@@ -55,4 +55,4 @@ def is_over(config: "Config", place: Place) -> bool:
     from robofleet.processes.arena_file import running  # noqa: PLC0415
 
     mine = config.arena.name, str(place.folder)
-    return place.credentials is not None or all((run.arena, run.folder) != mine for run in running())
+    return place.credentials is not None or all((run.arena, run.folder) != mine for run in running(config.arena.name))

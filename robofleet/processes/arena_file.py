@@ -1,9 +1,10 @@
 """The file by which a run is found: where its bus is, and who is on it.
 
 It stands in two folders: the register, ``/tmp/robofleet``, where every user of this computer sees every run; and this
-user's private folder, by which an own run is found even where somebody has spoiled the register. A lock is held on it
-as long as the launcher lives, however it ends: so a file that was left behind is known, and an arena has one run at a
-time. Asking takes no lock. What others have written is believed as far as the system vouches for it: the owner.
+user's private folder, by which an own run is found even where somebody has spoiled the register. Root also reads the
+private folders of all users. A lock is held on a file as long as the launcher lives, however it ends: so a file that
+was left behind is known, and an arena has one run at a time. Asking takes no lock. What others have written is believed
+as far as the system vouches for it: the owner. Own runs are found before any file of another user is opened.
 """
 
 import fcntl
@@ -14,14 +15,14 @@ import re
 import stat
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from robofleet.clock import utc_now
-from robofleet.comms.private_folder import PlaceError, private_folder, temporary_folder
+from robofleet.comms.private_folder import PlaceError, private_folder, temporary_folder, users_folders
 from robofleet.patterns import ENDPOINT_PATTERN, NAME_PATTERN, PRIVATE
 
 if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hurry
@@ -30,6 +31,7 @@ if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hur
 _LARGEST = 65536  # [bytes]
 _LONGEST_LINE = 4096  # of a path
 _TRIES = 10
+_MOST_FILES = 256  # of one other user, that are opened
 _FILE = re.compile(rf"({NAME_PATTERN.strip('^$')})\.(\d{{1,10}})\.json")
 _LOCK = struct.Struct("hhqqi4x")  # struct flock: kind, whence, start, length, process
 _REGISTER_MODE = 0o1777
@@ -89,32 +91,103 @@ def claimed(config: "Config", folder: Path) -> Iterator[None]:
     with ExitStack() as held:
         for place in (_register(), private_folder()):
             held.enter_context(_held(place / f"{mine.arena}.{uid}.json", mine))
-        for there in found().runs:  # two who begin in the same moment see each other
-            if there.arena == mine.arena and there.uid != uid:
-                raise ArenaBusyError(_whose(there.arena, there))
+        for other in Search(mine.arena).others():  # two who begin in the same moment see each other
+            raise ArenaBusyError(_whose(other.arena, other))
         yield
 
 
-def found() -> Found:
-    """Look for runs in the register and in this user's private folder."""
-    runs: dict[tuple[str, int], ArenaFile] = {}
-    places, troubles = [], []
-    for place in (_register, private_folder):
+class Search:
+    """A look for the runs of an arena, or for all; ``places`` and ``troubles`` grow with it, as ``Found`` has them."""
+
+    def __init__(self, arena: str | None = None) -> None:
+        self.places: list[str] = []
+        self.troubles: list[str] = []
+        self._arena, self._uid = arena, os.geteuid()
+        self._seen: set[tuple[str, int]] = set()
+
+    def permitted(self) -> Iterator[ArenaFile]:
+        """Yield the runs that this user may stop, the own ones first."""
+        yield from self.own()
+        if self._uid == 0:
+            yield from self.others()
+
+    def own(self) -> Iterator[ArenaFile]:
+        """Yield the runs of this user; no file of another user is opened."""
+        for place in (private_folder, _register):
+            for file in self._files(self._place(place), self._uid):
+                yield from self._running(file)
+        for folder, uid in users_folders():  # of a session with another XDG_RUNTIME_DIR
+            for file in self._files(folder, self._uid) if uid == self._uid else ():
+                yield from self._running(file)
+
+    def others(self) -> Iterator[ArenaFile]:
+        """Yield the runs of all other users, a file of each in turn: many of one user do not delay the others'.
+
+        Root reads the private folders of users, too: who owns the register can remove what stands there.
+        """
+        folders: list[tuple[Path | None, int | None]] = [(self._place(_register), None)]
+        folders += users_folders() if self._uid == 0 else ()
+        of_users: dict[int, list[Path]] = {}
+        for folder, user in folders:
+            for file in self._files(folder, user):
+                with suppress(OSError):
+                    if (uid := file.lstat().st_uid) != self._uid and file.name.endswith(f".{uid}.json"):
+                        of_users.setdefault(uid, []).append(file)
+        for uid, files in of_users.items():
+            if len(files) > _MOST_FILES:
+                self._trouble(f"user {uid} has more than {_MOST_FILES} files of runs: name the arena")
+        for turn in zip_longest(*(files[:_MOST_FILES] for files in of_users.values())):
+            for file in filter(None, turn):
+                yield from self._running(file)
+
+    def _place(self, place: Callable[[], Path]) -> Path | None:
         try:
             folder = place()
-            places.append(str(folder))
-            for file in sorted(folder.iterdir()):
-                there = _running(file)
-                if there is not None:
-                    runs.setdefault((there.arena, there.uid), there)
         except OSError as error:
-            troubles.append(str(error))
-    return Found(tuple(sorted(runs.values())), tuple(places), tuple(troubles))
+            self._trouble(str(error))
+            return None
+        if str(folder) not in self.places:
+            self.places.append(str(folder))
+        return folder
+
+    def _files(self, folder: Path | None, uid: int | None) -> list[Path]:
+        """Return a folder's files about the runs that are looked for; ``uid``: those of one user."""
+        if folder is None:
+            return []
+        if self._arena is not None and uid is not None:
+            names = [f"{self._arena}.{uid}.json"]
+        else:
+            try:
+                names = sorted(entry.name for entry in folder.iterdir())
+            except OSError as error:
+                self._trouble(str(error))
+                return []
+        matches = filter(None, map(_FILE.fullmatch, names))
+        return [
+            folder / match[0] for match in matches if self._arena in (None, match[1]) and uid in (None, int(match[2]))
+        ]
+
+    def _running(self, file: Path) -> Iterator[ArenaFile]:
+        run = _running(file)
+        if run is not None and (run.arena, run.uid) not in self._seen:
+            self._seen.add((run.arena, run.uid))
+            yield run
+
+    def _trouble(self, line: str) -> None:
+        if line not in self.troubles:
+            self.troubles.append(line)
 
 
-def running() -> list[ArenaFile]:
-    """Return the runs that this user may stop."""
-    return [there for there in found().runs if there.mine]
+def found() -> Found:
+    """Look for all runs of all users, as far as this user sees them."""
+    search = Search()
+    runs = sorted((*search.own(), *search.others()), key=lambda run: (run.arena, run.uid))
+    return Found(tuple(runs), tuple(search.places), tuple(search.troubles))
+
+
+def running(arena: str | None = None) -> list[ArenaFile]:
+    """Return the runs that this user may stop, or those of an arena; the own ones first."""
+    return [*Search(arena).permitted()]
 
 
 def twin_port(arena: str, robot: str) -> Path:
@@ -220,10 +293,12 @@ def _running(file: Path) -> ArenaFile | None:
         seen, uid = os.fstat(descriptor), int(name[2])
         if not stat.S_ISREG(seen.st_mode) or seen.st_uid != uid or seen.st_nlink > 1 or not _is_locked(descriptor):
             return None
+        before = None
         for _ in range(_TRIES):
-            there = _checked(os.pread(descriptor, _LARGEST, 0), name[1], uid)
-            if there is not None:
+            text = os.pread(descriptor, _LARGEST, 0)
+            if text != before and (there := _checked(text, name[1], uid)) is not None:
                 return there
+            before = text
             os.sched_yield()  # it is being written
     except OSError:
         pass

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.processes import table
+from robofleet.processes import direct, table
 from robofleet.processes.page_address import LOOPBACK, listening
 from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
 from robofleet.valid_json import dumps
@@ -54,43 +54,20 @@ def stop(arena: ArenaName = None) -> None:
     Without ARENA every run of yours is stopped; as root, everybody's. It says who has acknowledged, and when. Look at
     the robots; then robofleet reset, or robofleet run --reset.
     """
-    from robofleet.processes import elsewhere, operator  # noqa: PLC0415
-
-    try:
-        there = elsewhere.joined_arena(arena)
-        answers = operator.stop_all(arena) if there is None else [elsewhere.stop(there)]
-    except operator.NoArenaError as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(2) from error
-    for done, what in answers:
-        print(what, file=sys.stdout if done else sys.stderr)
-    if not all(done for done, _ in answers):
-        raise typer.Exit(1)
+    raise typer.Exit(direct.stop(arena))
 
 
-def _asking(what: str, described: str, then: str = "") -> None:
-    """Make a command that asks the supervisor; ``then``: what the robots do when it says ok."""
+def _requesting(what: str, described: str) -> None:
+    """Make a command that asks the supervisor."""
 
     def command(arena: ArenaName = None) -> None:
-        from robofleet.processes import elsewhere, operator  # noqa: PLC0415
-
-        there = _elsewhere(arena)
-        done, answer = operator.ask(_running(arena), what) if there is None else elsewhere.ask(there, what)
-        _told(done, f"{answer}: {then}" if done and then else answer)
+        raise typer.Exit(direct.request(what, arena))
 
     app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
 
 
-_asking("arm", "Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.")
-_asking("start", "Start a fleet that waits for its operator (run.start: operator).")
-_asking("hold", "Let every robot stand; `robofleet resume` goes on.")
-_asking("resume", "Continue after a hold.")
-_asking(
-    "park",
-    "Let every robot drive to its place to park; the run ends there.",
-    "every robot drives to its place to park; the run ends there",
-)
-_asking("reset", "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.")
+for _what, _described in direct.REQUESTS.items():
+    _requesting(_what, _described)
 
 
 @app.command(rich_help_panel=OPERATOR)
@@ -102,21 +79,7 @@ def status(
 
     $ robofleet status --json
     """
-    from robofleet.processes import operator  # noqa: PLC0415
-
-    try:
-        found = operator.status(_running(arena))
-    except operator.UnreachableError as error:
-        _told(False, str(error))
-    if as_json:
-        print(dumps(found))
-    else:
-        from rich.console import Console  # noqa: PLC0415
-
-        from robofleet.recording.tables import status_table  # noqa: PLC0415
-
-        Console().print(status_table(found))
-        print(found["next"] or "")
+    raise typer.Exit(direct.status(arena, as_json=as_json))
 
 
 def _elsewhere(arena: str | None) -> "Elsewhere | None":

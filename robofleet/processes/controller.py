@@ -43,7 +43,6 @@ from robofleet.vehicles.differential_drive import feasible_ratio
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_PHASES = tuple(Phase)
 _NOTHING = np.uint64(0)  # as an epoch: nothing is said to this robot
 
 
@@ -106,7 +105,7 @@ class Controller:
         self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, config.units, [robot.id for robot in robots], by_radio=config.daemons)
         self._leases = Leases(bus, self._statuses, session, take_over=take_over)
-        self._state = bus.newest(STATE)
+        self._state, self._phases = bus.newest(STATE), groups.phases(config)
         units = self._statuses.units
         self._commands = [bus.publisher(COMMAND, unit.name) for unit in units]
         self._items = [np.zeros(unit.size, UNIT_COMMAND.item_dtype) for unit in units]
@@ -211,7 +210,7 @@ class Controller:
         state, robots = message
         self._heard = state.epoch, state.seq
         n = len(self._permitted)
-        if state.phase in _PHASES and len(robots) >= n:
+        if state.phase in self._phases and len(robots) >= n:
             np.not_equal(robots["permitted"][:n], 0, out=self._permitted)
             strokes = robots["stroke"][:n].tolist() if state.phase == Phase.ARMED else []
             self._tried = [(row, stroke) for row, stroke in enumerate(strokes) if 0 < stroke < len(STROKES)]

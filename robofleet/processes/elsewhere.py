@@ -12,7 +12,7 @@ from robofleet.comms.messages import RUN_STATE
 from robofleet.comms.permissions import OPERATOR, UNIT
 from robofleet.comms.requests import SAFE, SAFE_WORDS, asked
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.processes.arena_file import found
+from robofleet.processes.arena_file import Search
 from robofleet.processes.estop import urgent
 from robofleet.processes.operator import NoArenaError, UnreachableError, answering
 from robofleet.safety.supervisor import Phase
@@ -36,7 +36,7 @@ def joined_arena(name: str | None) -> Elsewhere | None:
 
     Runs of this computer go first. NoArenaError where several are meant, or where the keys cannot be used.
     """
-    if any(run.mine and name in (None, run.arena) for run in found()[0]):
+    if next(Search(name).permitted(), None) is not None:
         return None
     there = {arena: told for arena, told in joined_arenas().items() if told.kind != UNIT and name in (None, arena)}
     if len(there) > 1:

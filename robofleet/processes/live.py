@@ -124,7 +124,7 @@ class LiveView:
         return state is not None and busy_machine.goes_on(state, busy)
 
     def _line(self, recording: Recording) -> str:
-        tick = self._newest(recording, TICK, TICK_RECORD)
+        tick = self._tick(recording)
         state = self._newest(recording, STATE, RUN_STATE)
         if self._phase == "held" and state is not None:
             busy = self._newest(recording, BUSY, BUSY_MACHINE)
@@ -142,7 +142,7 @@ class LiveView:
 
     def picture(self, recording: Recording, phase: str) -> Group:
         """Return what the terminal shows."""
-        tick = self._newest(recording, TICK, TICK_RECORD)
+        tick = self._tick(recording)
         duration_s = self._config.run.duration_s
         if tick is not None and tick.run_tick >= 0:
             self._reached_s = min(self._time(tick), duration_s)
@@ -175,6 +175,11 @@ class LiveView:
             robots = live_robots.tables(recording.groups, tick, statuses, state, way)
             parts += ["", self._health(recording, tick), *robots]
         return Group(*parts)
+
+    def _tick(self, recording: Recording) -> TickRecord | None:
+        """Return the newest tick; None where it is not about this configuration's robots."""
+        tick: TickRecord | None = self._newest(recording, TICK, TICK_RECORD)
+        return tick if tick is not None and len(tick.robots) == len(self._config.members) else None
 
     @cached_property
     def _way(self) -> OnTheWay:

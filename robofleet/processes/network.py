@@ -70,7 +70,7 @@ class Keys:
         if self._config.bus.router != "service" or now_ns < self._next_ns:
             return False
         self._next_ns = now_ns + self._RUNS_NS
-        if any(run.arena == self._config.arena.name for run in running()):
+        if running(self._config.arena.name):
             return False
         self._seen = state
         return True

@@ -4,8 +4,9 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from robofleet.comms.keys import STATE, STATUS, key
 from robofleet.comms.messages import RUN_STATE, UNIT_STATUS, RobotStatus, RunState
 from robofleet.comms.requests import asked
 from robofleet.comms.zenoh_bus import ZenohBus
-from robofleet.processes.arena_file import ArenaFile, found
+from robofleet.processes.arena_file import ArenaFile, Search, found
 from robofleet.processes.estop import emergency_stop, urgent
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.advice import WAY_OUT, advised
@@ -25,6 +26,8 @@ from robofleet.safety.supervisor import Phase
 _CONNECT_WITHIN_S = 1.0
 _LISTEN_NS = 300 * MS
 _POLL_NS = 2 * MS
+_AT_ONCE = 128  # stops; each of a bus that does not answer takes a second
+_OWN_FIRST_S = 0.3  # then others' runs are looked for, whatever the own ones do
 _SILENT = "the robots get no permission to move: end the run with Ctrl-C in its terminal, and see its supervisor's log"
 _BETWEEN_NS = 100 * MS  # two signals at once are one
 
@@ -39,43 +42,50 @@ class UnreachableError(Exception):
 
 def chosen(name: str | None, *, own: bool = False) -> ArenaFile:
     """Return the running arena of this user that was named, or the only one; ``own``: not another user's for root."""
-    there = named_runs(None)
-    mine = [run for run in there if (run.own if own else run.mine)]
-    names = ", ".join(run.arena for run in mine)
+    search = Search(name)
+    mine = [*islice(search.own() if own else search.permitted(), None if name is None else 1)]
     if name is None and len(mine) > 1:
-        raise NoArenaError(f"several arenas have a run: name one of {names}")
-    for run in mine:
-        if name in (None, run.arena):
-            return run
-    for run in there:
-        if name in (None, run.arena):
-            raise NoArenaError(_not_yours(run))
-    raise NoArenaError(f"the arena {name} has no run: name one of {names}")
-
-
-def named_runs(name: str | None) -> list[ArenaFile]:
-    """Return all users' runs, or those of an arena; NoArenaError if there is none. What is in the way is said."""
-    runs, places, troubles = found()
-    for trouble in troubles:
-        print(f"some runs may not be listed: {trouble}", file=sys.stderr)
-    if not runs:
-        where = " or ".join(places) or "any place"
-        raise NoArenaError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
-    named_so = [run for run in runs if name in (None, run.arena)]
-    if not named_so:
-        raise NoArenaError(f"the arena {name} has no run: name one of {', '.join(run.arena for run in runs)}")
-    return named_so
+        raise NoArenaError(f"several arenas have a run: name one of {', '.join(sorted(run.arena for run in mine))}")
+    if not mine:
+        raise NoArenaError(_not_yours(_others(search, name)[0]))
+    _complain(search)
+    return mine[0]
 
 
 def stop_all(name: str | None) -> list[tuple[bool, str]]:
-    """Stop every run, or those of an arena, all at once; returns for each what ``stop`` does."""
+    """Stop every run that this user may stop, or those of an arena, all at once; returns for each what ``stop`` does.
 
-    def stopped(there: ArenaFile) -> tuple[bool, str]:
-        return stop(there) if there.mine else (False, _not_yours(there))
+    The own ones are asked before the files of other users are opened.
+    """
+    search = Search(name)
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        answers = [pool.submit(stop, run) for run in search.own()]
+        wait(answers, _OWN_FIRST_S)
+        if os.geteuid() == 0:
+            answers += [pool.submit(stop, run) for run in search.others()]
+        if not answers:
+            return [(False, _not_yours(run)) for run in _others(search, name)]
+        _complain(search)
+        return [answer.result() for answer in answers]
 
-    runs = named_runs(name)
-    with ThreadPoolExecutor(len(runs)) as pool:
-        return list(pool.map(stopped, runs))
+
+def _others(search: Search, name: str | None) -> list[ArenaFile]:
+    """Return the runs of others, where there is none that this user may stop; NoArenaError if nobody has one."""
+    others = [*search.others()]
+    _complain(search)
+    if others:
+        return others
+    everybody = found()
+    if not everybody.runs:
+        where = " or ".join(reversed(everybody.places)) or "any place"
+        raise NoArenaError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
+    raise NoArenaError(f"the arena {name} has no run: name one of {', '.join(run.arena for run in everybody.runs)}")
+
+
+def _complain(search: Search) -> None:
+    """Print which places could not be read."""
+    for trouble in search.troubles:
+        print(f"some runs may not be listed: {trouble}", file=sys.stderr)
 
 
 def _not_yours(there: ArenaFile) -> str:

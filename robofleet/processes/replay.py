@@ -104,8 +104,9 @@ def replay(recording: Recording, within: float) -> Verdict:
     """Drive today's controller with what the recorded ones took; ``within`` is the tolerance, 0: bit for bit.
 
     Raises:
-        RecordingError: if no controller said anything.
+        RecordingError: if no controller said anything, or a behaviour tells other figures than it did.
     """
+    _same_figures(recording)
     arena, verdict = recording.config.arena.name, Verdict(len(recording.config.members), within)
     cameras = recording.config.camera_names
     dtype = TICK_RECORD.dtype(len(recording.config.members), described.size(recording.groups, len(cameras)))
@@ -130,6 +131,18 @@ def replay(recording: Recording, within: float) -> Verdict:
         _compare_commands(recording, recorded, known, now, verdict)
     verdict.differences.sort(key=lambda difference: difference.tick)
     return verdict
+
+
+def _same_figures(recording: Recording) -> None:
+    """Refuse a recording of a behaviour that tells other figures today: ticks would have other columns."""
+    for then, now in zip(recording.groups, groups.descriptions(recording.config), strict=True):
+        before, after = ([figure.key for figure in group.figures] for group in (then, now))
+        if before != after:
+            figures = " and ".join(
+                f"{', '.join(keys) or 'none'} {when}" for keys, when in ((before, "in the recording"), (after, "today"))
+            )
+            why = f"{then.behaviour} has other figures: {figures}"
+            raise RecordingError(f"group {then.name}: {why}: replay it with the version that recorded it")
 
 
 class _Takings:

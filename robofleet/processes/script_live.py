@@ -29,7 +29,7 @@ from robofleet.processes.arena_file import ArenaFile, running
 from robofleet.processes.children import ended_by
 from robofleet.processes.script_link import FleetError, ended, held, refuse
 from robofleet.recording.after import SUMMARY
-from robofleet.safety.supervisor import Event, Phase, RunStatus
+from robofleet.safety.supervisor import Phase, RunStatus
 
 _JOINED_WITHIN_S = 3.0
 _POLL_S = 0.02
@@ -57,7 +57,7 @@ class LiveLink:
         self._came = threading.Condition()
         self._tick, self._ticks = b"", 0  # the newest one, and how many came
         self._taken = 0
-        self._state = b""
+        self._state: RunStatus | None = None  # as the supervisor said last
         self._statuses: dict[str, bytes] = {}
         self._sensors: dict[str, bytes] = {}
         try:
@@ -74,7 +74,7 @@ class LiveLink:
             self._publish = self._bus.publisher(WISH, group)
             self.wish = self._publish
             self.note = self._bus.publisher(NOTE, group)
-            if not self._until(lambda: bool(self._tick and self._state), within_s):
+            if not self._until(lambda: bool(self._tick) and self._state is not None, within_s):
                 raise FleetError(f"the run of {config.arena.name} says nothing: see its logs")
             wanted = TICK_RECORD.dtype(
                 len(config.members), described.size(groups.descriptions(config), len(config.camera_names))
@@ -98,10 +98,7 @@ class LiveLink:
     @property
     def status(self) -> RunStatus:
         """Where the run is."""
-        state = RUN_STATE.decode(self._state)
-        if state is None:
-            return RunStatus()
-        return RunStatus(Phase(state.phase), Event(state.cause), state.robot, state.detail)
+        return self._state or RunStatus()
 
     @property
     def tick(self) -> bytes:
@@ -169,7 +166,7 @@ class LiveLink:
         self._clock.sleep_until(self._clock.now_ns() + round(_POLL_S * S))
 
     def _heard_tick(self, _at_ns: int, payload: bytes) -> None:
-        if TICK_RECORD.decode_head(payload) is not None:
+        if TICK_RECORD.decode_head(payload) is not None and len(payload) == len(self._tick or payload):
             with self._came:
                 self._tick = payload
                 self._ticks += 1
@@ -182,7 +179,9 @@ class LiveLink:
         self._sensors[unit] = payload
 
     def _heard_state(self, _at_ns: int, payload: bytes) -> None:
-        self._state = payload
+        head = RUN_STATE.decode_head(payload)
+        if head is not None and (status := RunStatus.read(*head[2:6])) is not None:
+            self._state = status
 
 
 class OwnRun:

@@ -121,7 +121,7 @@ class Supervisor:
         self._memory = Memory()
         self._instead = {Event.PROVED: Event.SET_OUT} if config.run.begin == "go_to_start" else {}
         self._instead |= {Event.ACCOMPLISHED: Event.OFF_TO_PARK} if config.run.end == "park" else {}
-        self._simulated, self._parks = config.simulated, all(robot.park is not None for robot in config.members)
+        self._phases, self._simulated = groups.phases(config), config.simulated
         self._busy = busy.Memory()
         self._busy_news = BusyNews(self._epoch, self._ids)
         self._publish_busy = bus.publisher(BUSY)
@@ -289,7 +289,7 @@ class Supervisor:
             self._replies.append((request, answer))
 
     def _refusal(self, event: Event) -> str | None:
-        if event is Event.PARK_REQUESTED and not self._parks:
+        if event is Event.PARK_REQUESTED and Phase.PARKING not in self._phases:
             return "not every robot has a place to park: write robots[].park into the configuration"
         unready = arming.unready(self._arming, self._view) if self._proved else None
         return refusal(event, self._status, self._standing, self._view, self._ids, unready)

@@ -350,6 +350,9 @@ class Happening(NamedTuple):
     detail: float = 0.0
 
 
+_PHASES = frozenset(Phase)
+
+
 class RunStatus(NamedTuple):
     """Where the run is, and what led there."""
 
@@ -358,6 +361,13 @@ class RunStatus(NamedTuple):
     robot: int = NOBODY
     detail: float = 0.0
     held: Phase = Phase.RUNNING  # what was held, and goes on when the run is resumed
+
+    @classmethod
+    def read(cls, phase: int, cause: int, robot: int, detail: float) -> "RunStatus | None":
+        """Return what a message says; None where its phase or its cause is not known here."""
+        if phase not in _PHASES or cause not in CAUSES:
+            return None
+        return cls(Phase(phase), Event(cause), robot, detail)
 
     def describe(self, robots: tuple[str, ...]) -> str:
         """Return the cause in words; ``robots`` are the ids in the order of their numbers."""

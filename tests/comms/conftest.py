@@ -41,15 +41,21 @@ ITEMS: dict[str, type[Any]] = {
 }
 
 
-def _value(kind: np.dtype[Any]) -> st.SearchStrategy[Any]:
+FURTHEST_NS = 2**62 - 1  # of an instant in a head
+
+
+def _value(kind: np.dtype[Any], head: bool) -> st.SearchStrategy[Any]:
     if kind.kind == "f":
         return st.floats(-1e300, 1e300)
+    if head and kind == np.int64:
+        return st.integers(-FURTHEST_NS, FURTHEST_NS)
     limits = np.iinfo(kind)
     return st.integers(int(limits.min), int(limits.max))
 
 
 def _row(dtype: np.dtype[Any], skip: tuple[str, ...] = ()) -> st.SearchStrategy[tuple[Any, ...]]:
-    return st.tuples(*(_value(dtype[name]) for name in dtype.names or () if name not in skip))
+    """Draw a row of a layout; a head is what has fields to ``skip``."""
+    return st.tuples(*(_value(dtype[name], bool(skip)) for name in dtype.names or () if name not in skip))
 
 
 @st.composite

@@ -25,7 +25,7 @@ from robofleet.comms.messages import (
     UnitCommand,
     WheelCommand,
 )
-from tests.comms.conftest import LAYOUTS, any_message
+from tests.comms.conftest import FURTHEST_NS, LAYOUTS, any_message
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=20)
 AnyLayout = Layout[Any] | ListLayout[Any]
@@ -126,6 +126,23 @@ def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, dat
     assert layout.encode(said) == payload
 
 
+@EXACT
+@given(st.data())
+def test_an_instant_that_no_clock_shows_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    """The differences of all that are taken have 64 bits, as arrays of instants need it."""
+    payload, head = layout.encode(data.draw(any_of)), layout.describe()[1]["fields"]
+    columns = np.dtype(head)
+    instants = [columns.fields[name][1] for name, kind in head if kind == "<i8"]  # type: ignore[index]
+    for at in instants:
+        for ns in (-(2**63), -FURTHEST_NS - 1, FURTHEST_NS + 1, 2**63 - 1):
+            wrong = bytearray(payload)
+            struct.pack_into("<q", wrong, at, ns)
+            assert layout.decode(bytes(wrong)) is None
+            if isinstance(layout, ListLayout):
+                assert layout.view(bytes(wrong)) is layout.arrays(bytes(wrong)) is None
+                assert layout.decode_head(bytes(wrong)) is None
+
+
 def test_a_list_that_is_too_long_is_cut() -> None:
     poses = (TagPose(1, 0, 0, 0.5, 0.5, 0.5),) * 65_540
     said = FLEET_POSES.decode(FLEET_POSES.encode(FleetPoses(1, 2, 3, 4, 5, 6, 7, 8, 9, poses)))
@@ -143,7 +160,7 @@ def test_parts_that_are_packed_already_are_decoded_too(bad: float, rows: int) ->
     assert TICK_RECORD.encode_array(head, items) == payload
     said = TICK_RECORD.decode(payload)
     assert said is not None
-    assert (said.epoch, said.tick, said.run_tick) == (2**32 - 1, 2**64 - 1, -(2**63))
+    assert (said.epoch, said.tick, said.run_tick) == (2**32 - 1, 2**64 - 1, -FURTHEST_NS)
     assert said.robots[0].x_m == 0.5
 
 

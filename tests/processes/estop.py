@@ -1,12 +1,15 @@
 """How long an emergency stop takes, from the request to the robot's word that its target is zero.
 
     python -m tests.processes.estop --times 100 [--supervisor frozen|killed|flooded]
+    python -m tests.processes.estop --cpu --times 20
 
 A run of the shipped platoon in real time, without pixels. Each time the fleet drives, a client of the bus asks for the
 emergency stop as `robofleet stop` does, then resets and starts it again, which takes about ten seconds. The figure is
 the time from its request to the first status that shows a latched gate, by the status's own stamp: one host, one clock.
 The target is zero then, and has been for up to the status's period of 20 ms. The supervisor can be stopped (SIGSTOP) or
 killed just before the request, or two clients flood it with theirs; afterwards it goes on, or is started again.
+
+``--cpu``: what `robofleet stop` itself takes until its request is out: seconds of the processors, modules, files.
 """
 
 import argparse
@@ -32,7 +35,8 @@ from robofleet.processes.estop import emergency_stop, urgent
 from robofleet.safety.supervisor import Phase
 from tests.comms.alone import ROBOT_STATUS
 from tests.endpoints import own_endpoint
-from tests.processes.realrun import PLATOON
+from tests.processes.asked_run import asked_run, until_asked
+from tests.processes.realrun import PLATOON, own_folders
 from tests.processes.unlaunched import started
 
 _CLOCK = WallClock()
@@ -148,17 +152,34 @@ def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]
     return found
 
 
+def print_cost(folder: Path, times: int) -> None:
+    """Print what the command takes until it asks."""
+    environment = own_folders(folder)
+    with asked_run(environment):
+        asking = [until_asked(["stop"], environment) for _ in range(times)]
+    cpu_s = [one.cpu_s for one in asking]
+    print(
+        f"robofleet stop, until it asks: p50 {np.median(cpu_s):.3f} s of the processors, worst {max(cpu_s):.3f} s; ",
+        end="",
+    )
+    print(f"{len(asking[0].modules)} modules, {len(asking[0].opened)} files")
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=100)
     parser.add_argument("--supervisor", choices=TROUBLES)
+    parser.add_argument("--cpu", action="store_true")
     parser.add_argument("--flood", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.flood is not None:
         flood(*asked.flood)
     times, trouble = asked.times, asked.supervisor
     with tempfile.TemporaryDirectory() as folder:
+        if asked.cpu:
+            print_cost(Path(folder), times)
+            return
         found = measure(Path(folder), times, trouble)
     p50, p99 = np.percentile(found, (50, 99))
     print(f"supervisor {trouble or 'well'}: ", end="")

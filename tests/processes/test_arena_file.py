@@ -22,7 +22,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.fleet import Fleet, FleetError
 from robofleet.processes import operator
-from robofleet.processes.arena_file import ArenaBusyError, ArenaFile, claimed, found, running
+from robofleet.processes.arena_file import ArenaBusyError, ArenaFile, Search, claimed, found, running
 from tests.endpoints import short_folder
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
@@ -43,6 +43,19 @@ def place(monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setenv(variable, str(folder / name))
     (folder / "tmp").chmod(0o1777)
     return folder
+
+
+@pytest.fixture
+def opened() -> list[str]:
+    """Return the names of the runs' files that this process opens from now on."""
+    names: list[str] = []
+
+    def opens(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and str(arguments[0]).endswith(".json"):
+            names.append(str(arguments[0]))
+
+    sys.addaudithook(opens)
+    return names
 
 
 def config(*changes: str) -> Config:
@@ -80,8 +93,9 @@ def as_nobody(act: Callable[[], object]) -> str:
 class Elsewhere:
     """A run of another user, for as long as this is open."""
 
-    def __init__(self, folder: str) -> None:
-        self._folder, self._config = folder, config()  # another user may not read all that it loads
+    def __init__(self, folder: str, runtime: Path | None = None) -> None:
+        self._folder, self._runtime = folder, runtime
+        self._config = config()  # another user may not read all that it loads
 
     def __enter__(self) -> None:
         ready, writing = os.pipe()
@@ -91,6 +105,8 @@ class Elsewhere:
             try:
                 os.close(self._end)
                 os.environ.pop("XDG_RUNTIME_DIR", None)
+                if self._runtime is not None:
+                    os.environ["XDG_RUNTIME_DIR"] = str(self._runtime)
                 os.setgroups([])
                 os.setresgid(NOBODY, NOBODY, NOBODY)
                 os.setresuid(NOBODY, NOBODY, NOBODY)
@@ -335,6 +351,66 @@ def test_an_administrator_finds_the_runs_of_all(place: Path) -> None:
             pass
     with claimed(config(), Path()):
         assert [run.uid for run in running()] == [ME]
+
+
+@as_root
+def test_own_runs_are_all_that_a_user_stops_and_strangers_do_not_make_that_fail(place: Path) -> None:
+    def stopped() -> list[tuple[bool, str]]:
+        operator.stop = lambda run: (True, f"{run.arena} of {run.user}")
+        with claimed(config("arena.name=lab"), Path("/theirs")):
+            return operator.stop_all(None)
+
+    with claimed(config(), Path("/mine")):
+        assert as_nobody(stopped) == "[(True, 'lab of nobody')]"
+
+
+@as_root
+def test_many_files_of_one_user_neither_hide_nor_delay_the_runs_of_others(place: Path, opened: list[str]) -> None:
+    with Elsewhere("/theirs"):
+        for k in range(1000):
+            file = register(place) / f"lab{k}.{NOBODY - 1}.json"
+            file.write_text("{}")
+            os.chown(file, NOBODY - 1, NOBODY - 1)
+        search = Search()
+        opened.clear()
+        assert next(search.permitted()).user == "nobody"
+        assert len(opened) < 5
+        found()
+        assert len(opened) < 300
+        assert f"user {NOBODY - 1} has more than 256 files of runs: name the arena" in found().troubles
+        opened.clear()
+        assert [run.user for run in running("platoon")] == ["nobody"]
+        assert not [file for file in opened if Path(file).name.startswith("lab")]
+
+
+@as_root
+@pytest.mark.parametrize("runtime", [False, True], ids=["in /tmp", "in its runtime folder"])
+def test_an_administrator_finds_a_run_that_the_registers_owner_hides(place: Path, runtime: bool) -> None:
+    """He made the register first: so he can remove what stands in it, or close it."""
+    theirs = place / str(NOBODY)
+    theirs.mkdir(mode=0o700)
+    os.chown(theirs, NOBODY, NOBODY)
+    with Elsewhere("/theirs", theirs if runtime else None):
+        (register(place) / f"platoon.{NOBODY}.json").unlink()
+        assert [run.user for run in running()] == ["nobody"]
+        register(place).chmod(0o755)
+        assert [run.user for run in running("platoon")] == ["nobody"]
+        assert as_nobody(lambda: [run.uid for run in found().runs]) == ("[]" if runtime else f"[{NOBODY}]")
+
+
+@as_root
+def test_in_a_users_private_folder_nothing_but_that_users_own_files_is_believed(place: Path) -> None:
+    with claimed(config(), Path("/mine")):
+        theirs = place / "tmp" / f"robofleet-{NOBODY}"
+        theirs.mkdir(mode=0o700)
+        os.chown(theirs, NOBODY, NOBODY)
+        (own,) = (place / "run" / "robofleet").iterdir()
+        register(place).rename(place / "away")
+        (theirs / f"lab.{NOBODY}.json").symlink_to(own)
+        (theirs / f"hall.{ME}.json").symlink_to(own)
+        (place / "tmp" / "robofleet-1").symlink_to(own.parent)
+        assert [*Search().others()] == []
+        assert [run.folder for run in running()] == ["/mine"]
 
 
 @as_root

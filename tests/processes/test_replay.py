@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.behaviours.platoon import Platoon
 from robofleet.cli import app
 from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
 from robofleet.comms.messages import TICK_RECORD, TickRecord
@@ -231,6 +232,21 @@ def test_the_command_refuses_what_is_no_recording_and_an_empty_run(recording: Re
     for result in (CliRunner().invoke(app, ["replay", str(tmp_path / "nothing")]), command(empty, tmp_path)):
         assert result.exit_code == 2
         assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("kept", [slice(1, None), slice(None, None, -1)])
+def test_a_behaviour_that_has_other_figures_today_is_refused_in_one_line(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: slice
+) -> None:
+    """Somebody changed it since: its ticks have other columns."""
+    assert command(recording, tmp_path).exit_code == 0
+    monkeypatch.setattr(Platoon, "figures", Platoon.figures[kept])
+    result = CliRunner().invoke(app, ["replay", str(tmp_path)])
+    assert result.exit_code == 2
+    assert isinstance(result.exception, SystemExit), result.exception
+    said = result.stderr.splitlines()
+    assert "group platoon: platoon has other figures: " in said[-1], said
+    assert said[-1].endswith("today: replay it with the version that recorded it")
 
 
 def command(recording: Recording, folder: Path) -> Any:

@@ -10,7 +10,7 @@ from rich.console import Console
 from robofleet.clock import S, WallClock
 from robofleet.comms.endpoint import listens
 from robofleet.config.tree import Config
-from robofleet.processes.arena_file import ArenaFile, found
+from robofleet.processes.arena_file import ArenaFile, Search, running
 from robofleet.processes.browser import open_page
 from robofleet.processes.page_address import Addresses, address_lines
 from robofleet.processes.qr_code import qr_code
@@ -42,7 +42,7 @@ def there(named: str | None, running: Callable[[str | None], ArenaFile], load: C
         return There(load(folder / _CONFIG), folder, run)
     file = file / _CONFIG if file.is_dir() else file
     config, folder = load(file), file.absolute().parent
-    mine = [run for run in found().runs if run.own and run.arena == config.arena.name]
+    mine = [*Search(config.arena.name).own()]
     if mine and Path(mine[0].folder) == folder:
         return There(config, folder, mine[0])
     if (verdict := verdict_of(folder)) is not None:
@@ -105,7 +105,7 @@ class Over:
             self._looked_ns = now_ns
             meets = listens(self._endpoint)
             self._met = self._met or meets is True
-            self._over = self._run not in found().runs or (self._met and meets is False)
+            self._over = self._run not in running(self._run.arena) or (self._met and meets is False)
         return self._over
 
 

@@ -171,3 +171,14 @@ def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:
     stand.bench.bus.publisher(NEWS, CAMERA)(malformed)
     stand.bench.run(stand.node, 50 * MS)
     assert stand.state.phase == Phase.RUNNING
+
+
+def test_images_from_both_ends_of_time_end_nobody(stand: Stand) -> None:
+    """Each of another tracker, so that what was unseen is carried over from one clock to the other."""
+    stand.running()
+    for epoch, exposure_ns in enumerate((2**63 - 1, -(2**63), 2**63 - 1, -(2**63)), start=50):
+        image = FleetPoses(epoch, 1, stand.build, exposure_ns, exposure_ns, stand.tick, exposure_ns, 0, 0, ())
+        stand.bench.say(POSES, image, CAMERA)
+        stand.run(40 * MS)
+    assert stand.state.phase == Phase.HOLD
+    assert stand.state.cause == Event.TRACKER_RESTARTED
