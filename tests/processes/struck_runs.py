@@ -24,7 +24,7 @@ from tests.endpoints import own_endpoint, short_folder
 from tests.processes.realrun import RealRun, wait
 
 CLOCK = WallClock()
-_ENDS_WITHIN_S = 6.0  # what does not end by itself is held: an operator ends it
+_ENDS_WITHIN_S = 15.0  # what neither ends by itself nor is held: an operator ends it
 _FILES = "summary.json", "report.html", "metrics.csv", "config.yaml", "run.mcap"
 
 
@@ -80,7 +80,7 @@ def strike(
             struck = _struck(run, _Wheels(bus, list(tree.units)), victim, number, rng)
         finally:
             bus.close()
-        if not wait(lambda: run.launcher.poll() is not None, _ENDS_WITHIN_S):
+        if not wait(lambda: run.launcher.poll() is not None or not _goes_on(run), _ENDS_WITHIN_S) or _held(run):
             run.launcher.send_signal(signal.SIGINT)
         run.ended()
         return struck._replace(wrong=[*_left(run, folder), *_missing(run, victim)])
@@ -112,6 +112,15 @@ def _struck(run: RealRun, wheels: _Wheels, victim: Process, number: signal.Signa
     if number == signal.SIGSTOP and process.is_running():
         process.send_signal(signal.SIGCONT)
     return Struck([r.target_after_ns / MS for r in robots], [r.output_after_ns / MS for r in robots], [])
+
+
+def _held(run: RealRun) -> bool:
+    return run.newest.startswith("held") and run.launcher.poll() is None
+
+
+def _goes_on(run: RealRun) -> bool:
+    """Whether it drives; one that has ended makes its report, and Ctrl-C would end that."""
+    return run.newest.startswith("running") and not any(name in run.said for name in ("fault: ", "stopped: "))
 
 
 def _left(run: RealRun, folder: Path) -> list[str]:
