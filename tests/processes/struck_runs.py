@@ -25,6 +25,7 @@ from tests.processes.realrun import RealRun, wait
 
 CLOCK = WallClock()
 _ENDS_WITHIN_S = 15.0  # what neither ends by itself nor is held: an operator ends it
+_ENDINGS = "fault: ", "stopped: "
 _FILES = "summary.json", "report.html", "metrics.csv", "config.yaml", "run.mcap"
 
 
@@ -80,7 +81,7 @@ def strike(
             struck = _struck(run, _Wheels(bus, list(tree.units)), victim, number, rng)
         finally:
             bus.close()
-        if not wait(lambda: run.launcher.poll() is not None or not _goes_on(run), _ENDS_WITHIN_S) or _held(run):
+        if not wait(lambda: _over(run) or _held(run), _ENDS_WITHIN_S) or _held(run):
             run.launcher.send_signal(signal.SIGINT)
         run.ended()
         return struck._replace(wrong=[*_left(run, folder), *_missing(run, victim)])
@@ -114,13 +115,13 @@ def _struck(run: RealRun, wheels: _Wheels, victim: Process, number: signal.Signa
     return Struck([r.target_after_ns / MS for r in robots], [r.output_after_ns / MS for r in robots], [])
 
 
+def _over(run: RealRun) -> bool:
+    """Return whether it makes its report, which Ctrl-C would end, or has made it."""
+    return run.launcher.poll() is not None or any(line.startswith(_ENDINGS) for line in run.said.splitlines())
+
+
 def _held(run: RealRun) -> bool:
-    return run.newest.startswith("held") and run.launcher.poll() is None
-
-
-def _goes_on(run: RealRun) -> bool:
-    """Whether it drives; one that has ended makes its report, and Ctrl-C would end that."""
-    return run.newest.startswith("running") and not any(name in run.said for name in ("fault: ", "stopped: "))
+    return run.newest.startswith("held") and not _over(run)
 
 
 def _left(run: RealRun, folder: Path) -> list[str]:
