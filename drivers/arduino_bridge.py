@@ -24,7 +24,7 @@ import math
 import re
 from collections import deque
 from contextlib import suppress
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -59,6 +59,8 @@ _STAND = b"?\rm 0 0\r"
 
 class ArduinoBridge:
     """One robot with this sketch."""
+
+    concurrent: ClassVar[bool] = True
 
     class Settings(BaseModel):
         """What the robot is connected to, and what was built into its sketch."""

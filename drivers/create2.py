@@ -21,7 +21,7 @@ import struct
 from collections import deque
 from functools import reduce
 from operator import or_
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -59,6 +59,8 @@ _LATE_S = 0.1  # a frame may be so much older than it seems
 
 class Create2:
     """One Create 2. Its angles count from its opening on."""
+
+    concurrent: ClassVar[bool] = True
 
     class Settings(BaseModel):
         """What ``robots[].settings`` may say."""

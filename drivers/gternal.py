@@ -15,7 +15,7 @@ nothing but what the gate tells it to: a lamp that blinks would keep a robot goi
 import json
 import math
 from contextlib import suppress
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -65,6 +65,8 @@ class _Answer(BaseModel):
 
 class GTernal:
     """One GTernal."""
+
+    concurrent: ClassVar[bool] = True
 
     class Settings(BaseModel):
         """What the robot is connected to, and what was built into its firmware."""

@@ -5,7 +5,6 @@ computer, which has the base install, needs no numba to write a driver.
 """
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -52,6 +51,8 @@ _MODULES = {name: module for module, names in _ROOMS.items() for name in names}
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - slow to load
+
         return version("robofleet")
     if name not in _MODULES:
         raise AttributeError(f"module 'robofleet' has no attribute {name!r}")

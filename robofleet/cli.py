@@ -1,5 +1,6 @@
 """The operator's commands. Exit 0: completed; 1: ended by a fault or the operator, or results lost; 2: bad input."""
 
+import faulthandler
 import gc
 import json
 import shlex
@@ -289,6 +290,8 @@ def main(*before: str) -> None:
     ``before``: words that stand before those of the command line.
     """
     gc.set_threshold(_COLLECT_AFTER)
+    if sys.__stderr__ is not None:
+        faulthandler.enable(sys.__stderr__)  # a driver's or a camera's library that crashes is named, with its line
     speak_its_language()
     silence_libraries()
     never_raise()

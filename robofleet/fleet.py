@@ -423,6 +423,8 @@ class Fleet:
             self._read(link.next_tick())
             if self._run_tick >= 0:
                 break
+            if link.status.phase is Phase.HOLD:  # while it waits, it keeps its group's lease
+                link.wish(self._encoded(WishKind.STAND))
         followed = self._number(self._followed)  # NaN: nobody
         other = followed > 0 and followed != self._epoch and self._kind is not WishKind.STAND
         self._strange = self._strange + 1 if other else 0

@@ -1,9 +1,11 @@
 """Drivers, cameras, pose sources and behaviours are found by name: an entry point of a group, or ``module:Class``.
 
 The module of ``module:Class`` is an installed one, or a file beside the configuration: ``reach`` makes that loadable.
+Its folder is searched last, here and in the processes of a run: no file in it hides a module that is installed.
 """
 
 import difflib
+import json
 import os
 import sys
 import traceback
@@ -16,6 +18,7 @@ from typing import Any
 
 _KINDS = {"robofleet.poses": "source of poses"}  # where the group's name is not that of one of it in the plural
 _NONE = "none: install robofleet, or add it as `module:Class`"
+_HANDED = "ROBOFLEET_MODULES"  # environment of the processes started from here: the folders to search last, as JSON
 
 
 class PluginError(Exception):
@@ -24,6 +27,8 @@ class PluginError(Exception):
 
 def load(group: str, name: str) -> Any:
     """Return the class called ``name``."""
+    for folder in _handed():
+        _search(folder)
     points = _points(group)
     if ":" not in name and name not in points:
         near = difflib.get_close_matches(name, points, n=1)
@@ -63,30 +68,49 @@ def reach(folder: Path, name: str) -> bool:
     """Make a class loadable, here and in the processes started from here; False: its module is not in that folder.
 
     Installed modules go first, so that no file beside a configuration hides one; PluginError where one hides the file.
+    A module that stands elsewhere is found by those processes where it is found here: beside a script, for example.
     """
     module = name.partition(":")[0].partition(".")[0]
     if ":" not in name or not module.isidentifier():
         return False
     files = [folder / f"{module}.py", folder / module / "__init__.py"]
     own = next((file.resolve() for file in files if file.is_file()), None)
-    if own is None:
-        return False
-    place = str(folder.resolve())
-    if place not in sys.path:
-        sys.path.append(place)
-        invalidate_caches()
-    given = os.environ.get("PYTHONPATH", "")
-    if place not in given.split(os.pathsep):
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (given, place)))
-    found = sys.modules[module].__file__ if module in sys.modules else _origin(module)
-    if found is None or Path(found).resolve() != own:
+    if own is not None:
+        _search(str(folder.resolve()))
+    found = _file_of(module)
+    if own is not None and (found is None or found.resolve() != own):
         raise PluginError(f"{name!r}: Python has another module {module!r} ({found or 'built in'}): rename {own}")
-    return True
+    if found is not None:
+        _hand(found.parents[found.name == "__init__.py"].resolve())
+    return own is not None
 
 
-def _origin(module: str) -> str | None:
-    spec = find_spec(module)
-    return None if spec is None or not spec.has_location else spec.origin
+def _search(folder: str) -> None:
+    """Let modules be found in a folder, after all others."""
+    if folder not in sys.path:
+        sys.path.append(folder)
+        invalidate_caches()
+
+
+def _hand(folder: Path) -> None:
+    """Let the processes started from here search a folder, if it is searched here."""
+    if folder in (Path(place).resolve() for place in sys.path) and str(folder) not in (handed := _handed()):
+        os.environ[_HANDED] = json.dumps([*handed, str(folder)])
+
+
+def _handed() -> list[str]:
+    folders: list[str] = json.loads(os.environ.get(_HANDED, "[]"))
+    return folders
+
+
+def _file_of(module: str) -> Path | None:
+    """Return the file of a module; None: it is built in, or there is none."""
+    if module in sys.modules:
+        origin = getattr(sys.modules[module], "__file__", None)
+    else:
+        spec = find_spec(module)
+        origin = spec.origin if spec is not None and spec.has_location else None
+    return None if origin is None else Path(origin)
 
 
 @cache

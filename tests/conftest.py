@@ -80,7 +80,7 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def _own_modules() -> Iterator[None]:
     """Forget the modules beside configurations that a file of tests loaded: the next has others of that name."""
-    paths, known, given = list(sys.path), set(sys.modules), os.environ.get("PYTHONPATH")
+    paths, known, given = list(sys.path), set(sys.modules), os.environ.get("ROBOFLEET_MODULES")
     yield
     added = {Path(path).resolve() for path in sys.path if path not in paths}
     for name in sys.modules.keys() - known if added else ():
@@ -89,9 +89,9 @@ def _own_modules() -> Iterator[None]:
             del sys.modules[name]
     sys.path[:] = paths
     if given is None:
-        os.environ.pop("PYTHONPATH", None)
+        os.environ.pop("ROBOFLEET_MODULES", None)
     else:
-        os.environ["PYTHONPATH"] = given
+        os.environ["ROBOFLEET_MODULES"] = given
 
 
 @pytest.fixture

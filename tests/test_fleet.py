@@ -262,8 +262,9 @@ def test_who_is_not_open_and_what_is_no_run_is_refused_in_a_line(tmp_path: Path)
     with pytest.raises(robofleet.ConfigError, match="did you mean 'fresh_s'"):
         fleet("groups.0.settings.fresh=1").open()
     (tmp_path / "file").touch()
-    with pytest.raises(FleetError, match="exists already and is not empty"):
+    with pytest.raises(FleetError, match="exists already and is not empty") as refused:
         fleet(out=tmp_path).open()
+    assert refused.value.__suppress_context__, "no other exception is shown with it"
 
 
 def test_what_a_script_says_marks_and_keeps_is_in_the_recording_the_report_and_the_summary(tmp_path: Path) -> None:

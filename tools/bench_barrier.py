@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from robofleet.config.barrier import body as body_of
 from robofleet.config.barrier import keepout as keepout_of
 from robofleet.config.load import load_config
-from robofleet.safety.barrier import Barrier, apart
+from robofleet.safety.barrier import Barrier
+from robofleet.safety.distances import apart
 from robofleet.vehicles.differential_drive import (
     arc,
     body_from_point,

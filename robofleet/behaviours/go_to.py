@@ -26,14 +26,15 @@ from robofleet.behaviours.interface import (
     Shape,
     Situation,
     Team,
+    rounded,
     statistics,
 )
 from robofleet.control import planning, precedence
 from robofleet.control.flow import integrator_gain
-from robofleet.control.following import Follower, FollowerSettings, State
+from robofleet.control.following import PATIENCE_S, Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
-from robofleet.safety.barrier import Body, apart, apart_at_rest, from_edge, from_solid
+from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
 from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.vehicles.solids import distances
@@ -48,7 +49,7 @@ _RETRY_S = 1.0  # after no plan was found
 _MOST_FAILED = 10  # plans in a row: then the run is held
 _STILL = 0.004  # so far a robot moves in a tick that counts as standing [m]
 _STILL_TICKS = 6
-_THERE_TICKS = 10
+_THERE_TICKS = 15
 _MOVED = 0.01  # less is no motion of another body [m]
 _STANDS_S = 1.0  # what has stood for so long is there to stay
 
@@ -83,9 +84,10 @@ class GoTo(Behaviour):
         speed_m_s: Annotated[float, within(0.01, 10)] | None = None
         """Speed under way. Without it each robot drives at 95 % of its top speed."""
         position_accuracy_m: Annotated[float, within(0.001, 0.1)] = 0.002
-        """A robot stops within this distance of its goal."""
+        """A robot stops within this distance of its goal. One that comes to rest further off is corrected, for 8 s at
+        most."""
         heading_accuracy_deg: Annotated[float, within(0.2, 90)] = 0.9
-        """A robot stops within this angle of its goal's heading."""
+        """A robot stops within this angle of its goal's heading, and is corrected likewise."""
         slowest_wheel_rad_s: Annotated[float, within(0, 10)] = 0.9
         """Least wheel speed that is asked for at the goal. It must start a wheel that stands."""
 
@@ -107,9 +109,6 @@ class GoTo(Behaviour):
         self._distance = max(apart(team.keepout, a, b) for a in team.bodies for b in team.bodies) + ahead
         self._beside_bodies = self._distance - radius  # of a centre from the edge of another body
         self._edge = max(from_edge(team.keepout, body) for body in team.bodies) + ahead / 2
-        solids = team.keepout.solids
-        kept = (from_solid(team.keepout, body, solid) for body in team.bodies for solid in solids)
-        self._beside_solids = max(kept, default=0.0) + ahead / 2
         self.rehearsed = False  # in this process
         self._follower = Follower(self._following(settings, team), [body.drive for body in team.bodies])
         self.restart()
@@ -231,7 +230,7 @@ class GoTo(Behaviour):
 
     def _ways(self, starts: Array, goals: Array, obstacles: Array) -> Problem:
         half = (self.team.arena[0] / 2 - self._edge, self.team.arena[1] / 2 - self._edge)
-        keeps = self.team.keepout.solids, self._beside_solids
+        keeps = self.team.keepout.solids, self._edge
         return Problem(starts, goals, obstacles, half, self._distance, self._distance / _FINE, *keeps)
 
     def _wrong(self, now: Situation) -> bool:
@@ -242,8 +241,10 @@ class GoTo(Behaviour):
         self._off = np.where(off, self._off + 1, 0)
         made = float(done.sum() + (state[:, State.THERE] > 0).sum())
         best, since = self._progress
-        everybody = bool(now.driving.all()) and not self.arrived
-        self._progress = (made, 0) if made > best else (best, since + everybody)
+        brought = state[:, State.BRINGING] * self.team.tick
+        ending = bool(((brought > 0.0) & (brought < PATIENCE_S) & (state[:, State.THERE] == 0)).any())
+        nobody = bool(now.driving.all()) and not self.arrived and not ending
+        self._progress = (made, 0) if made > best else (best, since + nobody)
         stuck = self._progress[1] * self.team.tick > _STUCK_S
         return stuck or bool((self._off > _LOST_TICKS).any()) or self._in_the_way(now.others)
 
@@ -293,7 +294,7 @@ class GoTo(Behaviour):
         if not self.team.keepout.solids or len(starts) < len(self.team):
             return
         problem = self._ways(starts, self._goals[:, :2].copy(), np.zeros((0, 3)))
-        mend = f"a way must be {2 * self._beside_solids:.2g} m wide: move the goal or an obstacle"
+        mend = f"a way must be {2 * self._edge:.2g} m wide: move the goal or an obstacle"
         if self.settings.assignment == "nearest":
             ways = _done(planning.ways(problem))
             for row, goal in enumerate(_shared_out(ways)):
@@ -339,8 +340,8 @@ class GoTo(Behaviour):
 
     def _beside(self, name: str, goal: Array) -> Iterator[Bound]:
         keepout = self.team.keepout
+        near = max(from_edge(keepout, body) for body in self._bodies(name))
         for solid, away in zip(keepout.solids, distances(keepout.solids, self._kept(goal)[None])[:, 0], strict=True):
-            near = max(from_solid(keepout, body, solid) for body in self._bodies(name))
             of = "the floor's edge (floor_m)" if solid.floor else solid.name
             mend = f"the barrier keeps robots from {of}, so move the goal" + ("" if solid.floor else f" or {of}")
             what = f"the distance of {name}'s goal from {of}"
@@ -386,7 +387,23 @@ class GoTo(Behaviour):
         told = super().summary(past)
         for figure in self.figures[:2]:
             told[f"final_{figure.shown_key}"] = statistics(past.figures[figure.name][-1:] * figure.scale)
-        return told
+        return told | {"not_at_goal": self._not_at_goal(past)}
+
+    def _not_at_goal(self, past: Past) -> dict[str, dict[str, float]] | None:
+        """Return how far off the robots ended that are not at their goals as accurately as they should be, by id."""
+        distance, turn = self.figures[:2]
+        ends = np.array([past.figures[figure.name][-_THERE_TICKS:] for figure in (distance, turn)])
+        if not ends.size or not np.isfinite(ends).all():
+            return None
+        off, angle = np.median(ends, axis=1)
+        beyond = (off > self.settings.position_accuracy_m) | (angle > math.radians(self.settings.heading_accuracy_deg))
+        return {
+            self.team.robots[row]: {
+                distance.shown_key: rounded(off[row] * distance.scale),
+                turn.shown_key: rounded(angle[row] * turn.scale),
+            }
+            for row in np.flatnonzero(beyond)
+        }
 
 
 def _shared_out(ways: Array) -> planning.Indices:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.safety.barrier import Body, Keepout
+from robofleet.safety.distances import Body, Keepout
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import Event
 from robofleet.settings import Model
@@ -81,7 +81,7 @@ class Wish(NamedTuple):
     kind: WishKind
     values: Array  # (N, 3), as ``kind`` says: of BODY and POINT the last column means nothing; 0 where not ``told``
     told: Flags  # (N,) which robots it is about: the others stand
-    order: int  # counts a script's journeys: of POSES with the same number there is one plan; of a hand: rescues.Way
+    order: int  # counts a script's journeys: of POSES with the same number there is one plan
     age: float  # since the tick by which the script wished it, by the controller's ticks [s]
     epoch: int  # drawn when the script began
     seq: int

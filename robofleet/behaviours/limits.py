@@ -8,7 +8,7 @@ import numpy as np
 
 from robofleet.behaviours.interface import Array, Bound, Team
 from robofleet.behaviours.laps import rounded_down
-from robofleet.safety.barrier import apart, from_edge, from_solid
+from robofleet.safety.distances import apart, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.solids import distances
 
@@ -62,9 +62,9 @@ def clear_of_solids(
     team: Team, robot: int, key: str, points: Array, where: Callable[[int], str], who: str
 ) -> Iterator[Bound]:
     """Yield whether the barrier lets a robot be at points (M, 2) [m] beside obstacles, and on its floor."""
-    solids, body = team.keepout.solids, team.bodies[robot]
+    solids, kept = team.keepout.solids, from_edge(team.keepout, team.bodies[robot])
     for solid, away in zip(solids, distances(solids, points), strict=True):
-        k, kept = int(away.argmin()), from_solid(team.keepout, body, solid)
+        k = int(away.argmin())
         if solid.floor:
             what, mend = "the path's distance from the floor's edge (floor_m)", "move it inwards"
         else:

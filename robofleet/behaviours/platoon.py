@@ -34,7 +34,7 @@ from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings
 from robofleet.safety import starts
-from robofleet.safety.barrier import apart, from_edge
+from robofleet.safety.distances import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
 from robofleet.settings import Model, within
 

@@ -27,7 +27,7 @@ from robofleet.behaviours.interface import (
     Team,
     WishKind,
 )
-from robofleet.safety.barrier import apart
+from robofleet.safety.distances import apart
 from robofleet.settings import Model, within
 
 _ROUNDING = 1e-9

@@ -1,7 +1,7 @@
 """The authority of an arena: it signs the certificate of everybody who may join from another host.
 
 Zenoh reads no list of revoked certificates. Permissions are given to common names, and after a revocation a name's next
-certificate has another common name: ``r1``, then ``r1#2``. So the router's next start refuses the old one.
+certificate has another common name: ``r1``, then ``r1#2``. So the router refuses the old one, and begins anew for that.
 """
 
 import ipaddress
@@ -25,20 +25,33 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robofleet.clock import utc_now
-from robofleet.comms.bundle import APassport, write_private
-from robofleet.comms.credentials import AUTHORITY, REGISTER, Credentials, KeysError, Passport, session_id
-from robofleet.comms.permissions import OPERATOR, PAGE, PROCESSES, SCRIPT, UNIT, VIEWER, Identity
+from robofleet.comms.bundle import APassport, make_private, write_private
+from robofleet.comms.credentials import (
+    AUTHORITY,
+    REGISTER,
+    ROUTER,
+    Credentials,
+    KeysError,
+    Passport,
+    check_name,
+    session_id,
+)
+from robofleet.comms.permissions import PAGE, UNIT, Identity
 from robofleet.valid_json import dumps
 
-ROUTER = "router"
-KINDS = (UNIT, ROUTER, *PROCESSES, OPERATOR, VIEWER, SCRIPT)
 AUTHORITY_DAYS, DAYS = 3650, 90
 _KEY = "authority.key"
 _HERE = "localhost", "127.0.0.1", "::1"
 _EARLIER = timedelta(minutes=10)  # clocks of two computers differ
-_LISTENS = ROUTER, PAGE
 _HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
-_BOTH_ENDS = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
+_SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+_LISTENS = {ROUTER: [_SERVER], PAGE: [_SERVER, _CLIENT]}  # all others are clients, and nobody's server
+# What an authority signs for, whatever else it is told to: networks and names that nobody has on the Internet.
+_NETWORKS = (
+    "127.0.0.0/8", "10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "169.254.0.0/16", "100.64.0.0/10",
+    "::1/128", "fe80::/10", "fc00::/7",
+)  # fmt: skip
+_DOMAINS = "localhost", "local", "internal", "lan", "home.arpa"
 
 
 class Entry(BaseModel):
@@ -80,21 +93,24 @@ class Authority:
         self._key = key
 
     @classmethod
-    def create(cls, arena: str, folder: Path, days: int = AUTHORITY_DAYS) -> Self:
-        """Make an authority; KeysError where there is one: all robots would have to join again."""
+    def create(cls, arena: str, folder: Path, days: int = AUTHORITY_DAYS, hosts: Sequence[str] = ()) -> Self:
+        """Make an authority; KeysError where there is one: all robots would have to join again.
+
+        ``hosts``: addresses and names, beside those of private networks, that its servers may have.
+        """
+        for host in hosts:
+            _refuse_no_address(host)
         if (folder / AUTHORITY).exists():
             raise KeysError(f"{folder}: the arena {arena} has an authority: every certificate would end with it")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            folder.chmod(0o700)
-        except OSError as error:
-            raise KeysError(f"{error.filename}: {error.strerror}: the keys of {arena} are kept there") from error
+        make_private(folder)
         key, now = ec.generate_private_key(ec.SECP256R1()), utc_now()
         name = _name(f"robofleet {arena}")
         signed = (
             _builder(name, name, key, now, now + timedelta(days=days))
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(_usage(signs=True), critical=True)
+            .add_extension(x509.ExtendedKeyUsage([_SERVER, _CLIENT]), critical=False)
+            .add_extension(x509.NameConstraints(_permitted(hosts), None), critical=True)
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
             .sign(key, hashes.SHA256())
         )
@@ -114,8 +130,10 @@ class Authority:
             raise KeysError(f"{name} has a certificate: `robofleet keys renew {self.arena} {name}`, or revoke it first")
         if kind in _LISTENS and not addresses:
             raise KeysError(f"{name}: others reach it by its address: add `--address 192.168.1.10`")
+        check_name(name)
         for address in addresses:
             _refuse_no_address(address)
+            self._refuse_not_permitted(address)
         generation = 1 if known is None else known.generation
         return self._issued(name, kind, generation, tuple(addresses), days)
 
@@ -129,7 +147,7 @@ class Authority:
         return self._issued(name, entry.kind, entry.generation, before.addresses, days or max(1, lasted))
 
     def revoke(self, name: str) -> None:
-        """Let nobody in by this name's certificate any more, from the router's next start on."""
+        """Let nobody in by this name's certificate any more: a router of this computer hears of it at once."""
         entry = self._known(name)
         if entry.revoked:
             raise KeysError(f"{name} is revoked already")
@@ -143,6 +161,18 @@ class Authority:
             known = ", ".join(self.entries()) or "nobody"
             raise KeysError(f"{name} has no certificate for the arena {self.arena} (known: {known})")
         return self._register.entries[name]
+
+    def _refuse_not_permitted(self, address: str) -> None:
+        """Raise KeysError where nobody would believe a certificate for this address."""
+        try:
+            permitted = self._certificate.extensions.get_extension_for_class(x509.NameConstraints).value
+        except x509.ExtensionNotFound:  # an authority of before
+            return
+        if not any(_within(_general_name(address), subtree) for subtree in permitted.permitted_subtrees or ()):
+            raise KeysError(
+                f"{address}: the authority of {self.arena} signs for private networks alone, and for what it was made "
+                f"for: move {self.folder} away, and begin anew: `robofleet keys init {self.arena} --address {address}`"
+            )
 
     def _issued(self, name: str, kind: str, generation: int, addresses: tuple[str, ...], days: int) -> Credentials:
         common_name = name if generation == 1 else f"{name}#{generation}"
@@ -159,18 +189,20 @@ class Authority:
                 f"`robofleet keys init {self.arena}`"
             )
         ends = min(now + timedelta(days=days), last)
-        signed = (
+        builder = (
             _builder(_name(common_name), self._certificate.subject, key, now - _EARLIER, ends, serial)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(signs=False), critical=True)
-            .add_extension(x509.ExtendedKeyUsage(_BOTH_ENDS), critical=False)
-            .add_extension(x509.SubjectAlternativeName(_alternatives(name, kind, addresses)), critical=False)
+            .add_extension(x509.ExtendedKeyUsage(_LISTENS.get(kind, [_CLIENT])), critical=False)
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
             .add_extension(
                 x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
             )
-            .sign(self._key, hashes.SHA256())
         )  # fmt: skip
+        if kind in _LISTENS:  # who is called has an address, and nobody else
+            called = [_general_name(address) for address in (*_HERE, *addresses)]
+            builder = builder.add_extension(x509.SubjectAlternativeName(called), critical=False)
+        signed = builder.sign(self._key, hashes.SHA256())
         told = Passport(
             arena=self.arena, name=name, kind=kind, common_name=common_name, serial=f"{serial:x}",
             not_before=now - _EARLIER, not_after=ends, addresses=addresses,
@@ -216,14 +248,33 @@ def _usage(*, signs: bool) -> x509.KeyUsage:
     )  # fmt: skip
 
 
-def _alternatives(name: str, kind: str, addresses: Sequence[str]) -> list[x509.GeneralName]:
-    """Return by what a certificate's owner is called; only who is called has an address."""
-    found: list[x509.GeneralName] = []
-    for address in (*_HERE, *addresses) if kind in _LISTENS else (name,):
+def _general_name(address: str) -> x509.GeneralName:
+    """Return an IP address or a host's name, as it stands in certificates."""
+    with suppress(ValueError):
+        return x509.IPAddress(ipaddress.ip_address(address))
+    return x509.DNSName(address)
+
+
+def _within(name: x509.GeneralName, subtree: x509.GeneralName) -> bool:
+    """Return whether an address or a host's name is one that a subtree of name constraints permits."""
+    if isinstance(name, x509.IPAddress) and isinstance(subtree, x509.IPAddress):
+        networks = ipaddress.IPv4Network, ipaddress.IPv6Network
+        return (
+            isinstance(subtree.value, networks) and not isinstance(name.value, networks) and name.value in subtree.value
+        )
+    if isinstance(name, x509.DNSName) and isinstance(subtree, x509.DNSName):
+        return f".{name.value.lower()}".endswith(f".{subtree.value.lower()}")
+    return False
+
+
+def _permitted(hosts: Sequence[str]) -> list[x509.GeneralName]:
+    """Return what an authority may sign for: private networks, and these hosts."""
+    found: list[x509.GeneralName] = [x509.IPAddress(ipaddress.ip_network(network)) for network in _NETWORKS]
+    for host in (*_DOMAINS, *hosts):
         with suppress(ValueError):
-            found.append(x509.IPAddress(ipaddress.ip_address(address)))
+            found.append(x509.IPAddress(ipaddress.ip_network(host.partition("%")[0])))
             continue
-        found.append(x509.DNSName(address))
+        found.append(x509.DNSName(host))
     return found
 
 

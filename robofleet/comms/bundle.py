@@ -2,6 +2,7 @@
 
 import os
 import ssl
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
@@ -11,13 +12,15 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, ValidationError
 
 from robofleet.clock import utc_now
-from robofleet.comms.credentials import AUTHORITY, JOINED, Credentials, Joined, KeysError, Passport
+from robofleet.comms.credentials import AUTHORITY, JOINED, ROUTER, Credentials, Joined, KeysError, Passport
+from robofleet.comms.private_folder import PlaceError, check_private
 from robofleet.files import read_named, write_bytes
 from robofleet.patterns import NETWORK_PATTERN
 from robofleet.valid_json import dumps
 
 FORMAT: Final = 1
 _LARGEST = 65536  # [bytes]
+_CHECK_SS_SIGNATURE = ssl.VerifyFlags(0x4000)  # OpenSSL's X509_V_FLAG: of the authority too, which signs itself
 _PEM = Annotated[str, Field(pattern=r"^-----BEGIN ", max_length=16384)]
 
 
@@ -70,7 +73,7 @@ def read(file: Path) -> Bundle:
     try:
         bundle = Bundle.model_validate_json(text)
     except ValidationError as error:
-        raise KeysError(f"{file}: {_what_is_wrong(text)}") from error
+        raise KeysError(f"{file}: {_what_is_wrong(text, error)}") from error
     bundle.passport.check(utc_now())
     _prove(file, bundle)
     return bundle
@@ -95,22 +98,27 @@ def _prove(file: Path, bundle: Bundle) -> None:
 
 
 def _accepted(bundle: Bundle) -> dict[str, Any]:
-    """Return what the certificate says to who asks for one of this authority: both talk TLS in memory."""
-    sides = []
+    """Return what the certificate says to who asks for one of this authority, as both ends of TLS in memory.
+
+    It is asked for as it is used: a router's as that of a server, all others as those of clients.
+    """
+    ends = []
     for protocol in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT):
+        asks = (protocol == ssl.PROTOCOL_TLS_CLIENT) == (bundle.passport.kind == ROUTER)
         context = ssl.SSLContext(protocol)
-        context.check_hostname, context.verify_mode = False, ssl.CERT_REQUIRED
+        context.check_hostname, context.verify_mode = False, ssl.CERT_REQUIRED if asks else ssl.CERT_NONE
+        context.verify_flags |= _CHECK_SS_SIGNATURE
         context.load_verify_locations(cadata=bundle.authority)
         with _in_memory(bundle.certificate) as certificate, _in_memory(bundle.key) as key:
             context.load_cert_chain(certificate, key, password="")  # asks nobody for one
-        sides.append(context)
+        ends.append(context)
     up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
-    server = sides[0].wrap_bio(up, down, server_side=True)
-    client = sides[1].wrap_bio(down, up)
-    for side in (client, server, client, server):
+    server = ends[0].wrap_bio(up, down, server_side=True)
+    client = ends[1].wrap_bio(down, up)
+    for end in (client, server, client, server):
         with suppress(ssl.SSLWantReadError):
-            side.do_handshake()
-    return dict(server.getpeercert() or {})
+            end.do_handshake()
+    return dict((client if bundle.passport.kind == ROUTER else server).getpeercert() or {})
 
 
 @contextmanager
@@ -124,7 +132,10 @@ def _in_memory(text: str) -> Iterator[str]:
         os.close(descriptor)
 
 
-def _what_is_wrong(text: bytes) -> str:
+def _what_is_wrong(text: bytes, error: ValidationError) -> str:
+    for found in error.errors(include_url=False, include_input=False):
+        if isinstance(why := found.get("ctx", {}).get("error"), KeysError):
+            return f"{why}: trust nothing in this file"
     try:
         other = _Any.model_validate_json(text)
     except ValidationError:
@@ -140,11 +151,7 @@ def _what_is_wrong(text: bytes) -> str:
 def unpack(bundle: Bundle, folder: Path) -> Credentials:
     """Put the keys into a folder, in the place of older ones of the same name."""
     _refuse_other_authority(bundle, folder)
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        folder.chmod(0o700)
-    except OSError as error:
-        raise KeysError(f"{error.filename}: {error.strerror}") from error
+    make_private(folder)
     own = Credentials.at(folder, bundle.passport.name)
     write_private(own.key, bundle.key.encode())
     write_private(own.certificate, bundle.certificate.encode())
@@ -163,6 +170,23 @@ def _refuse_other_authority(bundle: Bundle, folder: Path) -> None:
             f"{folder} is the folder of another authority of {bundle.passport.arena}: "
             "the bundle would end it: move that folder away first if that is meant"
         )
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder of keys, or take one that is this user's alone; KeysError where it is not.
+
+    An empty one is closed to others; one that holds something is left as it is, whoever named it.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not any(folder.iterdir()):
+            folder.chmod(0o700)
+        check_private(folder, "XDG_CONFIG_HOME")
+    except PlaceError as error:
+        raise KeysError(str(error)) from error
+    except OSError as error:
+        raise KeysError(f"{error.filename}: {error.strerror}: keys are to be kept there") from error
 
 
 def write_private(file: Path, content: bytes) -> None:

@@ -14,6 +14,7 @@ from robofleet.comms.keys import Topic, key
 M = TypeVar("M")
 
 _REQUESTS = 16  # that wait to be served
+_SESSIONS = 8  # of one sender, by its role and name, whose messages are kept
 
 Publish = Callable[[bytes], None]
 Wake = Callable[[int], None]  # called with the instant [ns] when a message arrives
@@ -28,11 +29,43 @@ class Subscription(Protocol):
         """Return the newest message, or None if nothing new came."""
 
 
+class Queue(Subscription, Protocol):
+    """A subscription that is fed from outside."""
+
+    def put(self, arrival_ns: int, payload: bytes) -> None:
+        """Take a message that arrives."""
+
+
+class BySender:
+    """The newest message of each sender: none overwrites another's, and none takes another's place."""
+
+    def __init__(self, queue: Callable[[], Queue]) -> None:
+        """``queue`` makes the subscription of one sender's messages."""
+        self._queue = queue
+        self._queues: dict[str, Queue] = {}
+
+    def put(self, sender: str, arrival_ns: int, payload: bytes) -> None:
+        """Take a message that arrives, from any thread but always the same."""
+        queue = self._queues.get(sender)
+        if queue is None:
+            owner = sender.rpartition("/")[0]
+            sessions = [one for one in self._queues if one.rpartition("/")[0] == owner]
+            superseded = sessions[0] if len(sessions) >= _SESSIONS else None
+            queue = self._queue()
+            others = {one: its for one, its in self._queues.items() if one != superseded}
+            self._queues = {**others, sender: queue}  # another one: ``take`` may be reading it
+        queue.put(arrival_ns, payload)
+
+    def take(self) -> list[tuple[str, bytes]]:
+        """Return sender and message of everybody who sent something new."""
+        return [(sender, payload) for sender, queue in self._queues.items() if (payload := queue.take()) is not None]
+
+
 class Arrival(NamedTuple):
     """A message of a stream."""
 
     at_ns: int  # when it came
-    key: str
+    key: str  # with the sender, where the topic has a key for each: ``keys.split``
     payload: bytes
 
 
@@ -74,11 +107,17 @@ class Bus(Protocol):
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
         """Subscribe to a topic; ``wake`` is called, from any thread, when a message comes."""
 
+    def newest_by_sender(self, topic: Topic, name: str) -> BySender:
+        """Subscribe to a topic that tells senders apart."""
+
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` with (instant of arrival [ns], payload) of every message, from any thread."""
 
+    def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
+        """Call ``put`` with (sender, instant of arrival [ns], payload) of every message, from one other thread."""
+
     def stream(self, *expressions: str, capacity: int) -> Stream:
-        """Subscribe to keys, or to expressions of one topic each; what nobody named is heard by nobody."""
+        """Subscribe to keys, or to expressions of one topic each, of all senders; nobody hears what nobody named."""
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request on a topic, or None."""
@@ -114,6 +153,7 @@ class MemoryBus:
     def __init__(self, arena: str, clock: Clock, delay_ns: int) -> None:
         self._arena, self._clock, self._delay_ns = arena, clock, delay_ns
         self._subscribers: dict[str, list[Callable[[int, bytes], None]]] = {}
+        self._by_sender: dict[str, list[Callable[[str, int, bytes], None]]] = {}
         self._servers: dict[str, _MemoryServer] = {}
         self._taps: list[Callable[[tuple[str, bytes]], None]] = []
 
@@ -121,8 +161,8 @@ class MemoryBus:
         """Call ``observe`` with (key, payload) of every message at the moment when it is published."""
         self._taps.append(observe)
 
-    def publisher(self, topic: Topic, name: str = "") -> Publish:
-        """Return the function that publishes on a topic."""
+    def publisher(self, topic: Topic, name: str = "", sender: str = "") -> Publish:
+        """Return the function that publishes on a topic, as one of several senders."""
         full = key(self._arena, topic, name)
         puts = self._subscribers.setdefault(full, [])
         clock, delay_ns, taps = self._clock, self._delay_ns, self._taps
@@ -134,13 +174,32 @@ class MemoryBus:
             for observe in taps:
                 observe((full, payload))
 
-        return publish
+        if not topic.by_sender:
+            return publish
+        puts_by_sender = self._by_sender.setdefault(full, [])
+
+        def publish_as_sender(payload: bytes) -> None:
+            for put in puts_by_sender:
+                put(sender, clock.now_ns() + delay_ns, payload)
+            publish(payload)
+
+        return publish_as_sender
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
         """Subscribe to a topic."""
         queue = _MemoryQueue(self._clock, 64, wake)
         self._subscribers.setdefault(key(self._arena, topic, name), []).append(queue.put)
         return queue
+
+    def newest_by_sender(self, topic: Topic, name: str) -> BySender:
+        """Subscribe to a topic that tells senders apart."""
+        senders = BySender(lambda: _MemoryQueue(self._clock, 64, None))
+        self.listen_by_sender(topic, name, senders.put)
+        return senders
+
+    def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
+        """Call ``put`` of every message when it is published, with its sender."""
+        self._by_sender.setdefault(key(self._arena, topic, name), []).append(put)
 
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` of every message when it is published: its arrival is yet to come."""

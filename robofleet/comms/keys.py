@@ -1,5 +1,7 @@
 """The table of topics: who says what to whom, how often, how much at most, and with which quality of service."""
 
+import re
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from robofleet.comms import messages
@@ -20,6 +22,7 @@ class Topic(NamedTuple):
     largest: int  # [bytes] of a message, and of an answer: the router and every receiver drop what is larger
     layout: AnyLayout | None  # None: text, or nothing
     reliable: bool = False
+    by_sender: bool = False  # each sender has a key of its own below this one: ``sender_key``
 
 
 _FIXED = 256  # [bytes]; the largest fixed layout has 32
@@ -40,36 +43,79 @@ TICK = Topic("tick", "controller", "all", 0.033, "DATA", _LONG, messages.TICK_RE
 RECORDER = Topic("recorder", "recorder", "supervisor", 0.250, "DATA_LOW", _FIXED, messages.RECORDER_STATUS)
 STATE = Topic("state", "supervisor", "all", 0.040, "REAL_TIME", _FLEET, messages.RUN_STATE, reliable=True)
 BUSY = Topic("busy", "supervisor", "all", 0.0, "REAL_TIME", _FLEET, messages.BUSY_MACHINE, reliable=True)
-WISH = Topic(
-    "group/{}/wish", "script operator", "controller supervisor", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH
-)
+# A program's setpoints, and a person's: no certificate of a program permits what a person may command.
+WISH = Topic("group/{}/wish", "script", "controller", 0.033, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH, by_sender=True)
+TELEOP = Topic(
+    "group/{}/teleop", "operator", "controller supervisor", 0.020, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH,
+    by_sender=True,
+)  # fmt: skip
 NOTE = Topic("group/{}/note", "script", "viewers", 0.0, "DATA_LOW", _FLEET, messages.NOTE, reliable=True)
 TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
 SENSORS = Topic("unit/{}/sensors", "unit", "all", 0.033, "DATA", _LONG, messages.UNIT_SENSORS)
 CONFIG = Topic("unit/{}/config", "supervisor", "unit", 0.0, "DATA", _LONG, messages.HANDED, reliable=True)
 HOST = Topic("unit/{}/host", "operator viewer", "unit", 0.0, "DATA_LOW", 1024, None, reliable=True)
 REQUEST = Topic("request/{}", "operator", "process", 0.0, "REAL_TIME", _FLEET, None, reliable=True)
-# What makes nothing move: who may only look may ask for it too.
+# What makes nothing move: who may only look may ask for it too, and operators ask for it by the topic above.
 SAFE_REQUEST = Topic(
     "request/{}/safe", "operator viewer script", "process", 0.0, "REAL_TIME", _FIXED, None, reliable=True
 )
 ALIVE = Topic("alive/{}", "process", "all", 0.0, "DATA", 0, None, reliable=True)
 
+ESTOP = b"estop"  # a request; every process that serves requests keeps places for this one
 CAMERA = OVERHEAD  # in the key of the poses of a camera that has no other name
 LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
 TOPICS = (
     COMMAND, STATUS, ENABLE, LEASE, CONFIG, HOST, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, SENSORS,
-    WISH, NOTE, REQUEST, SAFE_REQUEST, ALIVE,
+    WISH, TELEOP, NOTE, REQUEST, SAFE_REQUEST, ALIVE,
 )  # fmt: skip
 ASKED = LEASE, CONFIG, HOST, REQUEST, SAFE_REQUEST  # queries, which somebody answers
-OF_SCRIPTS = WISH, NOTE  # that a recording has of each group that a script drives
 OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each unit; of some it has SENSORS
+
+
+_PATTERNS = [
+    (
+        topic,
+        re.compile(
+            re.escape(topic.key).replace(r"\{\}", "(?P<name>[^/*]+)")
+            + ("" if "{}" in topic.key else "(?P<name>)")
+            + ("(?:/(?P<sender>[^/*]+/[^/*]+/[^/*]+))?" if topic.by_sender else "(?P<sender>)")
+        ),
+    )
+    for topic in TOPICS
+]
 
 
 def key(arena: str, topic: Topic, name: str = "") -> str:
     """Return the full key of a topic."""
     return f"rf/{arena}/{topic.key.format(name)}"
+
+
+def sender_key(arena: str, topic: Topic, name: str, sender: str) -> str:
+    """Return the key on which one sender publishes.
+
+    ``sender``: role, name and session, divided by slashes. The router lets nobody publish under another role or name.
+    """
+    return f"{key(arena, topic, name)}/{sender}"
+
+
+def every_key(arena: str, topic: Topic, name: str = "") -> str:
+    """Return the expression by which a topic is heard of all its senders."""
+    return sender_key(arena, topic, name, "*/*/*") if topic.by_sender else key(arena, topic, name)
+
+
+def of_every_sender(full: str) -> str:
+    """Return the expression by which a key is heard of all its senders; another expression as it is."""
+    found = named(full)
+    return f"{full}/*/*/*" if found is not None and found[0].by_sender else full
+
+
+@lru_cache(4096)
+def split(full: str) -> tuple[str, str]:
+    """Return the key of a topic without the sender, and the sender; empty where the topic has one key for all."""
+    found = _matched(full)
+    sender = "" if found is None else found[2]
+    return full.removesuffix(f"/{sender}"), sender
 
 
 def said_by(topic: Topic, name: str) -> tuple[str, ...]:
@@ -86,12 +132,16 @@ def served_by(topic: Topic, name: str) -> str:
 
 def named(full: str) -> tuple[Topic, str] | None:
     """Return the topic of a full key, and what it is about; None for an expression of many keys."""
+    found = _matched(full)
+    return None if found is None else found[:2]
+
+
+def _matched(full: str) -> tuple[Topic, str, str] | None:
+    """Return the topic of a full key, what it is about, and who sent it."""
     tail = full.split("/", 2)[-1]
-    for topic in TOPICS:
-        before, _, after = topic.key.partition("{}")
-        name = tail[len(before) : len(tail) - len(after)]
-        if "*" not in full and tail == before + name + after and ("/" not in name) and ("{}" in topic.key or not name):
-            return topic, name
+    for topic, pattern in _PATTERNS:
+        if found := pattern.fullmatch(tail):
+            return topic, found["name"] or "", found["sender"] or ""
     return None
 
 

@@ -280,7 +280,7 @@ class ScriptWish(NamedTuple):
     epoch: int  # drawn when the script began
     seq: int
     kind: int  # behaviours.interface.WishKind
-    order: int  # counts a script's journeys; of a person's hand: processes.rescues.Way
+    order: int  # counts a script's journeys
     echo_tick: int  # tick of the controller's by which the script wished it
     robots: tuple["RobotWish", ...]  # in the group's order
 

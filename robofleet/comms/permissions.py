@@ -8,7 +8,7 @@ it owns the configuration, the keys and the processes.
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from robofleet.comms.keys import ALIVE, ASKED, TOPICS, Topic, key
+from robofleet.comms.keys import ALIVE, ASKED, TOPICS, Topic, key, sender_key
 from robofleet.patterns import driver_role
 
 UNIT, PAGE, OPERATOR, VIEWER, SCRIPT = "unit", "web", "operator", "viewer", "script"
@@ -52,7 +52,7 @@ def permissions(arena: str, who: Identity) -> Iterator[Permission]:
         if topic is ALIVE:
             continue
         first, second = (ASKS, ANSWERS) if topic in ASKED else (SAYS, HEARS)
-        if (full := _reached(arena, topic, who, topic.sender.split())) is not None:
+        if (full := _reached(arena, topic, who, topic.sender.split(), sends=True)) is not None:
             yield Permission(first, topic, full)
         if (full := _reached(arena, topic, who, _receivers(topic))) is not None:
             yield Permission(second, topic, full)
@@ -68,14 +68,17 @@ def _receivers(topic: Topic) -> list[str]:
     return heard if topic in ASKED else [*heard, "recorder"]  # it keeps what everybody said
 
 
-def _reached(arena: str, topic: Topic, who: Identity, roles: Iterable[str]) -> str | None:
+def _reached(arena: str, topic: Topic, who: Identity, roles: Iterable[str], *, sends: bool = False) -> str | None:
     """Return the key of a topic that somebody reaches in one of these roles; None where it is in none of them."""
     if who.role not in roles and not (who.role == PAGE and OPERATOR in roles):  # the page asks for its operators
         return None
     own = topic.receivers == "process" and who.role in _receivers(topic)
     if "{}" not in topic.key:
         return key(arena, topic)
-    return key(arena, topic, who.name if who.role == UNIT or own else "*")
+    about = who.name if who.role == UNIT or own else "*"
+    if not topic.by_sender:
+        return key(arena, topic, about)
+    return sender_key(arena, topic, about, f"{who.role}/{who.name}/*" if sends else "*/*/*")
 
 
 def access_control(arena: str, identities: Iterable[Identity]) -> dict[str, Any]:

@@ -28,17 +28,18 @@ def private_folder() -> Path:
     return folder
 
 
-def check_private(folder: Path) -> None:
-    """Raise PlaceError unless a folder is a real one, and nobody but this user reaches what is in it."""
+def check_private(folder: Path, variable: str = "XDG_RUNTIME_DIR") -> None:
+    """Raise PlaceError unless a folder is a real one, and nobody but this user reaches what is in it.
+
+    ``variable``: of the environment, which names another folder.
+    """
     try:
         found = folder.lstat()
     except OSError as error:
         raise PlaceError(f"{folder}: {error.strerror}: make it with `mkdir -m 700 {folder}`") from error
     if not stat.S_ISDIR(found.st_mode):
-        raise PlaceError(
-            f"{folder} is not a folder but a link or a file: remove it, or set XDG_RUNTIME_DIR to another one"
-        )
+        raise PlaceError(f"{folder} is not a folder but a link or a file: remove it, or set {variable} to another one")
     if found.st_uid != os.geteuid():  # in /tmp anybody may have made it
-        raise PlaceError(f"{folder} belongs to somebody else: set XDG_RUNTIME_DIR to a folder of yours")
+        raise PlaceError(f"{folder} belongs to somebody else: set {variable} to a folder of yours")
     if found.st_mode & 0o077:
         raise PlaceError(f"{folder} is open to others: close it with `chmod 700 {folder}`")

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from robofleet.clock import MS, Clock, S
 from robofleet.comms.bus import Bus
 from robofleet.comms.keys import REQUEST, SAFE_REQUEST, Topic
+from robofleet.comms.permissions import OPERATOR, SCRIPT, VIEWER
 
 SAFE_WORDS = "status, hold, estop, pictures"
 SAFE = frozenset(SAFE_WORDS.encode().split(b", "))  # what makes nothing move
@@ -13,9 +14,9 @@ _AGAIN_NS = 200 * MS
 _POLL_NS = 2 * MS
 
 
-def on(payload: bytes) -> Topic:
-    """Return the topic on which something is asked."""
-    return SAFE_REQUEST if payload in SAFE else REQUEST
+def on(payload: bytes, role: str = OPERATOR) -> Topic:
+    """Return the topic on which a role makes a request: so nobody takes up the queue of the operators' requests."""
+    return SAFE_REQUEST if payload in SAFE and role in (VIEWER, SCRIPT) else REQUEST
 
 
 def asked(
@@ -26,16 +27,17 @@ def asked(
     meanwhile: Callable[[], object] = lambda: None,
     *,
     within_ns: int = _WITHIN_NS,
+    role: str = OPERATOR,
 ) -> bytes:
     """Ask a process, again while no answer comes, and return its answer; TimeoutError after a while.
 
-    ``meanwhile`` is called again and again, and may raise. At first the router may not have heard of that process yet:
-    then a request ends at once and without an answer.
+    ``role``: of who asks. ``meanwhile`` is called again and again, and may raise. At first the router may not have
+    heard of that process yet: then a request ends at once and without an answer.
     """
     deadline_ns = clock.now_ns() + within_ns
     doubt = ""
     while clock.now_ns() < deadline_ns:
-        answer = bus.ask(on(payload), process, payload)
+        answer = bus.ask(on(payload, role), process, payload)
         again_ns = clock.now_ns() + _AGAIN_NS
         while clock.now_ns() < again_ns:
             if (reply := answer.take()) is not None:

@@ -12,9 +12,24 @@ from typing import Any, NamedTuple
 import zenoh
 
 from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Answer, Arrival, Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.bus import Answer, Arrival, BySender, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.credentials import Credentials
-from robofleet.comms.keys import ALIVE, LARGEST_MESSAGE, REQUEST, SAFE_REQUEST, TOPICS, Topic, key, largest, served_by
+from robofleet.comms.keys import (
+    ALIVE,
+    ESTOP,
+    LARGEST_MESSAGE,
+    REQUEST,
+    SAFE_REQUEST,
+    TOPICS,
+    Topic,
+    every_key,
+    key,
+    largest,
+    of_every_sender,
+    sender_key,
+    served_by,
+    split,
+)
 from robofleet.comms.living import Living, RoleTakenError, alive_key, others, roles
 from robofleet.patterns import QUIC
 
@@ -45,6 +60,10 @@ _DOOR = {
     "transport/unicast/accept_timeout": 1000,  # [ms]
     "transport/unicast/max_sessions": 1000,
 }
+
+
+# The name of a sender who is this computer's user. A certificate's name has no capital letters.
+_THIS_USER = "USER"
 
 
 class Network(NamedTuple):
@@ -107,7 +126,7 @@ def _filters() -> list[dict[str, Any]]:
             "id": topic.key,
             "flows": ["ingress"],
             "messages": ["put", "delete", "query", "reply"],
-            "key_exprs": [key("*", topic, "*")],
+            "key_exprs": [every_key("*", topic, "*")],
             "size_limit": topic.largest,
         }
         for topic in TOPICS
@@ -155,6 +174,8 @@ class ZenohBus:
                 },
             }
         )
+        name = _THIS_USER if credentials is None else credentials.name
+        self._sender = f"{process}/{name}/{self._session.info.zid()}"
         self._tokens: list[Any] = []
         try:
             for role in roles:
@@ -180,7 +201,7 @@ class ZenohBus:
     def publisher(self, topic: Topic, name: str = "") -> Publish:
         """Return the function that publishes on a topic; it never blocks."""
         publisher = self._declare(self._session.declare_publisher)(
-            key(self._arena, topic, name),
+            sender_key(self._arena, topic, name, self._sender) if topic.by_sender else key(self._arena, topic, name),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=getattr(zenoh.Priority, topic.priority),
             reliability=zenoh.Reliability.RELIABLE if topic.reliable else zenoh.Reliability.BEST_EFFORT,
@@ -193,20 +214,32 @@ class ZenohBus:
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
         """Subscribe to a topic."""
-        full = key(self._arena, topic, name)
+        full = every_key(self._arena, topic, name)
         if wake is not None:
             return _Slot(self._declare(self._session.declare_subscriber), full, wake, self._clock)
         ring = self._declare(self._session.declare_subscriber)(full, zenoh.handlers.RingChannel(1))
         return _Ring(ring, topic.largest)
 
+    def newest_by_sender(self, topic: Topic, name: str) -> BySender:
+        """Subscribe to a topic that tells senders apart."""
+        senders = BySender(_Newest)
+        self.listen_by_sender(topic, name, senders.put)
+        return senders
+
+    def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
+        """Call ``put`` of every message, from Zenoh's own thread; the router vouches for who sent it."""
+        self._listen(topic, name, lambda full, at_ns, payload: put(split(full)[1], at_ns, payload))
+
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` of every message, from Zenoh's own thread."""
+        self._listen(topic, name, lambda _, at_ns, payload: put(at_ns, payload))
 
+    def _listen(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
         def arrived(sample: zenoh.Sample) -> None:
             if len(sample.payload) <= topic.largest:
-                put(self._clock.now_ns(), bytes(sample.payload))
+                put(str(sample.key_expr), self._clock.now_ns(), bytes(sample.payload))
 
-        full = key(self._arena, topic, name)
+        full = every_key(self._arena, topic, name)
         callback = zenoh.handlers.Callback(arrived, indirect=False)
         self._declare(self._session.declare_subscriber)(full, callback)
 
@@ -215,13 +248,14 @@ class ZenohBus:
         return _Stream(self._declare(self._session.declare_subscriber), expressions, capacity, self._clock)
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
-        """Return the function that takes the next request on a topic."""
-        waiting: deque[zenoh.Query] = deque(maxlen=_REQUESTS)
+        """Return the function that takes the next request on a topic; nothing takes the place of an emergency stop."""
+        stops, others = (deque[_ZenohRequest](maxlen=_REQUESTS) for _ in range(2))
 
         def put(query: zenoh.Query) -> None:
             if query.payload is not None and len(query.payload) > topic.largest:
                 return
-            waiting.append(query)
+            request = _ZenohRequest(query)
+            (stops if request.payload == ESTOP else others).append(request)
             if wake is not None:
                 wake(self._clock.now_ns())
 
@@ -229,7 +263,7 @@ class ZenohBus:
         self._declare(self._session.declare_queryable)(full, zenoh.handlers.Callback(put, indirect=False))
 
         def take() -> Request | None:
-            return _ZenohRequest(waiting.popleft()) if waiting else None
+            return stops.popleft() if stops else others.popleft() if others else None
 
         return take
 
@@ -302,28 +336,38 @@ class _Ring:
         return None if newest is None or len(newest.payload) > self._most else bytes(newest.payload)
 
 
-class _Slot:
-    """Newest message, written by Zenoh's own thread, which then wakes the process."""
+class _Newest:
+    """Newest message, put here by Zenoh's own thread."""
 
-    def __init__(self, declare: Callable[..., Any], full: str, wake: Wake, clock: Clock) -> None:
+    def __init__(self) -> None:
         self._newest: deque[tuple[int, bytes]] = deque(maxlen=1)
         self.arrival_ns = 0
-        most = largest(full)
 
-        def put(sample: zenoh.Sample) -> None:
-            if len(sample.payload) > most:
-                return
-            arrival_ns = clock.now_ns()
-            self._newest.append((arrival_ns, bytes(sample.payload)))
-            wake(arrival_ns)
-
-        self._subscriber = declare(full, zenoh.handlers.Callback(put, indirect=False))
+    def put(self, arrival_ns: int, payload: bytes) -> None:
+        self._newest.append((arrival_ns, payload))
 
     def take(self) -> bytes | None:
         if not self._newest:
             return None
         self.arrival_ns, payload = self._newest.pop()
         return payload
+
+
+class _Slot(_Newest):
+    """Newest message, written by Zenoh's own thread, which then wakes the process."""
+
+    def __init__(self, declare: Callable[..., Any], full: str, wake: Wake, clock: Clock) -> None:
+        super().__init__()
+        most = largest(full)
+
+        def put(sample: zenoh.Sample) -> None:
+            if len(sample.payload) > most:
+                return
+            arrival_ns = clock.now_ns()
+            self.put(arrival_ns, bytes(sample.payload))
+            wake(arrival_ns)
+
+        self._subscriber = declare(full, zenoh.handlers.Callback(put, indirect=False))
 
 
 class _Stream:
@@ -335,7 +379,8 @@ class _Stream:
         self._samples: deque[tuple[int, zenoh.Sample]] = deque(maxlen=capacity)
         self.dropped = 0
         self._subscribers = [
-            declare(full, zenoh.handlers.Callback(self._put_of(largest(full)), indirect=False)) for full in expressions
+            declare(full, zenoh.handlers.Callback(self._put_of(largest(full)), indirect=False))
+            for full in map(of_every_sender, expressions)
         ]
 
     def _put_of(self, most: int) -> Callable[[zenoh.Sample], None]:

@@ -7,7 +7,7 @@ from robofleet.clock import S
 from robofleet.config import obstacles, slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.safety.barrier import Body, Keepout
+from robofleet.safety.distances import Body, Keepout
 
 
 def keepout(config: Config) -> Keepout:

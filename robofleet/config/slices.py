@@ -17,7 +17,7 @@ from robofleet.config.sensors import Distances
 from robofleet.config.tree import Arena, Config
 from robofleet.patterns import OVERHEAD
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation
+from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation, World, WorldObstacle, WorldRobot
 from robofleet.vehicles.sensors import DistanceSensors, Errors, Sensing, SensorKind
 
 _UT = 1e-6  # [T]
@@ -110,6 +110,34 @@ def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] 
         generator(config.run.seed, "plant", robot.id),
         robot.vehicle.body_radius_m,
         _sensing(config, robot),
+    )
+
+
+def world(config: Config) -> World:
+    """Return everything that stands in the arena, for drivers."""
+    arena = config.arena
+    return World(
+        size=arena.size_m,
+        floor=arena.floor_m,
+        robots=tuple(
+            WorldRobot(
+                robot=robot.id,
+                unit=config.unit_of[robot.id],
+                drive=drive(robot),
+                radius=robot.vehicle.body_radius_m,
+                start=None if robot.start is None else start_pose(robot),
+            )
+            for robot in config.robots
+        ),
+        obstacles=tuple(
+            WorldObstacle(
+                name=solid.name,
+                points=solid.points if solid.radius else tuple(map(tuple, solid.outline.tolist())),
+                radius=solid.radius,
+                height=obstacle.height_m,
+            )
+            for solid, obstacle in zip(obstacles.standing(arena), arena.obstacles, strict=True)
+        ),
     )
 
 

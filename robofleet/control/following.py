@@ -34,7 +34,9 @@ _NEAR, _FAR = 0.02, 0.06  # of the virtual robot: within the first it drives on,
 _COME = 0.01  # so near a robot has come to a place of its way [m]
 _STANDS = 0.008  # a robot that waits so near its place stands [m]
 _FINISHING = 0.02  # from the end of the way [m]
-_AGAIN = 1.75  # times the accuracy: a robot that was at its pose is brought back beyond this
+_POSITION_STOP, _HEADING_STOP = 0.7, 0.5  # of the accuracy: a robot stops within this, and is corrected beyond 1.0
+PATIENCE_S = 8.0  # of bringing a robot to its pose; after that it is left where it is ...
+_LOOSE = 2.0  # ... within so many times the accuracy
 _RATE = 3.0  # of what is left, at the end [1/s]
 _AHEAD = 0.6  # of the way is allowed at once, at most [m]
 
@@ -55,6 +57,7 @@ class State(IntEnum):
     MOVING = 10  # 1: the virtual robot drove or turned in this tick
     RATE_X = 11  # velocity of the virtual robot's point [m/s]
     RATE_Y = 12
+    BRINGING = 13  # ticks for which it has been brought to its pose without standing there
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ class Follower:
                 for d, speed in zip(drives, s.speeds, strict=True)
             ]
         )
-        self._accuracy = np.array([s.position, s.heading, s.slowest_wheel])
+        self._accuracy = np.array([s.position, s.heading, s.slowest_wheel, PATIENCE_S / s.tick])
         n = len(drives)
         self.state = np.zeros((n, len(State)))
         self.u = np.zeros((n, 2))
@@ -241,8 +244,13 @@ def _drive(
 
 @kernel
 def _finish(pose: Array, goal: Array, limits: Array, accuracy: Array, s: Array, out: Array) -> None:
-    """Bring a robot to its pose, by where it would come to rest: drive to the place, then turn to the heading."""
-    lag, radius, base = limits[4], limits[0], limits[1]
+    """Bring a robot to its pose, by where it would come to rest: drive to the place, then turn to the heading.
+
+    While it stands, that is where it was measured: if it came to rest beyond the accuracy, it is corrected.
+    """
+    patient = s[13] < accuracy[3]
+    loose = 1.0 if patient else _LOOSE
+    lag, radius, base = limits[4] if patient else 0.0, limits[0], limits[1]  # the model may be what is wrong
     within, heading, slowest = accuracy[0], accuracy[1], accuracy[2]
     slow, slow_turn = radius * slowest, 2.0 * radius * slowest / base
     fast_turn = _TURNING * 2.0 * radius * limits[2] / base
@@ -250,9 +258,13 @@ def _finish(pose: Array, goal: Array, limits: Array, accuracy: Array, s: Array, 
     c, sn = np.cos(psi), np.sin(psi)
     x, y = goal[0] - pose[0] - s[5] * lag * c, goal[1] - pose[1] - s[5] * lag * sn
     along, across, away = c * x + sn * y, c * y - sn * x, np.hypot(x, y)
-    if s[9] == 0.0 and away > _AGAIN * within:
+    if s[8] == 0.0:
+        s[13] += 1.0
+    if s[9] == 0.0 and away > loose * within:
         s[9] = 1.0
-    elif away < within or (abs(across) < 0.6 * within and abs(along) < 0.6 * within):
+    elif away < (_POSITION_STOP if patient else loose) * within or (
+        abs(across) < 0.6 * within and abs(along) < 0.6 * within
+    ):
         s[9] = 0.0
     v, turn = 0.0, 0.0
     if s[9] > 0.0:
@@ -265,7 +277,7 @@ def _finish(pose: Array, goal: Array, limits: Array, accuracy: Array, s: Array, 
             v = v if along > 0.0 else -v
     else:
         turn = _wrapped(goal[2] - psi)
-        if abs(turn) < (_AGAIN * heading if s[8] > 0.0 else heading):
+        if abs(turn) < (loose if s[8] > 0.0 or not patient else _HEADING_STOP) * heading:
             turn = 0.0
     if turn != 0.0:
         omega = min(max(_RATE * abs(turn), slow_turn), fast_turn)

@@ -6,6 +6,7 @@ from functools import partial
 
 from robofleet.clock import Clock
 from robofleet.comms.bus import Bus
+from robofleet.comms.permissions import OPERATOR
 from robofleet.comms.requests import asked
 from robofleet.config.tree import Config
 from robofleet.processes.estop import emergency_stop
@@ -18,8 +19,9 @@ Ask = Callable[[str], "Future[Asked]"]
 class Asking:
     """Asks in threads of its own: an answer may take two seconds. The emergency stop waits for none."""
 
-    def __init__(self, bus: Bus, clock: Clock, config: Config) -> None:
-        self._bus, self._clock, self._config = bus, clock, config
+    def __init__(self, bus: Bus, clock: Clock, config: Config, role: str = OPERATOR) -> None:
+        """``role``: in which this gateway is on the bus."""
+        self._bus, self._clock, self._config, self._role = bus, clock, config, role
         self._thread = ThreadPoolExecutor(1, "robofleet-asking")
         self._urgent = ThreadPoolExecutor(1, "robofleet-stopping")
 
@@ -30,7 +32,7 @@ class Asking:
         return self._thread.submit(_answered, partial(self._ask, what))
 
     def _ask(self, what: str) -> Asked:
-        answer = asked(self._bus, self._clock, "supervisor", what.encode()).decode(errors="replace")
+        answer = asked(self._bus, self._clock, "supervisor", what.encode(), role=self._role).decode(errors="replace")
         return answer.startswith("ok"), answer
 
     def _stop(self) -> Asked:

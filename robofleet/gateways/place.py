@@ -29,7 +29,7 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
     try:
         there = joined_arena(arena)
         if there is None:
-            run = chosen(arena)
+            run = chosen(arena, own=True)
             folder = Path(run.folder)
             return load_config(folder / "config.yaml"), Place(run.endpoint, None, OPERATOR, folder)
     except NoArenaError as error:
@@ -37,6 +37,17 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
     if copy is None:
         raise RefusedError(f"{there.arena} is another computer's: name a copy of its configuration in --config")
     return load_config(copy), Place(there.router, there.credentials, there.role)
+
+
+def joined_otherwise(config: "Config", place: Place, role: str) -> str | None:
+    """Return why the router lets through no setpoints from here, and how to mend it; None where it does."""
+    if place.credentials is None or place.role == role:
+        return None
+    arena = config.arena.name
+    return (
+        f"this computer has joined {arena} as {place.role}, whose commands reach no robot: join as {role}: "
+        f"`robofleet keys add {arena} NAME --kind {role}` there, then bundle and `robofleet join`"
+    )
 
 
 def is_over(config: "Config", place: Place) -> bool:

@@ -53,6 +53,11 @@ class ArenaFile(NamedTuple):
         return os.geteuid() in (0, self.uid)
 
     @property
+    def own(self) -> bool:
+        """Whether this user may load its configuration, and with it the modules that it names: root's is root's."""
+        return os.geteuid() == self.uid
+
+    @property
     def user(self) -> str:
         """Whose run it is, by name."""
         try:

@@ -24,7 +24,7 @@ def opener(environment: Mapping[str, str], *, root: bool, windows: bool, found: 
     ``BROWSER`` is the user's word. A browser at the far end of ssh is none, one in a terminal takes it from the live
     view, and one of root's does not start. ``windows``: Linux inside Windows, whose browser is outside.
     """
-    by_python = [sys.executable, "-m", "webbrowser"]
+    by_python = [sys.executable, "-P", "-m", "webbrowser"]
     if named := environment.get("BROWSER", "").split(os.pathsep)[0].split():
         return None if Path(named[0]).name in _TEXT else by_python
     if root or any(environment.get(name) for name in _OVER_SSH):

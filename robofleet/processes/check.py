@@ -17,7 +17,7 @@ from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
 from robofleet.processes import check_drivers, check_faults, check_poses, check_starts, reality, views
-from robofleet.safety.arming import free_m
+from robofleet.safety.distances import least_room_m
 from robofleet.safety.gate import VALID_NS
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.sources import AdjustableCamera, ScheduledCamera
@@ -198,7 +198,7 @@ def _start(config: Config) -> Iterator[Bound]:
     for i, robot, start in placed:
         for axis, (name, at) in enumerate((("x", start.x_m), ("y", start.y_m))):
             what = f"a start pose's reach in {name} with the body's radius"
-            room = free_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
+            room = least_room_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
             reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2 - room
             yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
     yield from _beside_solids(config, placed)
@@ -206,7 +206,7 @@ def _start(config: Config) -> Iterator[Bound]:
         apart = math.hypot(here.x_m - there.x_m, here.y_m - there.y_m)
         bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
         tried = [robot for robot in (one, other) if robot.id in driven]
-        room = bodies + max((free_m(slices.drive(robot).wheel_radius) for robot in tried), default=0.0)
+        room = bodies + max((least_room_m(slices.drive(robot).wheel_radius) for robot in tried), default=0.0)
         if len(tried) == 1:
             k, moves = (i, other) if one.id not in driven else (j, one)
             what = "the distance of a robot that is not in the group from one that is, at the start"
@@ -223,7 +223,7 @@ def _beside_solids(config: Config, placed: Sequence[tuple[int, Robot, StartPose]
     away = distances(solids, np.array([(start.x_m, start.y_m) for _, _, start in placed]).reshape(-1, 2))
     for solid, row in zip(solids, away.tolist(), strict=True):
         for (i, robot, _), left in zip(placed, row, strict=True):
-            room = free_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
+            room = least_room_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
             what = f"a start's distance from {'the edge of floor_m' if solid.floor else 'an obstacle'}"
             near = "its wheels are tried there" if robot.id in driven else "its body stands there"
             mend = f"{near}, so move {robot.id}" + ("" if solid.floor else f" or {solid.name}")

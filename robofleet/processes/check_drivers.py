@@ -1,9 +1,14 @@
 """What is refused of robots before a run: their drivers, settings and ports; and those that do not answer."""
 
+import multiprocessing
 import os
+import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
 from robofleet.clock import Clock, S, WallClock
 from robofleet.config import slices
@@ -13,9 +18,10 @@ from robofleet.config.tree import Config
 from robofleet.plugins import PluginError, load
 from robofleet.processes import driver_settings
 from robofleet.processes.attached import in_words
-from robofleet.vehicles.interface import SimulatedDriver
+from robofleet.vehicles.interface import SimulatedDriver, is_concurrent
 
-_TOLD_AFTER_S, _AT_MOST_S = 1.0, 15.0
+_OWN_SIMULATION = "simulated"
+_WARN_AFTER_S, _AT_MOST_S = 1.0, 15.0
 
 
 def complaints(config: Config, *, lockstep: bool = False) -> Iterator[Complaint]:
@@ -61,44 +67,96 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
 
 
 def unreachable(config: Config) -> list[Complaint]:
-    """Open every robot but twins', all at once, and close them again; returns which do not answer. Nothing moves.
+    """Open every robot but twins' and close it again; returns which do not answer. Nothing moves.
 
-    Simulated ones are opened too: their drivers may be anybody's. Drivers that systemd has started have their ports
-    already.
+    A process of its own opens them: a driver may be anybody's, and ends that process alone if it crashes. Drivers that
+    say ``concurrent`` are opened at once, the others in order. Simulated ones are opened too, except this project's,
+    which open nothing. Drivers that systemd has started have their ports already.
     """
     if config.drivers.started_by == "systemd":
         return []
-    clock = WallClock()
     here = [robot for robot in config.robots if config.unit_of[robot.id] not in config.daemons]
-    attempts = [_Attempt(config, robot, clock) for robot in here if robot.twin is None]
-    if slow := _unfinished(attempts, clock.now_ns() + round(_TOLD_AFTER_S * S), clock):
-        names = ", ".join(attempt.robot.id for attempt in slow)
-        print(
-            f"waiting for {names} to answer: a board that starts when its port is opened takes seconds", file=sys.stderr
-        )
-    for attempt in _unfinished(slow, clock.now_ns() + round(_AT_MOST_S * S), clock):
-        attempt.complaint = f"its driver did not finish opening it within {_AT_MOST_S:.0f} s: mend the driver"
-    return [(driver_settings.place(config, a.robot), a.complaint) for a in attempts if a.complaint]
+    robots = [robot for robot in here if robot.twin is None and robot.driver != _OWN_SIMULATION]
+    if not robots:
+        return []
+    context = multiprocessing.get_context("fork")  # the drivers are loaded here already: a fork costs no start-up time
+    news, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_open_all, args=(config, robots, news, theirs))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # that this process may have threads: the fork needs none
+        process.start()
+    theirs.close()
+    try:
+        wrong = _complaints_of(news, process, robots, WallClock())
+    finally:
+        process.kill()
+        process.join()
+        news.close()
+    return [(driver_settings.place(config, robot), wrong[robot.id]) for robot in robots if robot.id in wrong]
 
 
-class _Attempt(threading.Thread):
-    """One robot that is opened and closed."""
-
-    def __init__(self, config: Config, robot: Robot, clock: Clock) -> None:
-        super().__init__(daemon=True)
-        self.robot, self.complaint = robot, ""
-        self._kind = load("robofleet.drivers", robot.driver)
-        self._context = driver_settings.context(config, robot, clock.now_ns)
-        self.start()
-
-    def run(self) -> None:
+def _complaints_of(news: Connection, process: BaseProcess, robots: Sequence[Robot], clock: Clock) -> dict[str, str]:
+    """Return what is wrong with robots, by id, as the process that opens them reports."""
+    complaints: dict[str, str] = {}
+    waiting = {robot.id: False for robot in robots}  # whether it is being opened
+    warned, deadline_ns = False, clock.now_ns() + round(_WARN_AFTER_S * S)
+    while waiting:
+        if not news.poll(max(0.0, (deadline_ns - clock.now_ns()) / S)):
+            opening = [robot for robot, begun in waiting.items() if begun]
+            if warned:
+                slow = f"its driver did not finish opening it within {_AT_MOST_S:.0f} s: mend the driver"
+                return complaints | dict.fromkeys(opening, slow)
+            names = ", ".join(opening)
+            print(
+                f"waiting for {names} to answer: a board that starts when its port is opened takes seconds",
+                file=sys.stderr,
+            )
+            warned, deadline_ns = True, clock.now_ns() + round(_AT_MOST_S * S)
+            continue
         try:
-            self._kind(self._context).close()
-        except Exception as error:  # noqa: BLE001 - a robot that cannot be opened cannot drive, whatever the reason
-            self.complaint = in_words(error)
+            robot, complaint = news.recv()
+        except EOFError:  # the process is gone
+            process.join()
+            code = process.exitcode or 0
+            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+            crash = f"the process that opened it {how}: mend its driver"
+            return complaints | {robot: crash for robot, begun in waiting.items() if begun}
+        if complaint is None:
+            waiting[robot] = True
+        else:
+            del waiting[robot]
+            complaints |= {robot: complaint} if complaint else {}
+            if warned:
+                deadline_ns = clock.now_ns() + round(_AT_MOST_S * S)
+    return complaints
 
 
-def _unfinished(attempts: Sequence[_Attempt], deadline_ns: int, clock: Clock) -> list[_Attempt]:
-    for attempt in attempts:
-        attempt.join(max(0.0, (deadline_ns - clock.now_ns()) / S))
-    return [attempt for attempt in attempts if attempt.is_alive()]
+def _open_all(config: Config, robots: Sequence[Robot], theirs: Connection, news: Connection) -> None:
+    """Open and close every robot, and report of each that it begins and what came of it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is the command's to answer
+    theirs.close()
+    clock, world, reporting = WallClock(), slices.world(config), threading.Lock()
+
+    def report(robot: Robot, complaint: str | None) -> None:
+        with reporting:
+            news.send((robot.id, complaint))
+
+    def attempt(robots: Sequence[Robot]) -> None:
+        for robot in robots:
+            report(robot, None)
+            try:
+                kind = load("robofleet.drivers", robot.driver)
+                kind(driver_settings.context(config, robot, clock.now_ns, world)).close()
+            except Exception as error:  # noqa: BLE001 - a robot that cannot be opened cannot drive, whatever the reason
+                report(robot, in_words(error))
+            else:
+                report(robot, "")
+
+    at_once = [[robot] for robot in robots if is_concurrent(load("robofleet.drivers", robot.driver))]
+    in_order = [robot for robot in robots if [robot] not in at_once]
+    threads = [threading.Thread(target=attempt, args=(group,)) for group in at_once]
+    for thread in threads:
+        thread.start()
+    attempt(in_order)
+    for thread in threads:
+        thread.join()

@@ -7,9 +7,11 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
-from robofleet.clock import Clock, WallClock
+import zenoh
+
+from robofleet.clock import MS, Clock, S, WallClock
 from robofleet.comms.living import RoleTakenError
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.comms.zenoh_bus import Network, ZenohBus, open_router
 from robofleet.config.faults import did_you_mean
 from robofleet.config.slices import entropy
 from robofleet.config.tree import Config
@@ -23,6 +25,8 @@ from robofleet.processes.refusal import RefusedError, unkept
 from robofleet.processes.table import RECORDER, ROUTER, TRACKER, Edges, Row
 from robofleet.tracking.sources import CameraError
 from robofleet.vehicles.interface import DriverError
+
+_AGAIN_WITHIN_NS = 5 * S  # of a router that begins anew
 
 
 def main(
@@ -87,28 +91,48 @@ def _new(folder: Path) -> None:
 
 
 def _route(config: Config, lifeline: Lifeline) -> None:
-    """Be Zenoh's router; one that stays between runs takes up new keys and revocations then, as a new program."""
-    stays = config.bus.router == "service"
-    beyond = network(config, all_units=not stays)  # a unit's revocation does not end it
+    """Be Zenoh's router; it begins anew, within the same process, where the keys of its arena have changed.
+
+    All links end with it, so who is revoked is gone, and the others are back as soon as they try again.
+    """
+    keys = Keys(config)
+    beyond = network(config, all_units=config.bus.router != "service")  # a unit's revocation does not end it
     say = FewLines(_say, WallClock().now_ns)
     if beyond is not None:
         _log_refused(say)
-    keys = Keys(config) if beyond is not None and stays else None
-    with closing(open_router(config.bus.endpoint, beyond)) as router:
+    router = open_router(config.bus.endpoint, beyond)
+    try:
         if beyond is not None:
             router.info.declare_link_events_listener(say_linked(beyond.permitted, say), history=True)
         lifeline.ready()
-        while not lifeline.cut and (keys is None or not keys.changed()):
+        while not lifeline.cut:
+            if beyond is not None and keys.changed(beyond.permitted):
+                _say("the keys have changed: the router begins anew")
+                beyond = network(config, all_units=False)
+                assert beyond is not None
+                router.close()  # type: ignore[no-untyped-call]
+                router = _opened_again(config, beyond)
+                router.info.declare_link_events_listener(say_linked(beyond.permitted, say), history=True)
             threading.Event().wait(0.05)
-    if not lifeline.cut:
-        _say("the keys have changed: the router begins anew")
-        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # Zenoh keeps its sockets until the end
+    finally:
+        router.close()  # type: ignore[no-untyped-call]
+
+
+def _opened_again(config: Config, beyond: Network) -> zenoh.Session:
+    """Open a router where one has just been closed: a QUIC socket is there for a moment longer."""
+    clock = WallClock()
+    end_ns = clock.now_ns() + _AGAIN_WITHIN_NS
+    while True:
+        try:
+            return open_router(config.bus.endpoint, beyond)
+        except zenoh.ZError:
+            if clock.now_ns() > end_ns:
+                raise
+        clock.sleep_until(clock.now_ns() + 10 * MS)
 
 
 def _log_refused(say: FewLines) -> None:
     """Let the log say which links were refused: Zenoh says so on stdout, and whoever knocks decides how often."""
-    import zenoh  # noqa: PLC0415
-
     sys.stdout.flush()
     read, write = os.pipe()
     os.set_blocking(write, False)  # a log that nobody takes up costs lines, and holds up none of Zenoh's threads

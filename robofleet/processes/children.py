@@ -21,7 +21,16 @@ _POLL_S = 0.05
 _LAST_LINES = 5
 _EMPTY_HANDED = "recorder", "supervisor", "controller", "tracker"  # before they are ready
 _LONGEST_WORD = 256  # of a child that is ready [bytes]
+_CRASHES = {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT}  # the log says where
 _CHILD_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+
+
+def ended_by(code: int) -> str:
+    """Return how a process ended that left this exit code: a signal has its name."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    names = {number.value: number.name for number in signal.Signals}
+    return f"was killed by {names.get(-code, f'signal {-code}')}"
 
 
 class RunError(Exception):
@@ -86,7 +95,7 @@ class Children:
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
         with theirs, log.open("ab") as output:
-            command = [sys.executable, "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
+            command = [sys.executable, "-P", "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
             process = subprocess.Popen(
                 [*command, "--lifeline", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
@@ -152,9 +161,10 @@ class Children:
                 if child.name in spare and any(its.name in spare and not its.died for its in self.children):
                     child.killed = True
                     continue
+                cause = f"the {child.name} {ended_by(code)}"
                 if code < 0:
-                    raise RunError(f"the {child.name} was killed by {signal.Signals(-code).name}")
-                raise RunError(f"the {child.name} ended with exit code {code}: see {child.log}{child.last_lines()}")
+                    raise RunError(f"{cause}: see {child.log}" if -code in _CRASHES else cause)
+                raise RunError(f"{cause}: see {child.log}{child.last_lines()}")
 
     def reap(self, clock: Clock, *, but: int = 0, last_word: bytes = b"") -> None:
         """End every child but the first ones, each with a last word; kill what does not answer. Idempotent."""

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -129,11 +130,11 @@ def _elsewhere(arena: str | None) -> "Elsewhere | None":
         raise typer.Exit(2) from error
 
 
-def _running(arena: str | None) -> "ArenaFile":
+def _running(arena: str | None, *, own: bool = False) -> "ArenaFile":
     from robofleet.processes import operator  # noqa: PLC0415
 
     try:
-        return operator.chosen(arena)
+        return operator.chosen(arena, own=own)
     except operator.NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
@@ -235,7 +236,7 @@ def _wait_for_runs(unit: str) -> None:
         robot = load_robot_file(file)
         if robot.unit != unit:
             raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
-    os.execv(sys.executable, [sys.executable, "-P", "-m", "robofleet.processes.daemon"])
+    os.execv(sys.executable, [sys.executable, "-P", "-X", "faulthandler", "-m", "robofleet.processes.daemon"])
 
 
 def router(
@@ -293,7 +294,7 @@ def hosts(
         if there is not None:
             found = asking.hosts_elsewhere(there)
         else:
-            file = Path(_running(arena).folder) / "config.yaml" if file is None or named else file
+            file = Path(_running(arena, own=True).folder) / "config.yaml" if file is None or named else file
             found = asking.hosts(_for_one_process(file))
     except operator.UnreachableError as error:
         _told(False, str(error))
@@ -351,7 +352,7 @@ def web(
     from robofleet.processes.web import command  # noqa: PLC0415
 
     with bad_input():
-        there = command.there(run, _running, _for_one_process)
+        there = command.there(run, partial(_running, own=True), _for_one_process)
         with listening(host, port, "--host") as place:
             its = page_keys(there.config.arena.name, host, "--host")
             done, said = command.serve(there, place, host, its, browser=not no_browser)

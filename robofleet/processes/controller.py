@@ -35,7 +35,7 @@ from robofleet.processes.sighting import Sighting
 from robofleet.processes.wishes import Wishes
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.supervisor import MOVING, Phase
-from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
+from robofleet.safety.wiggle import STROKES, probe_speeds
 from robofleet.tracking import estimator, measured
 from robofleet.tracking.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
@@ -246,7 +246,8 @@ class Controller:
     def _try_wheels(self, commanded: Array) -> None:
         """Let the robots that are being tried do their strokes."""
         for row, stroke in self._tried:
-            drive, (left, right) = self._drives[row], (PROBE_RAD_S * share for share in STROKES[stroke])
+            drive = self._drives[row]
+            left, right = probe_speeds(stroke, drive.wheel_radius)
             ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
             commanded[row] = ratio * left, ratio * right
 

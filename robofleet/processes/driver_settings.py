@@ -12,7 +12,7 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes.arena_file import twin_port
-from robofleet.vehicles.interface import DriverContext, SimulatedDriver
+from robofleet.vehicles.interface import DriverContext, SimulatedDriver, World
 
 
 def of(config: Config, robot: Robot) -> Any:
@@ -29,11 +29,18 @@ def of(config: Config, robot: Robot) -> Any:
     return kind.model_validate(robot.settings | port)
 
 
-def context(config: Config, robot: Robot, now_ns: Callable[[], int]) -> DriverContext:
-    """Return what a robot's driver is made from; raises as ``of`` does."""
+def context(config: Config, robot: Robot, now_ns: Callable[[], int], world: World | None = None) -> DriverContext:
+    """Return what a robot's driver is made from; raises as ``of`` does. ``world``: the configuration's, if at hand."""
     simulated = issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
-    simulation = slices.simulation(config, robot, None) if simulated else None
-    return DriverContext(robot.id, slices.drive(robot), simulation, now_ns, of(config, robot), slices.sensors(robot))
+    return DriverContext(
+        robot.id,
+        slices.drive(robot),
+        slices.simulation(config, robot, None) if simulated else None,
+        now_ns,
+        of(config, robot),
+        slices.sensors(robot),
+        world or slices.world(config),
+    )
 
 
 def port(config: Config, robot: Robot) -> str | None:

@@ -1,16 +1,18 @@
 """Makes the robots of a unit: each behind its driver, or all simulated ones at once."""
 
+import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.plugins import load
 from robofleet.processes import driver_settings
 from robofleet.processes.attached import Attached
 from robofleet.processes.gated_robot import GatedRobots, Witness
 from robofleet.processes.keeping import Keeping
-from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver
+from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver, is_concurrent
 
 if TYPE_CHECKING:
     from robofleet.processes.driver import Robots
@@ -36,19 +38,25 @@ class ConfiguredDrivers:
     """Makes what the configuration names. The driver of a robot that exists is made again when it fails."""
 
     def __init__(self, config: Config, now_ns: Callable[[], int]) -> None:
-        self._config, self._now_ns = config, now_ns
+        self._config, self._now_ns, self._world = config, now_ns, slices.world(config)
+        self._constructing = threading.Lock()
 
     def context(self, robot: str) -> DriverContext:
         """Return what a robot's driver is made from."""
-        return driver_settings.context(self._config, self._config.robot(robot), self._now_ns)
+        return driver_settings.context(self._config, self._config.robot(robot), self._now_ns, self._world)
 
     def driver(self, context: DriverContext) -> Driver:
         """Return a robot's driver; DriverError where the robot does not answer."""
         kind = load("robofleet.drivers", self._config.robot(context.robot).driver)
-        made: Driver = (
-            kind(context) if issubclass(kind, SimulatedDriver) else Attached(partial(kind, context), context.now_ns)
-        )
-        return made
+        make: Callable[[], Driver] = partial(kind, context)
+        if not is_concurrent(kind):
+            make = partial(self._alone, make)
+        return make() if issubclass(kind, SimulatedDriver) else Attached(make, context.now_ns)
+
+    def _alone(self, make: Callable[[], Driver]) -> Driver:
+        """Construct a driver while no other is: several that failed at once are made again one after the other."""
+        with self._constructing:
+            return make()
 
     def bodies(self, contexts: Sequence[DriverContext]) -> "Bodies | None":
         """Return the robots of a unit that this project simulates, as bodies in arrays; None for any other unit."""

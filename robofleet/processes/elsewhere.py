@@ -60,7 +60,7 @@ def ask(there: Elsewhere, what: str) -> tuple[bool, str]:
         )
     try:
         with reached(there, clock) as bus:
-            answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
+            answer = asked(bus, clock, "supervisor", what.encode(), role=there.role).decode(errors="replace")
             return answer.startswith("ok"), answer
     except (UnreachableError, TimeoutError) as error:
         return False, f"{error}: see at the computer of {there.arena} whether a run is on"

@@ -17,11 +17,10 @@ import numpy as np
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.teleop import Teleop
 from robofleet.comms.bus import Bus
-from robofleet.comms.keys import WISH
+from robofleet.comms.keys import TELEOP
 from robofleet.comms.messages import SCRIPT_WISH
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.processes.rescues import Way
 
 _EPOCH_BITS = 30  # as of scripts
 _MOST_TICKS = 1 << 32  # in a wish
@@ -48,8 +47,7 @@ def driven(config: Config) -> tuple[str, ...]:
 class Hand:
     """Commands one group."""
 
-    def __init__(self, bus: Bus, config: Config, group: str, way: Way) -> None:
-        """``way``: by which the person commands."""
+    def __init__(self, bus: Bus, config: Config, group: str) -> None:
         its = next(one for one in config.groups if one.title == group)
         settings = Teleop.Settings.model_validate(its.settings)
         self._most = {
@@ -57,11 +55,11 @@ class Hand:
             WishKind.RESCUE: (min(settings.crawl_m_s, settings.max_speed_m_s), settings.max_turn_rad_s),
         }
         self._ids = its.robots
-        self._publish = bus.publisher(WISH, group)
+        self._publish = bus.publisher(TELEOP, group)
         self._robots = np.zeros(len(its.robots), SCRIPT_WISH.item_dtype)
         self._values = SCRIPT_WISH.floats(self._robots)  # of the same memory (N, 3)
         self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
-        self._way, self._tick = way, 0
+        self._tick = 0
         self._held: tuple[WishKind, int] | None = None  # what the button is held for, and of which robot
         self._spent = True  # the button may be held for something else, and was not seen let go since
 
@@ -110,14 +108,14 @@ class Hand:
 
     def _say(self, kind: WishKind, tick: int) -> None:
         self._seq += 1
-        self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._way, tick), self._robots))
+        self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._robots))
 
 
 class Hands:
     """One person's hand on each group that a person can drive, by a page."""
 
     def __init__(self, bus: Bus, config: Config) -> None:
-        self._hands = {group: Hand(bus, config, group, Way.PAGE) for group in driven(config)}
+        self._hands = {group: Hand(bus, config, group) for group in driven(config)}
 
     def drive(self, group: str, stick: Stick, tick: int, out: str | None = None) -> bool:
         """Command a group, or drive its robot ``out`` of a held run; returns whether that made sense."""

@@ -3,6 +3,8 @@
 import os
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -55,16 +57,18 @@ def join(
         base = _base(told.arena, into, service=service)
         if told.kind == UNIT:
             _refuse_other(base, told.arena, told.name)
-        bundles.unpack(made, base / "keys" / told.arena)
+        with _readable(base):
+            bundles.unpack(made, base / "keys" / told.arena)
         print(f"{base}/keys/{told.arena}: the keys of {told.name}, valid until {told.not_after:%Y-%m-%d}")
         if told.kind == OPERATOR:
             print(f"Next: on this computer, robofleet stop {told.arena} stops that arena's robots")
         if told.kind != UNIT:
             return
-        written = _write_robot_file(base, made, allows)
+        with _readable(base):
+            written = _write_robot_file(base, made, allows)
         print(f"{written}: what a run may ask of this robot: its driver, port and fastest wheel")
         if service:
-            _install(told.name)
+            _install(told.arena, told.name)
         print(
             "Next: systemctl enable --now robofleet-unit" if service else f"Next: robofleet driver --unit {told.name}"
         )
@@ -116,7 +120,7 @@ def _base(arena: str, into: Path | None, *, service: bool) -> Path:
     """Return the folder for keys and robot.yaml; RefusedError where keys there would hide this user's authority."""
     if into is not None:
         return into
-    if not service and (os.geteuid() != 0 or os.environ.get("XDG_CONFIG_HOME")):
+    if not service and (not _is_root() or os.environ.get("XDG_CONFIG_HOME")):
         return folders.own_settings()
     own = folders.own_settings() / "keys" / arena
     if (own / "authority.key").exists() and not (folders.SYSTEM / "keys" / arena).exists():
@@ -125,6 +129,18 @@ def _base(arena: str, into: Path | None, *, service: bool) -> Path:
             f"or --into {own.parent.parent}"
         )
     return folders.SYSTEM
+
+
+@contextmanager
+def _readable(base: Path) -> Iterator[None]:
+    """Let every user of this computer read what is written for all of it; keys are written for their owner alone."""
+    umask = os.umask(0o022)
+    if base != folders.SYSTEM:
+        os.umask(umask)
+    try:
+        yield
+    finally:
+        os.umask(umask)
 
 
 def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
@@ -151,6 +167,10 @@ def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
     return file
 
 
+def _is_root() -> bool:
+    return os.geteuid() == 0
+
+
 def _refuse_service(kind: str, into: Path | None) -> None:
     from robofleet.comms.permissions import UNIT  # noqa: PLC0415
 
@@ -158,17 +178,23 @@ def _refuse_service(kind: str, into: Path | None) -> None:
         raise RefusedError("--service: it starts at /etc/robofleet of this computer: leave --service or --into out")
     if kind != UNIT:
         raise RefusedError("--service: only a unit's driver is a service")
-    if os.geteuid() != 0:
+    if not _is_root():
         raise RefusedError("--service: run it as root: `sudo robofleet join FILE --service`")
     if not _SERVICE.parent.is_dir():
         raise RefusedError(f"--service: there is no {_SERVICE.parent}: this computer has no systemd")
 
 
-def _install(unit: str) -> None:
+def _install(arena: str, unit: str) -> None:
     """Write the service of a unit's driver."""
+    from robofleet.comms.credentials import AUTHORITY  # noqa: PLC0415
     from robofleet.files import write_text  # noqa: PLC0415
 
-    program = shutil.which("robofleet") or f"{sys.executable} -m robofleet"
+    program = shutil.which("robofleet") or f"{sys.executable} -P -m robofleet"
+    keys = folders.SYSTEM / "keys" / arena
+    handed = "\n".join(
+        f"LoadCredential={file}:{keys / file}"
+        for file in (*(f"{unit}.{end}" for end in ("json", "pem", "key")), AUTHORITY)
+    )
     text = f"""\
 [Unit]
 Description=robofleet's driver of {unit}
@@ -178,6 +204,10 @@ StartLimitIntervalSec=0
 [Service]
 Type=notify
 ExecStart={program} driver --unit {unit}
+# A user of its own, without a right but to the robot's port. Root keeps the keys, and systemd hands over copies.
+DynamicUser=yes
+SupplementaryGroups=dialout
+{handed}
 StateDirectory=robofleet
 Environment=XDG_STATE_HOME=/var/lib PYTHONUNBUFFERED=1
 TimeoutStartSec=infinity
@@ -189,13 +219,16 @@ KillMode=process
 Restart=always
 RestartSec=1
 RestartPreventExitStatus=2
+# Niceness -10 and SCHED_FIFO for the loop need these limits, and no capability.
 LimitNICE=-10
 LimitRTPRIO=20
 OOMScoreAdjust=-500
 
 NoNewPrivileges=yes
+CapabilityBoundingSet=
 ProtectSystem=strict
 ProtectHome=yes
+ProtectProc=invisible
 ProtectClock=yes
 ProtectHostname=yes
 ProtectKernelLogs=yes
@@ -203,10 +236,22 @@ ProtectKernelModules=yes
 ProtectKernelTunables=yes
 ProtectControlGroups=yes
 PrivateTmp=yes
+PrivateMounts=yes
 RestrictNamespaces=yes
 RestrictSUIDSGID=yes
+RemoveIPC=yes
 LockPersonality=yes
 UMask=0077
+# Serial ports and no other device. A driver of yours that needs one: `systemctl edit robofleet-unit`, DeviceAllow=.
+DevicePolicy=closed
+DeviceAllow=char-ttyUSB rw
+DeviceAllow=char-ttyACM rw
+DeviceAllow=char-ttyAMA rw
+DeviceAllow=char-ttyS rw
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
 
 [Install]
 WantedBy=multi-user.target

@@ -61,17 +61,30 @@ def _named(name: str) -> str:
 
 
 @keys.command()
-def init(arena: ArenaName, days: Days = None) -> None:
+def init(
+    arena: ArenaName,
+    address: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ADDRESS", help="Also sign for this address or name, outside private networks; repeatable."
+        ),
+    ] = [],  # noqa: B006
+    days: Days = None,
+) -> None:
     """Make an arena's authority on this computer, and the router's certificate with `keys add ARENA router`.
 
+    Whoever trusts it trusts it for private networks, .local, .lan, .internal and .home.arpa alone.
+
     $ robofleet keys init lab
+
+    $ robofleet keys init lab --address lab.example.edu
     """
     with refused():
         need_extra("lab", "cryptography")
         from robofleet.comms.authority import AUTHORITY_DAYS, Authority  # noqa: PLC0415
         from robofleet.comms.credentials import keys_folder  # noqa: PLC0415
 
-        made = Authority.create(_named(arena), keys_folder(arena), days or AUTHORITY_DAYS)
+        made = Authority.create(_named(arena), keys_folder(arena), days or AUTHORITY_DAYS, address)
     print(f"{made.folder}: the authority of {arena}; keep a copy of this folder, and let nobody else read it")
     print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
 
@@ -115,7 +128,8 @@ def add(
         return
     assert name is not None
     with _authority(arena) as authority:
-        from robofleet.comms.authority import DAYS, KINDS  # noqa: PLC0415
+        from robofleet.comms.authority import DAYS  # noqa: PLC0415
+        from robofleet.comms.credentials import KINDS  # noqa: PLC0415
         from robofleet.comms.permissions import UNIT  # noqa: PLC0415
 
         kind = kind or (name if name in KINDS else UNIT)
@@ -135,7 +149,8 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
     from robofleet.config.load import load_config  # noqa: PLC0415
 
     with _authority(arena) as authority:
-        from robofleet.comms.authority import DAYS, KINDS, ROUTER  # noqa: PLC0415
+        from robofleet.comms.authority import DAYS  # noqa: PLC0415
+        from robofleet.comms.credentials import KINDS, ROUTER  # noqa: PLC0415
         from robofleet.comms.permissions import OPERATOR, UNIT, VIEWER  # noqa: PLC0415
 
         if kind is not None:
@@ -152,7 +167,8 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
         at = address or [host for host in listened if host not in ("0.0.0.0", "::")]
         if ROUTER not in known and not at:
             raise RefusedError("the router needs the address by which robots reach it: add `--address 192.168.1.10`")
-        for name, its in [*((unit, UNIT) for unit in units), (ROUTER, ROUTER), (OPERATOR, OPERATOR), (VIEWER, VIEWER)]:
+        # The router first: of all that can be wrong, its addresses are.
+        for name, its in [(ROUTER, ROUTER), *((unit, UNIT) for unit in units), (OPERATOR, OPERATOR), (VIEWER, VIEWER)]:
             if name not in known:
                 authority.issue(name, its, addresses=at if its == ROUTER else (), days=days or DAYS)
                 print(f"{name}: {its}, valid until {authority.entries()[name].newest.not_after:%Y-%m-%d}")
@@ -221,14 +237,16 @@ def renew(
 
 @keys.command()
 def revoke(arena: ArenaName, name: Who) -> None:
-    """Let nobody in by a name's certificate any more, from the router's next start on.
+    """Let nobody in by a name's certificate any more, at once.
+
+    The router begins anew. A run that is on may be held by that: its robots stand, and `robofleet resume` goes on.
 
     $ robofleet keys revoke lab r1
     """
     with _authority(arena) as authority:
         authority.revoke(name)
     print(
-        f"{name} is revoked; a run that is on still has it: end that run\n"
+        f"{name} is revoked, and cut off; if a run is held by that, go on: robofleet resume {arena}\n"
         f"`robofleet keys add {arena} {name}` lets it in again"
     )
 

@@ -1,9 +1,10 @@
 """The router of an arena that other hosts reach: its certificate, and what each of them may say and hear."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from robofleet.clock import S, WallClock
-from robofleet.comms.credentials import REGISTER, KeysError, credentials, keys_folder
+from robofleet.comms.credentials import REGISTER, ROUTER, KeysError, credentials, keys_folder
 from robofleet.comms.zenoh_bus import Network, router_settings
 from robofleet.config.tree import Config
 from robofleet.processes.arena_file import running
@@ -18,7 +19,7 @@ def network(config: Config, *, all_units: bool = True) -> Network | None:
     if not config.bus.listen:
         return None
     need_extra("lab", "cryptography")
-    from robofleet.comms.authority import ROUTER, Authority, identities  # noqa: PLC0415
+    from robofleet.comms.authority import Authority, identities  # noqa: PLC0415
     from robofleet.comms.permissions import access_control  # noqa: PLC0415
 
     arena = config.arena.name
@@ -43,26 +44,47 @@ def network(config: Config, *, all_units: bool = True) -> Network | None:
 
 
 class Keys:
-    """An arena's keys, of which a router that stays must hear: they change while no run is on."""
+    """An arena's keys, of which its router must hear: of a revocation at once, of others while no run is on."""
 
-    _LOOK_NS = S
+    _RUNS_NS = S  # between two looks at the runs of this computer
 
     def __init__(self, config: Config) -> None:
         self._config, self._clock = config, WallClock()
-        self._next_ns, self._seen = 0, 0
-        self._seen = self._state()
+        self._seen = self._read = self._next_ns = 0
+        self._seen = self._read = self._state()
 
-    def changed(self) -> bool:
-        """Return whether there are other keys than before, and nothing that a new router would disturb."""
-        now_ns = self._clock.now_ns()
-        if now_ns < self._next_ns:
-            return False
-        self._next_ns = now_ns + self._LOOK_NS
+    def changed(self, permitted: Mapping[str, Any]) -> bool:
+        """Return whether a router that goes by ``permitted`` (``permissions.access_control``) must begin anew.
+
+        That disturbs a run, so only a revocation does it while one is on; a run's own router hears of nothing else.
+        """
         state = self._state()
-        if state == self._seen or any(run.arena == self._config.arena.name for run in running()):
+        if state == self._seen:
+            return False
+        if state != self._read:
+            self._read = state
+            if self._revoked(permitted):
+                self._seen = state
+                return True
+        now_ns = self._clock.now_ns()
+        if self._config.bus.router != "service" or now_ns < self._next_ns:
+            return False
+        self._next_ns = now_ns + self._RUNS_NS
+        if any(run.arena == self._config.arena.name for run in running()):
             return False
         self._seen = state
         return True
+
+    def _revoked(self, permitted: Mapping[str, Any]) -> bool:
+        """Return whether somebody is let in whose certificate is revoked."""
+        from robofleet.comms.authority import Authority, identities  # noqa: PLC0415
+
+        arena = self._config.arena.name
+        try:
+            valid = {who.common_name for who in identities(Authority(arena, keys_folder(arena)))}
+        except KeysError:  # a folder that is away says nothing new
+            return False
+        return any(not valid.issuperset(subject.get("cert_common_names", ())) for subject in permitted["subjects"])
 
     def _state(self) -> int:
         try:

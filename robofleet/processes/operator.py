@@ -37,10 +37,10 @@ class UnreachableError(Exception):
     """A run is there and its bus does not answer."""
 
 
-def chosen(name: str | None) -> ArenaFile:
-    """Return the running arena of this user that was named, or the only one."""
+def chosen(name: str | None, *, own: bool = False) -> ArenaFile:
+    """Return the running arena of this user that was named, or the only one; ``own``: not another user's for root."""
     there = named_runs(None)
-    mine = [run for run in there if run.mine]
+    mine = [run for run in there if (run.own if own else run.mine)]
     names = ", ".join(run.arena for run in mine)
     if name is None and len(mine) > 1:
         raise NoArenaError(f"several arenas have a run: name one of {names}")
@@ -79,10 +79,10 @@ def stop_all(name: str | None) -> list[tuple[bool, str]]:
 
 
 def _not_yours(there: ArenaFile) -> str:
-    return (
-        f"the arena {there.arena} has a run of {there.user} (process {there.pid}), which is not yours: "
-        f"ask {there.user} or an administrator (`sudo robofleet stop {there.arena}`)"
-    )
+    whose = f"the arena {there.arena} has a run of {there.user} (process {there.pid})"
+    if there.mine:  # root's, who may stop it
+        return f"{whose}, whose configuration may name code of {there.user}: do this as {there.user} (`sudo -u`)"
+    return f"{whose}, which is not yours: ask {there.user} or an administrator (`sudo robofleet stop {there.arena}`)"
 
 
 def stop(there: ArenaFile) -> tuple[bool, str]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from robofleet.clock import MS
 from robofleet.comms.bus import Bus
-from robofleet.comms.keys import RECORDER
+from robofleet.comms.keys import RECORDER, split
 from robofleet.comms.messages import RECORDER_STATUS, RecorderStatus
 from robofleet.config import slices
 from robofleet.config.tree import Config
@@ -52,7 +52,7 @@ class Recorder:
     def _keep(self) -> None:
         add = self._log.add
         for at_ns, full, payload in self._stream.drain():
-            add(full, payload, at_ns)
+            add(split(full)[0], payload, at_ns)
         if (missed := self._stream.dropped) > self._missed:
             self._log.drop(missed - self._missed)
             self._missed = missed

@@ -18,9 +18,10 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Decision
 from robofleet.clock import S, SimulatedClock, TickGrid
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import COMMAND, POSES, STATE, TICK, WISH, Topic, key
+from robofleet.comms.keys import COMMAND, POSES, STATE, TELEOP, TICK, WISH, Topic, key
 from robofleet.comms.layouts import ListLayout
 from robofleet.comms.messages import FLEET_POSES, RUN_STATE, SCRIPT_WISH, TICK_RECORD, RobotTick
+from robofleet.comms.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.processes.controller import Controller
@@ -37,6 +38,7 @@ NO_NAME = (0, 0)
 _ELSEWHERE = 1e-9  # other versions, or another processor: sums may be in another order
 _SHOWN = 5  # differences
 _ALWAYS = 2  # of what a tick takes: its head names the state and the first camera's image; its numbers name the rest
+_BEFORE = {TELEOP: (WISH,)}  # on which topics older recordings have the messages of a topic
 _HEAD = ("run_tick", "phase", "exposure_ns")  # the rest of a record's head is whose it is, and what the time was
 _WHEELS = [RobotTick._fields.index(name) for name in ("left_rad_s", "right_rad_s")]
 
@@ -113,11 +115,11 @@ def replay(recording: Recording, within: float) -> Verdict:
     if not len(ticks):
         raise RecordingError("no tick of a controller was recorded: there is nothing to replay")
     names = described.names(recording.groups)
-    scripted = _scripted(recording)
+    scripted, topics = _scripted(recording), setpoint_topics(recording.config)
     takings = (
         _Takings(recording, STATE, "", RUN_STATE),
         *(_Takings(recording, POSES, name, FLEET_POSES) for name in cameras),
-        *(_Takings(recording, WISH, name, SCRIPT_WISH) for name in scripted),
+        *(_Takings(recording, topics[name], name, SCRIPT_WISH) for name in scripted),
     )  # fmt: skip
     for epoch in dict.fromkeys(ticks["epoch"].tolist()):
         _, once = np.unique(ticks["tick"][(of_it := np.flatnonzero(ticks["epoch"] == epoch))], return_index=True)
@@ -149,9 +151,10 @@ class _Takings:
     def __init__(self, recording: Recording, topic: Topic, name: str, layout: ListLayout[Any]) -> None:
         self.topic, self.name = topic, name
         self._messages: dict[Name, bytes] = {}
-        for payload in recording.messages.get(key(recording.config.arena.name, topic, name), ()):
-            if (head := layout.decode_head(payload)) is not None:
-                self._messages.setdefault((head.epoch, head.seq), payload)
+        for recorded in (topic, *_BEFORE.get(topic, ())):
+            for payload in recording.messages.get(key(recording.config.arena.name, recorded, name), ()):
+                if (head := layout.decode_head(payload)) is not None:
+                    self._messages.setdefault((head.epoch, head.seq), payload)
 
     def of(self, name: Name) -> bytes | None:
         """Return a message, None where it was not recorded."""

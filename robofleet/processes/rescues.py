@@ -1,7 +1,6 @@
 """A person's wish to drive one robot out of a held run: as it is heard, and how fast a wheel may turn for it."""
 
 from collections.abc import Iterator
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,24 +8,15 @@ from numpy.typing import NDArray
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.teleop import Teleop
 from robofleet.comms.bus import Bus
-from robofleet.comms.keys import WISH, key
+from robofleet.comms.keys import TELEOP, key, split
 from robofleet.comms.messages import SCRIPT_WISH
+from robofleet.comms.permissions import PAGE
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.safety.rescue import Word
 from robofleet.safety.supervisor import NOBODY, Event
 
-_MOST_WORDS = 64  # between two steps, of all groups
-
-
-class Way(IntEnum):
-    """Where a person's command comes from. The wish's field ``order`` holds it."""
-
-    PAGE = 1
-    GAMEPAD = 2
-
-
-_ASKED = {Way.PAGE: Event.DRIVEN_OUT_BY_PAGE, Way.GAMEPAD: Event.DRIVEN_OUT_BY_GAMEPAD}
+_MOST_WORDS = 64  # between two steps, of a group
 
 
 def crawls(config: Config) -> NDArray[np.float64]:
@@ -47,20 +37,24 @@ class Words:
     def __init__(self, config: Config, bus: Bus) -> None:
         self.crawls = crawls(config)
         by_hand = groups.wishing(config, Teleop)
-        rows = zip(config.groups, groups.rows(config.groups), strict=True)
-        self._rows = {key(config.arena.name, WISH, group.title): own for group, own in rows if group.title in by_hand}
-        self._stream = bus.stream(*self._rows, capacity=_MOST_WORDS) if self._rows else None
+        self._groups = [
+            (bus.stream(key(config.arena.name, TELEOP, group.title), capacity=_MOST_WORDS), rows)
+            for group, rows in zip(config.groups, groups.rows(config.groups), strict=True)
+            if group.title in by_hand
+        ]
 
     def new(self) -> Iterator[Word]:
         """Yield the words since the last call, in the order in which they came."""
-        for _, full, payload in self._stream.drain() if self._stream is not None else ():
-            if (message := SCRIPT_WISH.view(payload)) is None:
-                continue
-            head, robots = message
-            own = self._rows[full]
-            told = np.flatnonzero(robots["told"]).tolist()
-            out = head.kind == WishKind.RESCUE and len(told) == 1 and len(robots) == own.stop - own.start
-            held = head.kind in (WishKind.BODY, WishKind.RESCUE)
-            asked = _ASKED.get(head.order, Event.NOTHING)  # type: ignore[call-overload]
-            out = out and asked is not Event.NOTHING
-            yield Word(head.epoch, held, own.start + told[0] if out else NOBODY, asked, head.echo_tick)
+        for stream, rows in self._groups:
+            for _, full, payload in stream.drain():
+                if (message := SCRIPT_WISH.view(payload)) is None:
+                    continue
+                head, robots = message
+                sender = split(full)[1]
+                by_page = sender.partition("/")[0] == PAGE
+                told = np.flatnonzero(robots["told"]).tolist()
+                out = head.kind == WishKind.RESCUE and len(told) == 1 and len(robots) == rows.stop - rows.start
+                held = head.kind in (WishKind.BODY, WishKind.RESCUE)
+                robot = rows.start + told[0] if out else NOBODY
+                event = Event.DRIVEN_OUT_BY_PAGE if by_page else Event.DRIVEN_OUT_BY_GAMEPAD
+                yield Word((sender, head.epoch), held, robot, event, head.echo_tick)

@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,18 +32,24 @@ Modules = Annotated[
         "--behaviours", metavar="DIR", help="Folder of your own behaviours' modules: else what they measure is missing."
     ),
 ]
+ReplayedModules = Annotated[
+    Path | None,
+    typer.Option("--behaviours", metavar="DIR", help="Folder of your own behaviours' modules, if the run has such."),
+]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
 
 
 @app.command()
-def replay(run: RunFolder) -> None:
+def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
     """Give today's controller a recording's inputs, tick by tick, and compare each command.
 
     Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
-    different, or could not be compared. It runs the group's behaviours: one that the recording names as `module:Class`
-    is imported from the folder where you are, or an installed package. Replay only recordings that you trust.
+    different, or could not be compared. It runs the groups' behaviours: one that the recording names as `module:Class`
+    is imported only from the folder that you name.
 
     $ robofleet replay runs/20260102T030405Z-platoon
+
+    $ robofleet replay runs/20260102T030405Z-swirl --behaviours configs
     """
     from robofleet.processes import replay as replaying  # noqa: PLC0415
     from robofleet.processes.controller import compile_kernels  # noqa: PLC0415
@@ -50,7 +57,7 @@ def replay(run: RunFolder) -> None:
 
     times_ns = [stopwatch_ns()]
     with _readable():
-        recording = read(run, lambda _: True)
+        recording = read(run, partial(_needed, run, behaviours))
         _load_behaviours(run, recording.config)
         times_ns.append(stopwatch_ns())
         compile_kernels(recording.config)
@@ -68,17 +75,15 @@ def replay(run: RunFolder) -> None:
 
 
 def _load_behaviours(run: Path, config: "Config") -> None:
-    """Load the recording's behaviours; RefusedError where one is not here: a module may stand where one works."""
+    """Load the recording's behaviours; RefusedError where one is not here."""
     from robofleet.config import groups  # noqa: PLC0415
-    from robofleet.plugins import PluginError, reach  # noqa: PLC0415
+    from robofleet.plugins import PluginError  # noqa: PLC0415
 
     for group in config.groups:
         try:
-            reach(Path.cwd(), group.behaviour)
             groups.kind(group)
         except PluginError as error:
-            place = "start `robofleet replay` in the folder of its module" if ":" in group.behaviour else ""
-            raise RefusedError("; or ".join(filter(None, (f"{run}: {error}", place)))) from error
+            raise RefusedError(f"{run}: {error}") from error
 
 
 @app.command()
@@ -218,26 +223,43 @@ def _importing(folder: Path | None) -> Iterator["Imports"]:
 
     RefusedError where a module in that folder cannot be used.
     """
-    from robofleet.config import groups  # noqa: PLC0415
-    from robofleet.plugins import PluginError, reach  # noqa: PLC0415
-
     left_out: set[str] = set()
 
     def imports(name: str) -> bool:
-        try:
-            if folder is not None and reach(folder, name):
-                groups.load_kind(name)
-                return True
-        except PluginError as error:
-            raise RefusedError(f"--behaviours: {error}") from error
-        left_out.add(name)
-        return False
+        imported = _imported(folder, name)
+        if not imported:
+            left_out.add(name)
+        return imported
 
     yield imports
-    mend = "name its folder with --behaviours" if folder is None else f"its module is not in {folder}"
     for name in sorted(left_out):
-        said = f"{name} is not imported because a recording names it: what it measures is missing: {mend}"
-        print(printable(said), file=sys.stderr)
+        print(printable(_left_out(folder, name, "what it measures is missing")), file=sys.stderr)
+
+
+def _needed(run: Path, folder: Path | None, name: str) -> bool:
+    """Import a behaviour from the user's folder; RefusedError where its module is not there."""
+    if not _imported(folder, name):
+        raise RefusedError(printable(f"{run}: {_left_out(folder, name, 'it cannot be replayed')}"))
+    return True
+
+
+def _imported(folder: Path | None, name: str) -> bool:
+    """Import a behaviour whose module stands in the user's folder; False: it does not."""
+    from robofleet.config import groups  # noqa: PLC0415
+    from robofleet.plugins import PluginError, reach  # noqa: PLC0415
+
+    try:
+        if folder is None or not reach(folder, name):
+            return False
+        groups.load_kind(name)
+    except PluginError as error:
+        raise RefusedError(f"--behaviours: {error}") from error
+    return True
+
+
+def _left_out(folder: Path | None, name: str, effect: str) -> str:
+    mend = "name its folder with --behaviours" if folder is None else f"its module is not in {folder}"
+    return f"{name} is not imported because a recording names it: {effect}: {mend}"
 
 
 @contextmanager

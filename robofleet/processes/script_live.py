@@ -26,6 +26,7 @@ from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.processes import script_own
 from robofleet.processes.arena_file import ArenaFile, running
+from robofleet.processes.children import ended_by
 from robofleet.processes.script_link import FleetError, ended, held, refuse
 from robofleet.recording.after import SUMMARY
 from robofleet.safety.supervisor import CAUSES, Event, Phase, RunStatus
@@ -126,7 +127,7 @@ class LiveLink:
     def ask(self, what: bytes) -> None:
         """Ask the supervisor."""
         try:
-            answer = asked(self._bus, self._clock, "supervisor", what).decode(errors="replace")
+            answer = asked(self._bus, self._clock, "supervisor", what, role=SCRIPT).decode(errors="replace")
         except TimeoutError as error:
             raise FleetError(f"{what.decode()}: {error}") from error
         if not answer.startswith("ok"):
@@ -196,7 +197,7 @@ class OwnRun:
         file.write_text(resolved_yaml(config))
         self._said = (place / "stderr").open("w+b")
         theirs, self._lifeline = os.pipe()
-        command = [sys.executable, "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
+        command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(
             [*command, "--out", str(self.folder.absolute())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=self._said, start_new_session=True, pass_fds=[theirs],
@@ -212,7 +213,9 @@ class OwnRun:
         """Wait until its processes can be reached, and return where; FleetError where it ends before."""
         while True:
             self.check()
-            mine = [there for there in running() if (there.arena, there.pid) == (arena, self._process.pid)]
+            mine = [
+                there for there in running() if there.own and (there.arena, there.pid) == (arena, self._process.pid)
+            ]
             if mine and (self.folder / "config.yaml").is_file():
                 return mine[0]
             threading.Event().wait(_POLL_S)
@@ -225,8 +228,9 @@ class OwnRun:
     def why(self) -> str:
         """Return what it said last."""
         self._said.seek(0)
-        lines = self._said.read().decode(errors="replace").strip().splitlines()
-        return "\n".join(lines[-5:]) or f"the run ended with exit code {self._process.returncode}"
+        lines = self._said.read().decode(errors="replace").strip().splitlines()[-5:]
+        code = self._process.returncode
+        return "\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"])
 
     def interrupt(self) -> None:
         """End it as Ctrl-C does: a controlled stop."""

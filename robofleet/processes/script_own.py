@@ -1,6 +1,6 @@
 """``robofleet run`` as a script starts it: the run ends when the script is gone, however that ended.
 
-    python -m robofleet.processes.script_own DESCRIPTOR run CONFIG ...
+    python -P -m robofleet.processes.script_own DESCRIPTOR run CONFIG ...
 
 The script holds the other end of the pipe. When it closes, the run is interrupted as by Ctrl-C: a controlled stop.
 """

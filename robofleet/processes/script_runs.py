@@ -38,7 +38,7 @@ def opened(
             return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
         return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
     except (RefusedError, DriverError, NoArenaError) as error:
-        raise FleetError(str(error)) from error
+        raise FleetError(str(error)) from None  # the words say all, and a chain of tracebacks hides them
 
 
 def _as_driven(config: Config, robots: int | None) -> Config:
@@ -89,7 +89,7 @@ def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:
 
     there = joined_arena(arena)
     if there is None:
-        run = chosen(arena)
+        run = chosen(arena, own=True)
         config = load_config(Path(run.folder) / "config.yaml" if copy is None else Path(copy))
         return LiveLink(config, group_of(config, group), run.endpoint)
     if copy is None:

@@ -31,7 +31,7 @@ from robofleet.safety.rescue import Rescue
 from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import CAUSES, MOVING, NOBODY, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
-from robofleet.safety.wiggle import PROBE_RAD_S
+from robofleet.safety.wiggle import STROKES, probe_speeds
 from robofleet.vehicles import solids
 
 _PERIOD_NS = 40 * MS
@@ -83,9 +83,10 @@ class Supervisor:
         build, arena, every = slices.build(config), config.arena.size_m, obstacles.every(config.arena)
         self._epoch = slices.drawn_id(rng, 32)
         self._ids = config.ids
+        probing = [[max(map(abs, probe_speeds(k, d.wheel_radius))) for d in drives] for k in range(len(STROKES))]
         # Nobody lets a bystander's wheels turn; the emergency stop latches its gate as everybody's.
         fastest = [robot.vehicle.max_wheel_speed_rad_s * (row < driven) for row, robot in enumerate(robots)]
-        self._limits = np.array(fastest, dtype=np.float64)
+        self._limits, self._probing = np.array(fastest, dtype=np.float64), np.array(probing)  # by stroke and robot
         daemons = frozenset(config.daemons)
         elsewhere = frozenset(row for row, robot in enumerate(robots) if config.unit_of[robot.id] in daemons)
         self._monitoring = MonitorSettings(
@@ -118,10 +119,9 @@ class Supervisor:
         self._status = RunStatus()
         self._view = FleetView(clock.now_ns(), tuple(RobotView(driven=row < driven) for row in range(len(robots))))
         self._memory = Memory()
-        self._simulated = config.simulated
         self._instead = {Event.PROVED: Event.SET_OUT} if config.run.begin == "go_to_start" else {}
         self._instead |= {Event.ACCOMPLISHED: Event.OFF_TO_PARK} if config.run.end == "park" else {}
-        self._phases = groups.phases(config)
+        self._simulated, self._phases = config.simulated, groups.phases(config)
         self._busy = busy.Memory()
         self._busy_news = BusyNews(self._epoch, self._ids)
         self._publish_busy = bus.publisher(BUSY)
@@ -201,7 +201,8 @@ class Supervisor:
         for request in safe:
             if request.payload not in SAFE:
                 self._replies.append((request, f"refused: only {SAFE_WORDS} are for everybody: ask as an operator"))
-        return [*orders, *(request for request in safe if request.payload in SAFE)]
+        known = [request for request in (*orders, *safe) if request.payload in SAFE]
+        return [*(request for request in orders if request.payload not in SAFE), *known]
 
     def _speak(self) -> None:
         """Answer and say what this step left."""
@@ -371,7 +372,7 @@ class Supervisor:
             return self._limits.copy()
         if self._checks is None:
             return np.zeros(len(self._limits))
-        return np.where(strokes > 0, np.minimum(PROBE_RAD_S, self._limits), 0.0)
+        return np.asarray(np.minimum(self._probing[strokes, np.arange(len(strokes))], self._limits))
 
     def _publish(self, now_ns: int, *, anew: bool) -> None:
         """Say where the run is, and to each unit what it may; ``anew``: that has changed."""

@@ -100,8 +100,21 @@ def is_judged(figures: Figures, bound: Figures) -> bool:
 
 def failures(figures: Figures) -> list[str]:
     """Return a line for every bound of a summary that was judged and not met."""
-    missed = [bound for bound in figures["bounds"] if not bound["pass"] and is_judged(figures, bound)]
-    return [f"{JUDGED[bound['figure']].label}: {shown(bound)}" for bound in missed]
+    return [_line(bound) for bound in figures["bounds"] if not bound["pass"] and is_judged(figures, bound)]
+
+
+def missed(figures: Figures) -> list[str]:
+    """Return a line for every bound of a summary whose figure was measured and did not meet it."""
+    return [_line(bound) for bound in figures["bounds"] if not bound["pass"] and bound["value"] is not None]
+
+
+def unmeasured(figures: Figures) -> list[str]:
+    """Return a line for every bound of a summary whose figure was not measured."""
+    return [_line(bound) for bound in figures["bounds"] if bound["value"] is None]
+
+
+def _line(bound: Figures) -> str:
+    return f"{JUDGED[bound['figure']].label}: {shown(bound)}"
 
 
 def unjudged(figures: Figures) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from robofleet.comms.keys import (
     BUSY,
     NEWS,
-    OF_SCRIPTS,
+    NOTE,
     OF_UNITS,
     PICTURE,
     POSES,
@@ -17,7 +17,7 @@ from robofleet.comms.keys import (
     named,
 )
 from robofleet.comms.layouts import VERSION
-from robofleet.config import groups
+from robofleet.comms.setpoints import setpoint_topics
 from robofleet.config.tree import Config
 from robofleet.valid_json import dumps
 
@@ -33,7 +33,7 @@ def keys(config: Config) -> Iterator[str]:
     yield from (key(arena, topic) for topic in _ABOUT_ALL)
     yield from (key(arena, topic, camera) for camera in config.camera_names for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, unit) for unit in config.units for topic in OF_UNITS)
-    yield from (key(arena, topic, group) for group in groups.scripted(config) for topic in OF_SCRIPTS)
+    yield from (key(arena, its, group) for group, topic in setpoint_topics(config).items() for its in (topic, NOTE))
     yield from (key(arena, SENSORS, unit) for unit in config.sensing)
 
 

@@ -16,6 +16,7 @@ from robofleet.recording import busy_machine, notes
 from robofleet.recording.bounds import judged
 from robofleet.recording.causes import named
 from robofleet.recording.measures import compute_us, delays_ms, pose_errors
+from robofleet.recording.remarks import remarks
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.stops import stops
 from robofleet.tracking.events import NO_TAG, TrackerEvent
@@ -77,6 +78,7 @@ def summary(
         "filtered_fraction": _rounded((run.items["filtered"] > 0).mean()) if len(run.t) else None,
         "recording": {"messages": recording.count, "dropped": recording.dropped},
         "stops": stops(run),
+        "remarks": remarks(config, groups),
         "busy_machine": busy_machine.figures(recording.messages.get(key(config.arena.name, BUSY), ()), config.ids),
         "rejected": {
             robot.id: _rejected(run, status) for robot, status in zip(config.members, run.statuses, strict=True)

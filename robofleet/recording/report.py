@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 
 from robofleet.behaviours.interface import scale
+from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
@@ -98,6 +99,7 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
         lines.append("No bounds are configured: nothing was judged.")
     if (busy := summary["busy_machine"]) is not None:
         lines.append(busy["words"])
+    lines += summary.get("remarks", [])
     if recording.trouble:
         lines.append(f"The recording is not whole: the file {recording.trouble}.")
     if recording.dropped:
@@ -226,7 +228,8 @@ def _column(group: Summary, figure: OwnFigure) -> tuple[str, tuple[float | None,
 
 def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:
     page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
-    page.listing(f"robofleet replay {shlex.quote(str(folder))}")
+    modules = " --behaviours DIR" if any(":" in name for name in groups.own(recording.config)) else ""
+    page.listing(f"robofleet replay {shlex.quote(str(folder))}{modules}")
     if not linked:
         page.note("To have every figure as SVG and as PDF, for a paper:")
         page.listing(f"robofleet report {shlex.quote(str(folder))} --figures figures")

@@ -31,7 +31,7 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.figures import COLOURS, INK, QUIET
 from robofleet.recording.prisms import prism
-from robofleet.safety.barrier import apart
+from robofleet.safety.distances import apart
 
 WORLD = "world"
 _LINE_M, _FILM_M, _DOT_M = 0.006, 0.001, 0.03

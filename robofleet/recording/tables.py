@@ -81,6 +81,7 @@ def _caption(s: Summary) -> Iterator[str]:
         yield f"estimated: no truth is known of {', '.join(s['estimated'])}"
     if s["busy_machine"] is not None:
         yield s["busy_machine"]["words"]
+    yield from s.get("remarks", ())
 
 
 def _errors(s: Summary, config: Config) -> Iterator[_Row]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.safety import wiggle
+from robofleet.safety.distances import least_room_m, room_m
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import faults_told
 from robofleet.safety.rounds import rounds, within
@@ -30,7 +31,6 @@ _CLEAR_NS = 1_000_000_000
 _PROOF_NS = 60_000_000_000  # a minute: longer, and somebody may have carried a robot away and brought another one
 _CHARGE = 0.2
 _FREE_BYTES = 200_000_000
-_MARGIN_M = 0.01  # between two bodies, and from a wall, wherever a wiggle may lead
 
 
 class Stage(IntEnum):
@@ -56,6 +56,7 @@ class ArmingState(NamedTuple):
         return self.wiggle.strokes[row] if row < len(self.wiggle.strokes) else wiggle.STAND
 
 
+Room = Callable[[float], float]  # of a robot's wiggle, by its wheel radius [m]
 Jam = Callable[[tuple[tuple[float, float, float], ...]], Reason | None]
 
 
@@ -69,11 +70,6 @@ class ArmingSettings(NamedTuple):
     arena: tuple[float, float]  # [m]
     solids: tuple[Solid, ...] = ()  # obstacles, and what lies outside the floor
     jam: Jam = lambda _: None  # who of the members, at these poses, would not get past whom; None: everybody would
-
-
-def free_m(wheel_radius: float) -> float:
-    """Return the room that a robot's wiggle must have between its body and another one, a wall or an obstacle [m]."""
-    return _MARGIN_M + wiggle.room_m(wheel_radius)
 
 
 def begin(now_ns: int) -> ArmingState:
@@ -173,12 +169,12 @@ def _silent(now_ns: int, heard_ns: int) -> bool:
     return now_ns - heard_ns >= _SILENT_NS
 
 
-def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
+def _cramped(settings: ArmingSettings, view: FleetView, room: Room = least_room_m) -> Happening | None:
     """Return who stands outside, or where a wiggle that goes wrong may end at somebody, at a wall or at an obstacle.
 
     A bystander does not wiggle: it may stand at the wall, beyond it, and beside another one.
     """
-    at, free = np.array([robot.pose[:2] for robot in view.robots]), _free(settings, view)
+    at, free = np.array([robot.pose[:2] for robot in view.robots]), _free(settings, view, room)
     bodies, floor = np.array(settings.body_radius), [solid.floor for solid in settings.solids]
     away = distances(settings.solids, at) - bodies
     walls = (np.array(settings.arena) / 2.0 - np.abs(at)).min(axis=1) - bodies
@@ -192,18 +188,25 @@ def _cramped(settings: ArmingSettings, view: FleetView) -> Happening | None:
     return Happening(Event.TOO_CLOSE, *map(int, pairs[close.argmax()])) if close.any() else None
 
 
-def _rounds(settings: ArmingSettings, view: FleetView) -> tuple[tuple[int, int], ...]:
+def _begin_wiggle(settings: ArmingSettings, view: FleetView) -> Wiggle:
+    """Return its first state: along an arc where all have the room, else on the spot."""
+    on_the_spot = _cramped(settings, view, room_m) is not None
+    apart = _rounds(settings, view, least_room_m if on_the_spot else room_m)
+    return wiggle.begin(view, apart, on_the_spot=on_the_spot)
+
+
+def _rounds(settings: ArmingSettings, view: FleetView, room: Room) -> tuple[tuple[int, int], ...]:
     """Return in which rounds each robot wiggles: two that have no room for both never at once."""
-    free = _free(settings, view)
+    free = _free(settings, view, room)
     pairs, gaps = _gaps(settings, view, free)
     close = (gaps < free[pairs].sum(axis=1)) & (pairs[:, 1] < view.driven)
     return rounds(view.driven, pairs[close].tolist())
 
 
-def _free(settings: ArmingSettings, view: FleetView) -> NDArray[np.float64]:
+def _free(settings: ArmingSettings, view: FleetView, room: Room) -> NDArray[np.float64]:
     """Return the room that each robot's wiggle must have: none, where it does not wiggle [m]."""
     driven = view.driven
-    return np.array([free_m(radius) if row < driven else 0.0 for row, radius in enumerate(settings.wheel_radius)])
+    return np.array([room(radius) if row < driven else 0.0 for row, radius in enumerate(settings.wheel_radius)])
 
 
 def _gaps(
@@ -235,6 +238,6 @@ def _drill(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tup
         late = waited_ns >= _ANSWER_NS
         return state, Happening(Event.ESTOP_UNANSWERED, latched.index(False)) if late else None
     if not any(latched):
-        return ArmingState(Stage.WIGGLE, view.now_ns, wiggle=wiggle.begin(view, _rounds(settings, view))), None
+        return ArmingState(Stage.WIGGLE, view.now_ns, wiggle=_begin_wiggle(settings, view)), None
     late = waited_ns >= _CLEAR_NS
     return state, Happening(Event.GATE_LATCHED, latched.index(True), Latch.DRILL) if late else None

@@ -33,18 +33,15 @@ keeps h >= 0. A robot that is not seen for longer grows by its top speed until i
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
 from robofleet.safety import deadlock, solid_rows
+from robofleet.safety.distances import Body, Keepout, believed_for, from_edge
 from robofleet.safety.neighbours import around, sorted_into_cells
 from robofleet.vehicles import differential_drive, solids
-from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.solids import Solid
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
@@ -66,56 +63,6 @@ _OBSTACLE, _asks, _answer, _watch = deadlock.OBSTACLE, deadlock.asks, deadlock.a
 _is_blocked = deadlock.is_blocked
 
 
-@dataclass(frozen=True)
-class Keepout:
-    """What the barrier keeps."""
-
-    gap: float  # between two bodies [m]
-    ahead: float  # of the point q in front of the axle [m]
-    rate: float  # gamma: how fast a distance may be used up [1/s]
-    pose_error: float  # of an estimated pose [m]
-    age: float  # of the newest image at a tick, at most [s]
-    lost_after: float  # then a robot that is not seen is made to stand [s]
-    point_ahead: float  # l: of the point whose velocity is changed least [m]
-    tick: float  # control step [s]
-    arena: tuple[float, float]  # size [m]
-    solids: tuple[Solid, ...] = ()  # obstacles, and what lies outside a floor that is a polygon
-
-
-class Body(NamedTuple):
-    """One robot: its drive, its disc [m], and from a tick to when its command acts [s]."""
-
-    drive: DifferentialDrive
-    radius: float
-    delay: float
-
-
-def apart(keepout: Keepout, one: Body, other: Body) -> float:
-    """Return D: the least distance of two robots' points q, one of which has its top speed [m]."""
-    believed = max(b.drive.max_speed * _believed_for(keepout, b) for b in (one, other))
-    return apart_at_rest(keepout, one, other) + believed
-
-
-def apart_at_rest(keepout: Keepout, one: Body, other: Body) -> float:
-    """Return the least distance of the points q of two robots that stand [m]."""
-    return one.radius + other.radius + keepout.gap + 2 * (keepout.ahead + keepout.pose_error)
-
-
-def _believed_for(keepout: Keepout, body: Body) -> float:
-    """Return for how long a robot is believed to drive that in truth stands [s]."""
-    return keepout.age + body.delay + body.drive.motor_lag
-
-
-def from_edge(keepout: Keepout, body: Body) -> float:
-    """Return the least distance of a robot's point q from the arena's edge [m]."""
-    return body.radius + keepout.ahead + keepout.pose_error
-
-
-def from_solid(keepout: Keepout, body: Body, solid: Solid) -> float:
-    """Return the least distance of a robot's point q from an obstacle, or from the edge of the floor [m]."""
-    return from_edge(keepout, body) + (0.0 if solid.floor else keepout.gap)
-
-
 def _fastest(keepout: Keepout, body: Body) -> float:
     """Return what no point q of such a robot exceeds [m/s]."""
     d = body.drive
@@ -134,12 +81,12 @@ class Barrier:
         self._bodies = np.array(
             [
                 (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
-                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), _believed_for(keepout, b), b.radius)
+                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), believed_for(keepout, b), b.radius)
                 for b in bodies
             ]
         )  # fmt: skip
         self._between = keepout.gap, 2 * (keepout.ahead + keepout.pose_error)  # beside two discs, as apart_at_rest
-        longest = max(_believed_for(keepout, body) for body in bodies)
+        longest = max(believed_for(keepout, body) for body in bodies)
         fastest = [[body.drive.max_speed] for body in bodies]  # as long as nothing is known of their commands
         self._lately = np.repeat(np.array(fastest), math.ceil(longest / keepout.tick) + 1, axis=1)  # speeds asked for
         self._half = np.array(keepout.arena) / 2
@@ -221,7 +168,7 @@ def _filter(
         if len(rings) > 0:
             fast = bodies[i, _FASTEST]
             first = _solid_rows(rows, first, stops[i], edges, rings[:floors], margin, rate, fast, back)
-            count = _solid_rows(rows, first, stops[i], edges, rings[floors:], margin + between[0], rate, fast, back)
+            count = _solid_rows(rows, first, stops[i], edges, rings[floors:], margin, rate, fast, back)
             whose[first:count] = _OBSTACLE
         for k in range(others):
             j = found[k]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robofleet.safety import runaway
+from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.gate import Latch
 from robofleet.safety.runaway import Rolling
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
@@ -35,7 +36,6 @@ OVERRUNS = 3  # in a row: 132 ms without a command, more than a gate waits; so t
 LATE_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
 LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
-CLOSEST_M = 0.005  # between two bodies: the barrier keeps far more, so it has failed
 STALLED_RAD_S = 2.0  # of a command: three times what a wheel of the worst shipped robot needs to start from rest
 STALLED_NS = _S  # a motor's lag (0.25 s), and a reading as old as one may be (0.5 s)
 INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or something must be moved by hand

@@ -12,7 +12,7 @@ sees by itself that the dead-man's button is held, and for which robot. It permi
   run was held moves nothing.
 """
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from typing import NamedTuple
 
 from robofleet.safety.gate import Latch
@@ -30,7 +30,7 @@ _LASTING = frozenset({Event.TOO_CLOSE})  # why a robot is to be driven out; the 
 class Word(NamedTuple):
     """A person's command."""
 
-    hand: int  # drawn when the person's computer began; nobody else has it
+    hand: Hashable  # the sender, as the router knows it, and its epoch
     held: bool  # the dead-man's button
     robot: int  # row of the one that is to be driven out; NOBODY: that is not what it commands
     asked: Event  # by which way the person commands
@@ -43,7 +43,7 @@ class Rescue(NamedTuple):
     word: Word | None = None  # newest of a hand that holds its button
     heard_ns: int = NEVER  # when it came
     pressed: bool = False  # its button was pressed in this HOLD, and nothing took the permission back since
-    up: tuple[int, ...] = ()  # hands whose newest word said that the button is up, the newest last
+    up: tuple[Hashable, ...] = ()  # hands whose newest word said that the button is up, the newest last
     robot: int = NOBODY  # the one that may move at a crawl
     asked: Event = Event.NOTHING
 

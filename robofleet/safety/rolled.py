@@ -72,7 +72,8 @@ def gain_fault(leg: Leg) -> Diagnosis | None:
     """Return that the robot, or one of its wheels, rolls another distance than believed."""
     counts = any(leg.counted)
     expected = leg.counted if counts else leg.asked
-    mean, one = sum(leg.rolled) / sum(expected), _furthest(leg.rolled, expected)
+    along = sum(math.copysign(1.0, b) * a for a, b in zip(leg.rolled, expected, strict=True))  # each as it was told
+    mean, one = along / sum(map(abs, expected)), _furthest(leg.rolled, expected)
     if abs(mean - 1.0) > (_MEAN_GAIN if counts else _UNCOUNTED_GAIN):
         return Event.WRONG_GAIN, mean
     return (Event.WRONG_GAIN, one) if abs(one - 1.0) > (_WHEEL_GAIN if counts else _UNCOUNTED_GAIN) else None

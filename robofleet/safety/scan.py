@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
 from robofleet.safety import monitor, runaway
+from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.monitor import Memory, MonitorSettings, Suspects
 from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.view import NEVER, FleetView
 from robofleet.vehicles.solids import away, outlines
 
-_SILENT_NS, _LATE_NS, _LOWEST_BATTERY, _CLOSEST_M, _STALLED_RAD_S, _TURNING_RAD_S = (
-    monitor.SILENT_NS, monitor.LATE_NS, monitor.LOWEST_BATTERY, monitor.CLOSEST_M, monitor.STALLED_RAD_S,
-    runaway.TURNING_RAD_S,
-)  # fmt: skip
+_SILENT_NS, _LATE_NS, _LOWEST_BATTERY = monitor.SILENT_NS, monitor.LATE_NS, monitor.LOWEST_BATTERY
+_CLOSEST_M, _STALLED_RAD_S, _TURNING_RAD_S = CLOSEST_M, monitor.STALLED_RAD_S, runaway.TURNING_RAD_S
 _NEVER, _NOBODY = NEVER, np.uint64(0)
 _S = 1e9
 _MORE_M = 1e-9  # what rounding may hide: the monitor decides

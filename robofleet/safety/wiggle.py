@@ -3,6 +3,10 @@
 Many robots wiggle at once, round by round (``rounds.py``): in a round some do one stroke, and all others must stand.
 A stroke tells the wheels apart (``rolled.py``). It is short in time and room, and both end where the first began. A tag
 that moves though its robot must stand stops everybody at once; who moved it is told by where all have come to rest.
+
+Where some robot has no room for the arc, all turn on the spot instead: an exchange makes one robot do another one's
+stroke. A healthy robot hardly leaves its place then; one of whose wheels is stuck or reversed leaves it slowly, and is
+stopped. The slower and shorter stroke needs more images for the same certainty.
 """
 
 import math
@@ -26,13 +30,26 @@ class Stroke(NamedTuple):
     left: float
     right: float
 
+    @property
+    def on_the_spot(self) -> bool:
+        """Whether the wheels turn against each other."""
+        return self.left * self.right < 0.0
+
 
 PROBE_RAD_S = 6.0
-STROKES = (Stroke(0.0, 0.0), Stroke(1.0, 0.6), Stroke(-1.0, -0.6))  # stand, forth, back
-STAND, FORTH, BACK = 0, 1, 2
+STROKES = (
+    Stroke(0.0, 0.0),
+    Stroke(1.0, 0.6),
+    Stroke(-1.0, -0.6),
+    Stroke(-0.7, 1.0),
+    Stroke(0.7, -1.0),
+)  # stand; an arc forth, and back; a turn to the left, and back
+STAND, FORTH, BACK, LEFT, RIGHT = range(5)
 
 _STROKE_NS = 240_000_000  # six periods of the supervisor
-_IMAGES = 3  # of a robot that stands
+_TURN_M, _TURN_M_S = 0.012, 0.016  # what a wheel rolls on the spot, and how fast: the barrier lets robots creep so
+_TURN_NS = round(_TURN_M / _TURN_M_S * 1e9)
+_IMAGES, _TURN_IMAGES = 3, 12  # of a robot that stands
 _SETTLE_NS = 100_000_000  # after a stroke's end: no command of it is on its way any more
 _COAST_NS = 400_000_000  # of a robot that cannot tell whether its wheels rest
 _NO_START_NS = 1_000_000_000
@@ -41,6 +58,7 @@ _NO_IMAGE_NS = 2_000_000_000
 _MOVED_M, _MOVED_RAD = 0.006, 0.05  # of a robot that stands: ten sigmas of noise, a third of what a stroke gives
 _STILL = 1.0 / 3.0  # a tag that rolled less of what its robot's wheels were told was not moved by them
 _MOST = 1.5  # of what a stroke should take it: then the wiggle is stopped at once
+_TURN_MOVED_M = 0.002  # and so much more on the spot: six sigmas of noise
 _SILENT_RAD = 1e-3  # a wheel that counted less counted nothing
 
 
@@ -88,6 +106,7 @@ class Wiggle:
     """Where the wiggle is. Instants on the supervisor's clock [ns]."""
 
     rounds: tuple[tuple[int, int], ...] = ()  # of each driven robot: when it goes forth, and when back
+    on_the_spot: bool = False  # all turn instead of going along an arc
     round: int = -1  # below 0 all are looked at first
     strokes: tuple[int, ...] = ()  # of each driven robot: index in STROKES of what it must do now
     tried: Mapping[int, Start] = field(default_factory=dict)  # in this round
@@ -105,23 +124,35 @@ class Wiggle:
         return self.round > max((back for _, back in self.rounds), default=-1)
 
 
-def travel_m(wheel_radius: float) -> float:
+def probe_speeds(stroke: int, wheel_radius: float) -> Wheels:
+    """Return how fast a stroke asks the wheels of a robot to turn [rad/s]."""
+    shares = STROKES[stroke]
+    speed = min(PROBE_RAD_S, _TURN_M_S / wheel_radius) if shares.on_the_spot else PROBE_RAD_S
+    return shares.left * speed, shares.right * speed
+
+
+def travel_m(wheel_radius: float, stroke: int = FORTH) -> float:
     """Return how far a stroke takes a robot [m]."""
-    left, right = STROKES[FORTH]
-    return wheel_radius * (left + right) / 2.0 * PROBE_RAD_S * _STROKE_NS * 1e-9
+    return wheel_radius * abs(sum(probe_speeds(stroke, wheel_radius))) / 2.0 * _time_ns(stroke) * 1e-9
 
 
-def room_m(wheel_radius: float) -> float:
+def room_m(wheel_radius: float, stroke: int = FORTH) -> float:
     """Return how far a robot may get before the wiggle is stopped [m]."""
-    return _MOST * travel_m(wheel_radius) + _MOVED_M
+    more = _TURN_MOVED_M if STROKES[stroke].on_the_spot else _MOVED_M
+    return _MOST * travel_m(wheel_radius, stroke) + more
 
 
-def begin(view: FleetView, rounds: tuple[tuple[int, int], ...]) -> Wiggle:
+def _time_ns(stroke: int) -> int:
+    return _TURN_NS if STROKES[stroke].on_the_spot else _STROKE_NS
+
+
+def begin(view: FleetView, rounds: tuple[tuple[int, int], ...], *, on_the_spot: bool = False) -> Wiggle:
     """Return the first state: everybody stands and is looked at. ``rounds`` are those of each driven robot."""
     n = len(view.robots)
     return Wiggle(
-        rounds, strokes=(STAND,) * len(rounds), means=Means.none(n), since_ns=view.now_ns, rest_tick=view.tick
-    )
+        rounds, on_the_spot, strokes=(STAND,) * len(rounds), means=Means.none(n), since_ns=view.now_ns,
+        rest_tick=view.tick,
+    )  # fmt: skip
 
 
 def step(
@@ -135,7 +166,7 @@ def step(
             return state, bad
         state = _look(_watch(state, view, poses), view, poses)
     if any(state.strokes):
-        return _drive(state, view)
+        return _drive(state, wheel_radius, view)
     if state.rest_tick is None:
         return _slow_down(state, wheel_radius, wheel_base, view)
     return _stand(state, wheel_radius, wheel_base, view)
@@ -149,13 +180,18 @@ def _bad_sign(
     state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView, poses: Array
 ) -> Happening | None:
     """Return what the newest image says against going on."""
+    stroke = LEFT if state.on_the_spot else FORTH
     for row, start in state.tried.items():
         travelled = math.dist(poses[row, :2], start.pose[:2])
-        if travelled > room_m(wheel_radius[row]):
-            return Happening(Event.WRONG_GAIN, row, travelled / travel_m(wheel_radius[row]))
+        if travelled > room_m(wheel_radius[row], stroke):
+            wrong = Event.WRONG_GAIN, travelled / travel_m(wheel_radius[row], stroke)
+            if state.on_the_spot:  # only a wheel that does not turn as it was told takes a robot far
+                leg = _leg(start, view.robots[row], poses[row], wheel_radius[row], wheel_base[row])
+                wrong = wiring_fault(leg) or wrong
+            return Happening(wrong[0], row, wrong[1])
     if state.stood is not None:
         row = state.strange
-        if math.dist(poses[row, :2], state.stood.poses[row, :2]) > room_m(wheel_radius[row]):
+        if math.dist(poses[row, :2], state.stood.poses[row, :2]) > room_m(wheel_radius[row], stroke):
             return _blamed(state, wheel_radius, wheel_base, view)
     if state.round < 0 and (moved := state.means.moved(poses)).any():
         return Happening(Event.NOT_AT_REST, int(moved.argmax()))
@@ -185,14 +221,15 @@ def _look(state: Wiggle, view: FleetView, poses: Array) -> Wiggle:
     return replace(state, means=state.means.add(poses, seen), image=view.image)
 
 
-def _drive(state: Wiggle, view: FleetView) -> tuple[Wiggle, Happening | None]:
+def _drive(state: Wiggle, wheel_radius: tuple[float, ...], view: FleetView) -> tuple[Wiggle, Happening | None]:
     """Until the stroke's time is over; whom commands reach late gets more of it."""
-    driven_ns = view.now_ns - state.since_ns
-    if driven_ns < _STROKE_NS:
+    driven_ns, stroke = view.now_ns - state.since_ns, LEFT if state.on_the_spot else FORTH
+    if driven_ns < _time_ns(stroke):
         return state, None
     strokes = list(state.strokes)
     for row, start in state.tried.items():
-        if max(map(abs, _asked(start, view.robots[row]))) >= 0.5 * PROBE_RAD_S * _STROKE_NS * 1e-9:
+        fastest = max(map(abs, probe_speeds(stroke, wheel_radius[row])))
+        if max(map(abs, _asked(start, view.robots[row]))) >= 0.5 * fastest * _time_ns(stroke) * 1e-9:
             strokes[row] = STAND
     if any(strokes):
         late = next(row for row, stroke in enumerate(strokes) if stroke)
@@ -227,7 +264,7 @@ def _stand(
     state: Wiggle, wheel_radius: tuple[float, ...], wheel_base: tuple[float, ...], view: FleetView
 ) -> tuple[Wiggle, Happening | None]:
     """Until there are images enough; then judge, and go on with the next round."""
-    few = state.means.images < _IMAGES
+    few = state.means.images < (_TURN_IMAGES if state.on_the_spot else _IMAGES)
     late, strange = view.now_ns - state.since_ns >= _NO_IMAGE_NS, state.strange != NOBODY
     if strange and (late or not few.any()):
         return state, _blamed(state, wheel_radius, wheel_base, view)
@@ -235,9 +272,7 @@ def _stand(
         return state, Happening(Event.TAG_LOST, int(few.argmax())) if late else None
     forth = dict(state.forth)
     for row, start in sorted(state.tried.items()):
-        robot, (x, y, psi) = view.robots[row], state.means.poses[row].tolist()
-        way = rolled(start.pose, (x, y, psi), wheel_radius[row], wheel_base[row])
-        leg = Leg(_asked(start, robot), _counted(start, robot), way)
+        leg = _leg(start, view.robots[row], state.means.poses[row], wheel_radius[row], wheel_base[row])
         fault = wiring_fault(leg)
         if row in forth:
             fault = fault or gain_fault(mean_of(forth.pop(row), leg))
@@ -251,7 +286,8 @@ def _stand(
 def _next(state: Wiggle, view: FleetView) -> Wiggle:
     """Begin the next round."""
     this = state.round + 1
-    strokes = tuple(FORTH if this == forth else BACK if this == back else STAND for forth, back in state.rounds)
+    first, last = (LEFT, RIGHT) if state.on_the_spot else (FORTH, BACK)
+    strokes = tuple(first if this == forth else last if this == back else STAND for forth, back in state.rounds)
     tried = {row: _start(state, row, view.robots[row]) for row, stroke in enumerate(strokes) if stroke}
     return replace(
         state, round=this, strokes=strokes, tried=tried, since_ns=view.now_ns, rest_tick=None if tried else view.tick
@@ -261,6 +297,11 @@ def _next(state: Wiggle, view: FleetView) -> Wiggle:
 def _start(state: Wiggle, row: int, robot: RobotView) -> Start:
     x, y, psi = state.means.poses[row].tolist()
     return Start((x, y, psi), (robot.left_angle, robot.right_angle), (robot.left_told, robot.right_told))
+
+
+def _leg(start: Start, robot: RobotView, pose: Array, radius: float, base: float) -> Leg:
+    x, y, psi = pose.tolist()
+    return Leg(_asked(start, robot), _counted(start, robot), rolled(start.pose, (x, y, psi), radius, base))
 
 
 def _asked(start: Start, robot: RobotView) -> Wheels:

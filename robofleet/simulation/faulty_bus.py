@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Answer, Arrival, Bus, Publish, Request, Stream, Subscription, Wake
+from robofleet.comms.bus import Answer, Arrival, Bus, BySender, Publish, Request, Stream, Subscription, Wake
 from robofleet.comms.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named, said_by
 from robofleet.comms.layouts import ListLayout
 from robofleet.comms.messages import TICK_RECORD, UNIT_TRUTH
@@ -62,9 +62,22 @@ class FaultyBus:
         self._bus.listen(topic, name, subscription.put)
         return subscription
 
+    def newest_by_sender(self, topic: Topic, name: str) -> BySender:
+        """Subscribe to a topic that tells senders apart."""
+        fate = _Fate(self._schedule, self._process, topic, name, self._cuts(topic, name))
+        if fate.harmless and self._simulated_router and not self._clock_steps:
+            return self._bus.newest_by_sender(topic, name)
+        senders = BySender(lambda: _FaultySubscription(self._schedule, topic, fate, None, self._ahead_ns))
+        self._bus.listen_by_sender(topic, name, senders.put)
+        return senders
+
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Pass every message on as it arrives."""
         self._bus.listen(topic, name, put)
+
+    def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
+        """Pass every message on as it arrives."""
+        self._bus.listen_by_sender(topic, name, put)
 
     def stream(self, *expressions: str, capacity: int) -> Stream:
         """Subscribe to one key; of a simulated world no network lies between."""

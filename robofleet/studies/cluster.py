@@ -2,7 +2,9 @@
 
 import logging
 import os
+import secrets
 import socket
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -13,6 +15,7 @@ from robofleet.studies.engine import WORKER_DIED, Finished, Results, attempt
 _PATIENCE_S = 5.0  # for the address to be reached
 _AGAIN = 1  # tries of a unit whose worker died
 _TOKEN = "it may ask for a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN to the cluster's, in both places"
+_ALL_INTERFACES = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"  # "0": Ray listens on loopback alone, as it does on a Mac
 _AHEAD = 2  # tasks under way for each processor of the cluster
 
 Item = TypeVar("Item")
@@ -55,24 +58,49 @@ class Cluster:
 def cluster(address: str, jobs: int | None) -> Iterator[Cluster]:
     """Connect to the cluster at ``HOST:PORT``; to a new one on this machine where that is empty."""
     need_extra("ray", "ray")
-    if address:
-        _reach(address)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a laboratory's runs are nobody else's business
-    import ray  # noqa: PLC0415
+    with _of_others(address) if address else _own(jobs or len(os.sched_getaffinity(0))) as ray:
+        cores = round(ray.cluster_resources().get("CPU", 1))
+        yield Cluster(min(jobs or cores, cores))
 
-    quiet: Any = {"log_to_driver": False, "logging_level": logging.ERROR}
+
+@contextmanager
+def _of_others(address: str) -> Iterator[Any]:
+    """Connect to a cluster that is there."""
+    _reach(address)
+    with _started(f"ray://{address}", _TOKEN, address=f"ray://{address}") as ray:
+        yield ray
+
+
+@contextmanager
+def _own(cores: int) -> Iterator[Any]:
+    """Start Ray on this machine for this command alone. Whoever reaches Ray has it run any program as this user.
+
+    So it listens on loopback, asks other users of this machine for a token, and keeps its sockets in a private folder.
+    """
+    os.environ[_ALL_INTERFACES] = "0"
+    os.environ["RAY_AUTH_MODE"] = "token"
+    os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    with (
+        tempfile.TemporaryDirectory(prefix="rf-ray-", ignore_cleanup_errors=True) as folder,
+        _started("ray", "try --on local", address="local", num_cpus=cores, include_dashboard=False, _temp_dir=folder)
+        as ray,
+    ):  # fmt: skip
+        yield ray
+
+
+@contextmanager
+def _started(where: str, mend: str, **options: Any) -> Iterator[Any]:
+    """Yield Ray, initialised; RefusedError in one line where it does not start."""
+    import ray  # noqa: PLC0415 - an extra
+
     try:
-        if address:
-            ray.init(f"ray://{address}", **quiet)
-        else:
-            cores = jobs or len(os.sched_getaffinity(0))
-            ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
-        cores = round(ray.cluster_resources().get("CPU", 1))  # type: ignore[no-untyped-call]
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        where, mend = (f"ray://{address}", _TOKEN) if address else ("ray", "try --on local")
+        ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
+    except Exception as error:
+        ray.shutdown()
         raise RefusedError(f"--on: {where} cannot be used: {' '.join(str(error).split())}: {mend}") from error
     try:
-        yield Cluster(min(jobs or cores, cores))
+        yield ray
     finally:
         ray.shutdown()
 

@@ -5,6 +5,7 @@ schedules nothing itself, and keeps few units under way, so that whoever ends it
 raises, or whose worker dies, is named and ends nothing else.
 """
 
+import faulthandler
 import gc
 import os
 import signal
@@ -25,7 +26,9 @@ LOCAL, RAY = "local", "ray"
 WORKER_DIED = "its worker process died (out of memory, or killed)"
 
 _AHEAD = 2  # units under way for each worker: one that works, one that waits
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # of a worker: there is one for each core
+_ENVIRONMENT = {  # of a worker: there is one for each core, and modules of the current folder are no worker's
+    "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1",
+}  # fmt: skip
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -122,8 +125,8 @@ def _through(
 def _pool(work: Callable[[Any], Any], jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Open a pool whose workers end with us: whatever is under way when this is left is not waited for."""
     others = set(active_children())
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
+    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
+    os.environ.update(_ENVIRONMENT)
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (work, list(sys.path)))
     finished = False
     try:
@@ -145,6 +148,7 @@ def _begin(work: Callable[[Any], Any], path: list[str]) -> None:
     """Be a worker: Ctrl-C is for the one who started it, and without that one it ends."""
     global _work  # noqa: PLW0603 - a worker is its work
     _work = work
+    faulthandler.enable()  # one that crashes says where
     gc.freeze()  # what was loaded for it stays: no collector need look there
     sys.path[:] = path
     signal.signal(signal.SIGINT, signal.SIG_IGN)

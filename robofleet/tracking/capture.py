@@ -5,6 +5,7 @@ process of its own asks first; only a system that answered it is opened here.
 """
 
 import json
+import signal
 import subprocess
 import sys
 import threading
@@ -106,13 +107,16 @@ def bodies_there(settings: MocapSettings) -> list[str]:
     where = f"{settings.system} at {settings.host}"
     try:
         asked = subprocess.run(
-            [sys.executable, "-c", _ASK], input=given, capture_output=True, text=True, timeout=_ANSWER_S, check=False
-        )
+            [sys.executable, "-P", "-c", _ASK], input=given, capture_output=True, text=True, check=False,
+            timeout=_ANSWER_S,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         mend = "start its streaming, and compare tracker.mocap.host with its address"
         raise CameraError(f"{where} sends nothing within {_ANSWER_S:g} s: {mend}") from None
     if asked.returncode:
-        why = (asked.stderr.strip().splitlines() or [f"exit code {asked.returncode}"])[-1]
+        code = asked.returncode
+        ended = f"exit code {code}" if code > 0 else f"killed by {signal.Signals(-code).name}"
+        why = (asked.stderr.strip().splitlines() or [ended])[-1]
         raise CameraError(f"{where}: the library {LIBRARY} says: {why.partition(': ')[2] or why}: mend tracker.mocap")
     names: list[str] = json.loads(asked.stdout.splitlines()[-1])
     if not names:

@@ -122,6 +122,45 @@ class Simulation:
     sensing: "Sensing | None" = None  # None: it senses no more than its wheels
 
 
+@dataclass(frozen=True, kw_only=True)
+class WorldRobot:
+    """A robot of a run, as the configuration has it."""
+
+    robot: str  # id
+    unit: str  # of the driver process that drives it: robots of one unit share a process
+    drive: DifferentialDrive  # as believed
+    radius: float  # of the smallest disc, about the middle of the axle, that covers it [m]
+    start: tuple[float, float, float] | None  # x, y [m], psi [rad] of the axle's middle; world; None: not known
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldObstacle:
+    """Something on the floor that does not move: a disc about its only point, or a polygon."""
+
+    name: str
+    points: tuple[tuple[float, float], ...]  # corners, counter-clockwise; of a disc its middle [m; world]
+    radius: float  # of a disc [m]; 0 for a polygon
+    height: float  # [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """Everything that stands in the arena: what a driver that simulates physics builds its world from.
+
+    World frame: origin at the arena's centre on the floor, x along ``size[0]``, y to the left, psi CCW from x.
+    """
+
+    size: tuple[float, float]  # of the arena along x and y [m]
+    floor: tuple[tuple[float, float], ...] | None  # the floor's corners [m]; None: the whole rectangle
+    robots: tuple[WorldRobot, ...]  # all of the run, the driver's own too, in the configuration's order
+    obstacles: tuple[WorldObstacle, ...]
+
+    def unit(self, robot: str) -> tuple[WorldRobot, ...]:
+        """Return the robots of one robot's driver process; KeyError where there is no such robot."""
+        units = {each.robot: each.unit for each in self.robots}
+        return tuple(each for each in self.robots if each.unit == units[robot])
+
+
 @dataclass(frozen=True)
 class DriverContext:
     """What a driver is made from."""
@@ -132,6 +171,7 @@ class DriverContext:
     now_ns: Callable[[], int]  # the process's clock
     settings: Any = None  # robots[].settings as the driver's own ``Settings``; None where its class has none
     sensors: "SensorKind | None" = None  # the sensors that ``read`` is to tell of; None: nobody asks for any
+    world: World | None = None  # the other robots and the obstacles; None: the driver is made outside a run
 
 
 class DriverError(Exception):
@@ -150,6 +190,10 @@ class Driver(Protocol):
     ``refusals(settings, drive)`` that returns what cannot work as (dotted path below the robot, what is wrong and how
     to mend it): ``robofleet check`` asks it before anything is opened. It may say ``body_faults = True``, where
     ``context.simulation.trouble`` acts on its robot: faults of a body are refused for every other one.
+
+    Drivers are constructed one after the other, in the configuration's order. A class may say ``concurrent = True``:
+    then ``robofleet check`` and ``run`` construct it in a thread of its own, at once with others, so that boards that
+    take seconds to start are waited for together. It must share nothing with other drivers: no world, no device.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:
@@ -160,6 +204,11 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Motors off. Idempotent."""
+
+
+def is_concurrent(kind: type) -> bool:
+    """Return whether drivers of a class may be constructed at once."""
+    return bool(getattr(kind, "concurrent", False))
 
 
 @runtime_checkable

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from robofleet.behaviours.excitation import Excitation
 from robofleet.behaviours.interface import Flow, Situation, Team
 from robofleet.control import wheels
-from robofleet.safety.barrier import Body, Keepout
+from robofleet.safety.distances import Body, Keepout
 from tests.robots import GTERNAL
 
 Array = NDArray[np.float64]

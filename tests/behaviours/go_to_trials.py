@@ -57,12 +57,14 @@ class Trial:
 
 
 @cache
-def configuration(robots: int) -> Config:
-    """Return a configuration with so many robots."""
+def configuration(robots: int, *changes: str) -> Config:
+    """Return a configuration with so many robots, and changes of it."""
     names = [f"r{k}" for k in range(1, robots + 1)]
     start = "start: {x_m: 0, y_m: 0, heading_deg: 0}"
     listed = [f"{{id: {name}, tag: {k}, vehicle: gternal, {start}}}" for k, name in enumerate(names)]
-    return load_config(CONFIGURATION, [f"robots=[{', '.join(listed)}]", f"groups.0.robots=[{', '.join(names)}]"])
+    return load_config(
+        CONFIGURATION, [f"robots=[{', '.join(listed)}]", f"groups.0.robots=[{', '.join(names)}]", *changes]
+    )
 
 
 def places(config: Config, count: int, rng: np.random.Generator) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 
 from robofleet.behaviours import Behaviour, Decision, Flow, Past, Situation, Team
 from robofleet.behaviours.interface import Array, Pose
-from robofleet.safety.barrier import Body, Keepout
+from robofleet.safety.distances import Body, Keepout
 from robofleet.vehicles.differential_drive import (
     arc,
     body_from_point,

@@ -1,7 +1,7 @@
 """go_to: robots come to their poses in spite of what happens, and what cannot be is refused."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from robofleet.behaviours.go_to import GoTo
-from robofleet.behaviours.interface import Situation, Team
+from robofleet.behaviours.interface import Past, Situation, Team
 from robofleet.config import groups
 from robofleet.safety.supervisor import Event
 from robofleet.vehicles.differential_drive import arc, feasible_ratio, wheels_from_body
-from tests.behaviours.go_to_trials import configuration, go
+from tests.behaviours.go_to_trials import configuration, go, places
 
 Array = np.ndarray
 Poses = list[tuple[float, float, float]]
@@ -94,6 +94,46 @@ def test_who_is_there_stays_there() -> None:
     floor = Floor(made(CROSSING), CROSSING)
     assert floor.until(3.0)
     assert np.array_equal(floor.poses, CROSSING)
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_a_robot_that_comes_to_rest_elsewhere_than_its_model_is_corrected(seed: int) -> None:
+    """Its motors are half as quick as believed: so it coasts further."""
+    config, rng = configuration(1, "robots.0.vehicle.simulated.motor_lag_s=0.16"), np.random.default_rng(seed)
+    came = go(config, places(config, 1, rng), places(config, 1, rng), seed, 30.0)
+    assert came.arrived
+    assert came.position < 0.0025, "2 mm, and what the camera does not see"
+    assert came.heading < math.radians(1.2), "0.9 degrees, and as much"
+
+
+def test_who_cannot_be_as_accurate_as_it_should_is_left_where_it_is_after_a_while_and_named() -> None:
+    floor = Floor(made([(0.6, 0.0, 1.0)], heading_accuracy_deg=0.3, slowest_wheel_rad_s=2.0), [(-0.2, 0.0, 0.0)])
+    figures = []
+    while not floor.behaviour.arrived and floor.t < 25.0:
+        floor.tick()
+        figures.append([floor.figures[figure.name] for figure in GoTo.figures])
+    assert floor.behaviour.arrived
+    past = recorded(figures)
+    off = floor.behaviour.summary(past)["not_at_goal"]["r1"]
+    assert 0.3 < off["heading_error_deg"] < 0.6
+    assert off["distance_to_goal_mm"] < 2.0
+
+
+def test_nobody_is_named_where_all_are_at_their_goals() -> None:
+    at_goal = recorded([[(0.001, 0.0019), (0.01, 0.0), (0.0, 0.0)]] * 20)
+    assert made(CROSSING[:2]).summary(at_goal)["not_at_goal"] == {}
+    assert made(CROSSING[:2]).summary(recorded([[(np.nan,) * 2] * 3] * 20))["not_at_goal"] is None
+
+
+def recorded(figures: Sequence[Any]) -> Past:
+    """Return what became of a group of which nothing but its figures, (K, 3, N), is known."""
+    told = np.array(figures, dtype=np.float64)
+    ticks, robots = len(told), told.shape[2]
+    nowhere, known = np.full((ticks, robots, 3), np.nan), np.zeros(robots, dtype=np.bool_)
+    values = {figure.name: told[:, k] for k, figure in enumerate(GoTo.figures)}
+    counts = np.ones(ticks, dtype=np.bool_)
+    t = np.arange(ticks) * 0.033
+    return Past(t, nowhere, nowhere[..., :2], known, counts, counts, nowhere[..., :2], values)
 
 
 def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:

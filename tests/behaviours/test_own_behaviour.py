@@ -21,7 +21,7 @@ SWIRL = (CONFIGS / "swirl.yaml").read_text()
 def _own_paths(monkeypatch: pytest.MonkeyPatch) -> None:
     """Modules of one test are found by no other."""
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setenv("PYTHONPATH", "")
+    monkeypatch.delenv("ROBOFLEET_MODULES", raising=False)
 
 
 def laboratory(folder: Path, module: str, code: str = (CONFIGS / "mylab.py").read_text()) -> Path:
@@ -49,9 +49,10 @@ def test_it_is_found_beside_its_configuration_here_and_in_processes_started_from
     config = load_config(file)
     assert groups.kind(config.groups[0]).__module__ == "found_lab"
     assert config.groups[0].settings == {"radius_m": 0.5, "speed_m_s": 0.1}
-    child = [sys.executable, "-c", "import found_lab; print(found_lab.__file__)"]
+    found = "from robofleet.plugins import load; print(load('robofleet.behaviours', 'found_lab:Swirl').__module__)"
+    child = [sys.executable, "-c", f"{found}; import found_lab; print(found_lab.__file__)"]
     done = subprocess.run(child, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str(tmp_path / "lab" / "found_lab.py")
+    assert done.stdout.splitlines() == ["found_lab", str(tmp_path / "lab" / "found_lab.py")]
 
 
 def test_its_settings_are_judged_as_all_others(tmp_path: Path) -> None:

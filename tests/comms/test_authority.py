@@ -11,7 +11,8 @@ import pytest
 from robofleet.clock import utc_now
 from robofleet.comms import authority as authorities
 from robofleet.comms.authority import Authority, identities
-from robofleet.comms.credentials import Credentials, KeysError, session_id
+from robofleet.comms.credentials import KINDS, Credentials, KeysError, session_id
+from robofleet.comms.permissions import ROLES, UNIT
 
 ADDRESS = "192.168.1.10"
 
@@ -19,7 +20,7 @@ ADDRESS = "192.168.1.10"
 @pytest.fixture
 def lab(tmp_path: Path) -> Authority:
     """Return an arena's authority, with a router and a robot."""
-    made = Authority.create("lab", tmp_path / "lab")
+    made = Authority.create("lab", tmp_path / "lab", hosts=["lab.example"])
     made.issue("router", "router", addresses=[ADDRESS, "lab.example"])
     made.issue("r1", "unit")
     return made
@@ -65,10 +66,56 @@ def test_a_router_is_known_by_its_addresses_alone(lab: Authority) -> None:
         shaken(at(lab, "router"), at(lab, "r1"), "192.168.1.11")
 
 
-def test_a_robot_cannot_be_the_router(lab: Authority) -> None:
-    lab.issue("r2", "unit", addresses=[ADDRESS])
-    with pytest.raises(ssl.SSLCertVerificationError, match="mismatch"):
-        shaken(at(lab, "r2"), at(lab, "r1"))
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("router", "web")])
+def test_only_the_router_and_the_page_are_servers(lab: Authority, kind: str) -> None:
+    """Whatever else is called as the host is called, and whatever address it asks for."""
+    lab.issue("localhost", kind, addresses=[ADDRESS])
+    assert shaken(at(lab, "router"), at(lab, "localhost")) == "localhost"
+    for address in (ADDRESS, "localhost"):
+        with pytest.raises(ssl.SSLCertVerificationError, match="unsuitable certificate purpose"):
+            shaken(at(lab, "localhost"), at(lab, "r1"), address)
+
+
+def test_the_router_is_nobodys_client_and_the_page_is_both(lab: Authority) -> None:
+    lab.issue("web", "web", addresses=["192.168.1.11"])
+    assert shaken(at(lab, "web"), at(lab, "r1"), "192.168.1.11") == "r1"
+    assert shaken(at(lab, "router"), at(lab, "web")) == "web"
+    with pytest.raises(ssl.SSLError, match="unsuitable certificate purpose"):
+        shaken(at(lab, "web"), at(lab, "router"), "192.168.1.11")
+
+
+@pytest.mark.parametrize(
+    "address", ["example.com", "8.8.8.8", "2001:4860:4860::8888", "lab", "notlocal", "xlab.example"]
+)
+def test_an_authority_is_believed_for_private_networks_alone(lab: Authority, address: str) -> None:
+    """Whoever has its key: what it signs for others is refused by who trusts it, as browsers do."""
+    with pytest.raises(KeysError, match=f"`robofleet keys init lab --address {address}`"):
+        lab.issue("web", "web", addresses=["192.168.1.11", address])
+    assert "web" not in lab.entries()
+    with pytest.MonkeyPatch.context() as stolen:
+        stolen.setattr(Authority, "_refuse_not_permitted", lambda *_: None)
+        lab.issue("web", "web", addresses=[address])
+    with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
+        shaken(at(lab, "web"), at(lab, "r1"), address)
+
+
+@pytest.mark.parametrize(
+    "address", ["10.1.2.3", "172.16.0.9", "100.64.0.1", "169.254.7.7", "fd00::1", "fe80::1", "pi1.local", "lab.lan",
+                "a.b.internal", "x.home.arpa", "localhost"],
+)  # fmt: skip
+def test_a_page_on_a_private_network_is_believed(lab: Authority, address: str) -> None:
+    lab.issue("web", "web", addresses=[address])
+    assert shaken(at(lab, "web"), at(lab, "r1"), address) == "r1"
+
+
+def test_an_authority_is_believed_for_what_it_was_made_for(tmp_path: Path) -> None:
+    made = Authority.create("lab", tmp_path / "lab", hosts=["lab.example.edu", "198.51.100.7", "2001:db8::7"])
+    made.issue("r1", "unit")
+    for number, address in enumerate(("lab.example.edu", "198.51.100.7", "2001:db8::7", "page.lab.example.edu")):
+        made.issue(f"web{number}", "web", addresses=[address])
+        assert shaken(at(made, f"web{number}"), at(made, "r1"), address) == "r1"
+    with pytest.raises(KeysError, match=r"198\.51\.100\.8: the authority of lab signs for private networks alone"):
+        made.issue("other", "web", addresses=["198.51.100.8"])
 
 
 def test_nobody_joins_without_a_certificate(lab: Authority) -> None:
@@ -188,5 +235,9 @@ def test_a_damaged_authority_is_named(lab: Authority, name: str) -> None:
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "keys").write_text("no folder")
-    with pytest.raises(KeysError, match=r"keys.*: the keys of lab are kept there"):
+    with pytest.raises(KeysError, match=r"keys.*: keys are to be kept there"):
         Authority.create("lab", tmp_path / "keys" / "lab")
+
+
+def test_kinds_are_those_to_whom_something_is_permitted() -> None:
+    assert {*KINDS} == {UNIT, authorities.ROUTER, *ROLES}

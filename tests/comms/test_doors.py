@@ -17,7 +17,7 @@ import zenoh
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Request
-from robofleet.comms.keys import ASKED, LEASE, PICTURE, REQUEST, SAFE_REQUEST, STATE, STATUS, TOPICS, Topic, key
+from robofleet.comms.keys import ASKED, ESTOP, LEASE, PICTURE, REQUEST, SAFE_REQUEST, STATE, STATUS, TOPICS, Topic, key
 from robofleet.comms.living import RoleTakenError, alive_key
 from robofleet.comms.requests import asked, on
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
@@ -103,6 +103,22 @@ def test_a_stranger_who_answers_for_the_supervisor_is_not_believed(bus: Bus, wha
         assert ask(bus.operator, serve, what) == b"refused: so says the supervisor"
         assert set(heard) == {what}
     assert queryable is not None
+
+
+@pytest.mark.parametrize("what", [b"hold", b"status", b"resume", b"estop"])
+def test_a_flood_of_those_who_may_only_look_takes_no_place_of_an_operators_request(bus: Bus, what: bytes) -> None:
+    """Nor of anybody's emergency stop."""
+    arrived: list[int] = []
+    topic = SAFE_REQUEST if what == ESTOP else on(what)
+    takes = {its: bus.supervisor.serve(its, "supervisor", arrived.append) for its in (SAFE_REQUEST, REQUEST)}
+    until(lambda: arrived, lambda: bus.operator.ask(topic, "supervisor", what))
+    before, flood = len(arrived), key("lab", SAFE_REQUEST, "supervisor")
+    until(lambda: len(arrived) > before + 40, lambda: bus.witness.get(flood, lambda _: None, payload=b"hold"))
+    request = takes[topic]()
+    assert request is not None and request.payload == what
+    waiting = [request for _ in range(100) if (request := takes[SAFE_REQUEST]()) is not None]
+    assert {request.payload for request in waiting} <= {b"hold", ESTOP}
+    assert len(waiting) <= 32, "no flood fills the memory"
 
 
 def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_believed(bus: Bus) -> None:

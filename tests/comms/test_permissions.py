@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -21,10 +22,13 @@ from robofleet.comms.keys import (
     NOTE,
     REQUEST,
     SAFE_REQUEST,
+    TELEOP,
     TOPICS,
     WISH,
     Topic,
     key,
+    sender_key,
+    split,
 )  # fmt: skip
 from robofleet.comms.permissions import (
     ANSWERS,
@@ -32,6 +36,7 @@ from robofleet.comms.permissions import (
     HEARS,
     ROLES,
     SAYS,
+    SCRIPT,
     UNIT,
     Identity,
     access_control,
@@ -50,6 +55,7 @@ NAMES = {
     "request": ("supervisor", "tracker"),
     "group": ("left", "right"),
 }
+MALLORY = "mallory"  # another script
 CLOCK = WallClock()
 WITHIN_S = 5.0
 
@@ -59,13 +65,27 @@ def about(topic: Topic) -> tuple[str, ...]:
     return NAMES[topic.key.partition("/")[0]] if "{}" in topic.key else ("",)
 
 
-KEYS = {key(ARENA, topic, name): topic for topic in TOPICS if topic is not ALIVE for name in about(topic)}
+SENDERS = tuple(f"{role}/{name}/{session}" for role in ROLES for name in (role, MALLORY) for session in ("1f", "2e"))
+
+
+def full_keys(topic: Topic) -> Iterator[str]:
+    """Yield a topic's keys: where each sender has one of its own, those of every role, and of two of each role."""
+    for name in about(topic):
+        yield from (
+            [sender_key(ARENA, topic, name, sender) for sender in SENDERS]
+            if topic.by_sender
+            else [key(ARENA, topic, name)]
+        )
+
+
+KEYS = {full: topic for topic in TOPICS if topic is not ALIVE for full in full_keys(topic)}
 OPERATIONS = SAYS, HEARS, ASKS, ANSWERS
 
 
 class Net(NamedTuple):
     """A router that is reached by certificates, and who has one."""
 
+    local: str
     endpoint: str
     who: dict[str, Identity]
     authority: Authority
@@ -76,7 +96,8 @@ class Net(NamedTuple):
         own = Credentials.at(self.authority.folder, name)
         told = self.authority.entries()[name].newest
         session = session_id(told) if told.kind == UNIT else None
-        return ZenohBus(ARENA, self.endpoint, name, CLOCK, credentials=own, session=session)
+        role = name if told.kind == UNIT else told.kind
+        return ZenohBus(ARENA, self.endpoint, role, CLOCK, credentials=own, session=session)
 
 
 @pytest.fixture(scope="module", params=["tls", "quic"])
@@ -85,13 +106,14 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
     for name in (*UNITS, *ROLES):
         authority.issue(name, UNIT if name in UNITS else name, addresses=["127.0.0.1"])
+    authority.issue(MALLORY, SCRIPT)
     local, beyond = own_endpoint(), f"{request.param}/127.0.0.1:{free_port()}"
     who = identities(authority)
     network = Network([beyond], Credentials.at(authority.folder, ROUTER), access_control(ARENA, who))
     router = open_router(local, network)
     bus = ZenohBus(ARENA, local, "witness", CLOCK)
     try:
-        yield Net(beyond, {one.name: one for one in who}, authority, bus._session)
+        yield Net(local, beyond, {one.name: one for one in who}, authority, bus._session)
     finally:
         bus.close()
         router.close()
@@ -248,6 +270,34 @@ def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Ne
         seen.undeclare()
 
 
+def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> None:
+    """Whatever it sends, and however much: its messages have its own name, and a place beside the others'."""
+    with closing(ZenohBus(ARENA, net.local, "controller", CLOCK)) as controller, ExitStack() as stack:
+        programs, persons = (controller.newest_by_sender(topic, "left") for topic in (WISH, TELEOP))
+        first, second = (stack.enter_context(closing(net.joined(name))) for name in ("script", MALLORY))
+        sends, floods = (bus.publisher(WISH, "left") for bus in (first, second))
+        found: dict[str, bytes] = {}
+
+        def came(*texts: bytes) -> bool:
+            found.update(programs.take())
+            return sorted(found.values()) == sorted(texts)
+
+        assert until(lambda: (sends(b"first"), came(b"first"))[1])
+        (own,) = found
+        forged = [key(ARENA, topic, "left") for topic in (WISH, TELEOP)]
+        forged += [sender_key(ARENA, topic, "left", sender) for topic in (WISH, TELEOP) for sender in (own, *SENDERS)]
+        forged = [full for full in forged if f"/script/{MALLORY}/" not in full]
+        sends(b"newest")
+        for k in range(2000):
+            second._session.put(forged[k % len(forged)], b"forged")
+            floods(b"flood")
+        Tried(net, second._session, net.who[MALLORY])._marked("forged")
+        assert until(lambda: (floods(b"flood"), came(b"newest", b"flood"))[1])
+        assert found.pop(own) == b"newest"
+        assert [sender.rpartition("/")[0] for sender in found] == [f"script/{MALLORY}"]
+        assert not persons.take()
+
+
 def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     who = [*(Identity(unit, UNIT, unit) for unit in UNITS), *(Identity(role, role, role) for role in ROLES)]
     may = {(one.name, does): allowed(one, does) for one, does in product(who, OPERATIONS)}
@@ -258,12 +308,18 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     assert [one.name for one in who if request in may[one.name, ASKS]] == ["web", "operator"]
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
-    wishes = {key(ARENA, WISH, group) for group in NAMES["group"]}
-    assert [one.name for one in who if may[one.name, SAYS] & wishes] == ["web", "operator", "script"]
-    assert may["script", SAYS] - wishes == {key(ARENA, NOTE, group) for group in NAMES["group"]}
+    said = {
+        (name, topic): {full for full in may[name, SAYS] if KEYS[full] is topic} for name, _ in may for topic in TOPICS
+    }
+    assert [one.name for one in who if said[one.name, WISH]] == ["script"]
+    assert [one.name for one in who if said[one.name, TELEOP]] == ["web", "operator"], "a person's, and no program's"
+    for one, topic in product(who, (WISH, TELEOP)):
+        senders = {split(full)[1] for full in said[one.name, topic]}
+        assert all(sender.startswith(f"{one.role}/{one.name}/") for sender in senders), "nobody in another's name"
+    assert may["script", SAYS] - said["script", WISH] == {key(ARENA, NOTE, group) for group in NAMES["group"]}
     assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
     news = {full for full, topic in KEYS.items() if topic is NEWS}
     assert [one.name for one in who if may[one.name, SAYS] & news] == ["controller", "tracker"], "who doubts a camera"
     assert may["viewer", SAYS] == set()
-    assert may["operator", SAYS] == may["web", SAYS] == wishes, "a gamepad's, in groups that a person drives"
+    assert all(may[name, SAYS] == said[name, TELEOP] for name in ("operator", "web")), "in groups that a person drives"
     assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])

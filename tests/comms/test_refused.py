@@ -107,6 +107,39 @@ def test_a_robot_does_not_join_a_router_of_another_arena(lab: Lab) -> None:
     assert lab.hears_the_robot()
 
 
+def test_nobody_takes_a_viewer_for_the_router_though_it_is_called_as_the_routers_host(lab: Lab) -> None:
+    lab.authority.issue("localhost", "viewer")
+    port, false = lab.endpoint.rpartition(":")[2], free_port()
+    network = Network(
+        [f"{lab.endpoint.partition('/')[0]}/localhost:{false}"], Credentials.at(lab.authority.folder, "localhost"),
+        access_control(ARENA, identities(lab.authority)),
+    )  # fmt: skip
+    own = Credentials.at(lab.authority.folder, "r2")
+    with closing(open_router(own_endpoint(), network)), pytest.raises(zenoh.ZError):
+        opened(lab.endpoint.replace("127.0.0.1", "localhost").replace(port, str(false)), own).close()
+    opened(lab.endpoint.replace("127.0.0.1", "localhost"), own).close()  # of the router itself
+    assert lab.hears_the_robot()
+
+
+def test_a_router_outside_the_networks_of_its_authority_is_not_believed(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a stolen authority may sign: for any address."""
+    monkeypatch.setattr(Authority, "_refuse_not_permitted", lambda *_: None)
+    for networks, believed in ((("10.0.0.0/8",), False), (("10.0.0.0/8", "127.0.0.0/8", "::1/128"), True)):
+        monkeypatch.setattr(authorities, "_NETWORKS", networks)
+        authority = Authority.create(ARENA, tmp_path / f"{len(networks)}")
+        own = authority.issue("r1", UNIT)
+        beyond = f"{lab.endpoint.partition('/')[0]}/127.0.0.1:{free_port()}"
+        router = authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
+        with closing(open_router(own_endpoint(), Network([beyond], router, access_control(ARENA, [])))):
+            if believed:
+                opened(beyond, own).close()
+                continue
+            with pytest.raises(zenoh.ZError):
+                opened(beyond, own).close()
+
+
 def test_what_is_not_encrypted_is_refused(lab: Lab) -> None:
     plain = lab.endpoint.replace("tls/", "tcp/").replace("quic/", "udp/")
     with pytest.raises(zenoh.ZError):

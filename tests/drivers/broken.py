@@ -2,6 +2,7 @@
 
 import os
 import select
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
@@ -41,6 +42,18 @@ class DegreesPerSecond(Sparrow):
     def read(self) -> DriverReading:
         reading = super().read()
         return reading._replace(right_speed=57.3 * reading.right_speed)
+
+
+class SharesItsBoard(Sparrow):
+    board = threading.Lock()
+
+    def __init__(self, context: DriverContext) -> None:
+        if not self.board.acquire(blocking=False):
+            raise DriverError("the board is busy")
+        try:
+            super().__init__(context)
+        finally:
+            self.board.release()
 
 
 class BatteryInVolts(Sparrow):

@@ -115,13 +115,16 @@ class Bench:
 
     def make(self) -> Driver:
         """Make the driver, on the port where the last one was."""
-        robot = self.config.robots[0]
-        simulation = slices.simulation(self.config, robot, None)
-        settings = driver_settings.of(self.config, robot)
-        context = DriverContext("r1", self.believed, simulation, self.clock.now_ns, settings, self.sensors)
-        self.driver = load("robofleet.drivers", robot.driver)(context)
+        self.driver = load("robofleet.drivers", self.config.robots[0].driver)(self.context())
         self._made.append(self.driver)
         return self.driver
+
+    def context(self) -> DriverContext:
+        """Return what the driver is made from."""
+        robot = self.config.robots[0]
+        simulation = slices.simulation(self.config, robot, None)
+        settings, world = driver_settings.of(self.config, robot), slices.world(self.config)
+        return DriverContext("r1", self.believed, simulation, self.clock.now_ns, settings, self.sensors, world)
 
     def strike(self) -> None:
         """Let the faults begin."""

@@ -1,7 +1,9 @@
 """The contract's checks of settings and ports: what cannot be is refused in words, and nothing moves."""
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 from pydantic import ValidationError
@@ -9,7 +11,7 @@ from pydantic import ValidationError
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.plugins import load
 from robofleet.processes import driver_settings
-from robofleet.vehicles.interface import DriverError
+from robofleet.vehicles.interface import STOP, DriverError, is_concurrent
 from tests.drivers.contract_bench import Bench, Subject
 from tests.drivers.contract_motion import cruise, on_the_line, travel
 
@@ -23,6 +25,18 @@ OTHERS = {
     "tests.drivers.strangers:Echo": "gternal",
     "tests.drivers.strangers:Chatter": "gternal",
 }
+
+
+class Interrupted(Bench):
+    """A bench on which something happens the first time that a driver waits."""
+
+    meanwhile: Callable[[], None] | None = None
+
+    def _pass_while_waiting(self, deadline_ns: int) -> None:
+        meanwhile, self.meanwhile = self.meanwhile, None
+        if meanwhile is not None:
+            meanwhile()
+        super()._pass_while_waiting(deadline_ns)
 
 
 class Port:
@@ -72,6 +86,26 @@ class Port:
                 assert bench.unheard() == 0
             finally:
                 holder.close()
+
+    def test_those_that_say_so_may_be_constructed_at_once(self) -> None:
+        """While one waits for its robot, another one is constructed, on a port that is not there."""
+        on_the_line(self.subject)
+        kind = load("robofleet.drivers", self.subject.driver)
+        if not is_concurrent(kind):
+            pytest.skip("they are constructed one after the other")
+        with Interrupted(self.subject) as bench:
+            absent = bench.port.with_name("absent")
+            settings = driver_settings.of(bench.config, bench.config.robots[0]).model_copy(update={"port": str(absent)})
+            other = replace(bench.context(), settings=settings)
+
+            def construct_another() -> None:
+                with pytest.raises(DriverError, match="absent"):
+                    kind(other)
+
+            bench.meanwhile = construct_another
+            bench.make()
+            moments = bench.drive(cruise(self.subject, 1.0, 1.0), 1.0)
+        assert moments[-1].speeds != STOP
 
     @pytest.mark.parametrize("other", OTHERS)
     def test_who_speaks_another_language_is_no_robot_of_ours_and_does_not_move(self, other: str) -> None:

@@ -44,6 +44,7 @@ NOTICED = {
     "TakesAnyNumber": ["test_a_setting_that_cannot_be_is_refused"],
     "NamelessWhenAbsent": ["test_a_port_that_is_absent_is_named"],
     "NamelessWhenBusy": ["test_a_port_that_somebody_has_is_named_and_left_alone"],
+    "SharesItsBoard": ["test_those_that_say_so_may_be_constructed_at_once"],
     "MeetsAnybody": ["test_who_speaks_another_language_is_no_robot_of_ours_and_does_not_move"],
     "ShoutsAround": ["test_who_speaks_another_language_is_no_robot_of_ours_and_does_not_move"],
     "ClosesOnce": ["test_closing_again_is_fine_and_so_is_closing_without_a_line"],

@@ -5,8 +5,13 @@ from pathlib import Path
 
 import evdev
 import pytest
+from typer.testing import CliRunner
 
-from robofleet.gateways.gamepad import pads
+from robofleet.cli import app
+from robofleet.comms.credentials import Credentials
+from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
+from robofleet.gateways.gamepad import command, pads
 from robofleet.gateways.gamepad.pads import (
     ABS_X,
     ABS_Y,
@@ -23,6 +28,7 @@ from robofleet.gateways.gamepad.pads import (
     PadError,
     opened,
 )
+from robofleet.gateways.place import Place
 from robofleet.processes.hand import Stick
 from tests.gateways.piped_pad import SHOULDERS, STICK, PipedDevice
 
@@ -40,6 +46,19 @@ def here(monkeypatch: pytest.MonkeyPatch, **devices: dict[int, list[object]] | N
 def test_a_gamepad_is_found_among_other_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     here(monkeypatch, **{f"other{k}": has for k, has in enumerate(OTHERS)}, pad=None)
     assert opened(None).name == opened(Path("pad")).name == "pad"
+
+
+@pytest.mark.parametrize("role", ["script", "viewer"])
+def test_who_has_not_joined_as_an_operator_is_told_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, role: str
+) -> None:
+    here(monkeypatch, pad=None)
+    place = Place(("quic/127.0.0.1:1",), Credentials.at(tmp_path, "carol"), role)
+    monkeypatch.setattr(command, "run_of", lambda *_: (load_config(SHIPPED / "teleop.yaml"), place))
+    refused = CliRunner().invoke(app, ["teleop"])
+    assert refused.exit_code == 2
+    (line,) = refused.stderr.splitlines()
+    assert f"has joined teleop as {role}" in line and "--kind operator" in line
 
 
 def test_a_gamepad_is_read_also_while_nothing_happens() -> None:

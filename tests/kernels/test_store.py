@@ -1,9 +1,11 @@
 """What is compiled once is loaded by later processes, whatever happened to files and models meanwhile."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -39,6 +41,8 @@ flow.update(np.zeros(1), np.ones(1))
 print(round(float(flow.prediction[0]), 9), sum(flow.compiled_step.stats.cache_hits.values()))
 """
 Said = list[tuple[float, bool]]
+NOBODY = 65534
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to somebody else")
 
 
 def started(source: str, *arguments: object) -> "subprocess.Popen[str]":
@@ -97,6 +101,97 @@ def test_a_damaged_file_is_compiled_anew(folder: Path) -> None:
 def test_where_nothing_can_be_written_nothing_is_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     assert said(started(MODELS, tmp_path / "file" / "kernels", 3.0)) == [(4.0, False)]
+
+
+class Evil:
+    """What runs where it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self._mark = mark
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self._mark,)
+
+
+def of_nobody(path: Path) -> None:
+    os.chown(path, NOBODY, NOBODY)
+
+
+def writable_for_all(path: Path) -> None:
+    path.chmod(0o666)
+
+
+def writable_for_a_group(path: Path) -> None:
+    path.chmod(0o770)
+
+
+def a_link(path: Path) -> None:
+    path.symlink_to(path.rename(path.parent.parent / f"elsewhere {path.name}"))
+
+
+def a_second_name(file: Path) -> None:
+    (file.parent.parent / file.name).hardlink_to(file)
+
+
+@pytest.fixture
+def evil(folder: Path) -> Path:
+    """Return where a mark is left when one of the folder's files is unpickled: all of them are changed."""
+    mark = folder.parent / "ran"
+    for file in folder.iterdir():
+        data = pickle.dumps(Evil(mark))
+        file.write_bytes(store._digest(data) + data)
+    return mark
+
+
+def test_a_file_of_ones_own_is_unpickled(folder: Path, evil: Path) -> None:
+    said(started(MODELS, folder, 2.0))
+    assert evil.exists(), "else the next tests prove nothing"
+
+
+@pytest.mark.parametrize("spoil", [pytest.param(of_nobody, marks=as_root), writable_for_a_group, a_link])
+def test_a_folder_that_is_not_the_users_alone_is_not_used_and_that_is_said_once(
+    folder: Path, evil: Path, spoil: Callable[[Path], None]
+) -> None:
+    spoil(folder)
+    before = sorted((file.name, file.read_bytes()) for file in folder.iterdir())
+    process = started(MODELS, folder, 2.0, 3.0)
+    out, err = process.communicate(timeout=300)
+    assert out.split() == ["3.0", "0", "4.0", "0"]
+    assert len(err.splitlines()) == 1, err
+    assert err.startswith("compiled kernels are not kept, and every start compiles: ")
+    assert str(folder) in err
+    assert not evil.exists()
+    assert sorted((file.name, file.read_bytes()) for file in folder.iterdir()) == before
+
+
+def test_a_file_that_may_be_anothers_is_compiled_anew(folder: Path, evil: Path) -> None:
+    spoils = (of_nobody if os.geteuid() == 0 else writable_for_all, a_link, a_second_name)
+    for file, spoil in zip(sorted(folder.iterdir()), spoils, strict=True):
+        spoil(file)
+    assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, False), (4.0, False), (5.0, False)]
+    assert not evil.exists()
+    assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, True), (4.0, True), (5.0, True)]
+
+
+def test_a_folder_is_made_and_kept_closed(folder: Path) -> None:
+    assert folder.stat().st_mode & 0o7777 == 0o700
+    folder.chmod(0o755)  # as an older version made it
+    assert said(started(MODELS, folder, 2.0)) == [(3.0, True)]
+    assert folder.stat().st_mode & 0o7777 == 0o700
+
+
+@as_root
+def test_where_the_folder_beside_the_package_is_anothers_the_users_own_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "_PACKAGE", tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    beside = tmp_path / "__pycache__" / "kernels"
+    assert store.folder() == beside
+    beside.mkdir(parents=True)
+    assert store.folder() == beside
+    of_nobody(beside)
+    assert store.folder() == tmp_path / "cache" / "robofleet" / "kernels"
 
 
 def test_what_nobody_has_read_for_longest_makes_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

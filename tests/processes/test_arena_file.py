@@ -13,16 +13,20 @@ from pathlib import Path
 from struct import Struct
 
 import pytest
+from typer.testing import CliRunner
 
+from robofleet.cli import app
 from robofleet.comms.endpoint import settled
 from robofleet.comms.private_folder import PlaceError
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.fleet import Fleet, FleetError
 from robofleet.processes import operator
 from robofleet.processes.arena_file import ArenaBusyError, ArenaFile, claimed, found, running
 from tests.endpoints import short_folder
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+SWIRL = PLATOON.with_name("swirl.yaml")
 ENDPOINT = "bus.endpoint=unixsock-stream//run/lab/bus.sock"
 FLOCK = Struct("hhqqi4x")  # kind, whence, start, length, process
 ME, NOBODY = os.geteuid(), 65534
@@ -77,7 +81,7 @@ class Elsewhere:
     """A run of another user, for as long as this is open."""
 
     def __init__(self, folder: str) -> None:
-        self._folder = folder
+        self._folder, self._config = folder, config()  # another user may not read all that it loads
 
     def __enter__(self) -> None:
         ready, writing = os.pipe()
@@ -90,7 +94,7 @@ class Elsewhere:
                 os.setgroups([])
                 os.setresgid(NOBODY, NOBODY, NOBODY)
                 os.setresuid(NOBODY, NOBODY, NOBODY)
-                with claimed(config(), Path(self._folder)):
+                with claimed(self._config, Path(self._folder)):
                     os.write(writing, b"x")
                     os.read(reading, 1)
             finally:
@@ -331,6 +335,36 @@ def test_an_administrator_finds_the_runs_of_all(place: Path) -> None:
             pass
     with claimed(config(), Path()):
         assert [run.uid for run in running()] == [ME]
+
+
+@as_root
+@pytest.mark.parametrize(
+    "command", ["web --no-browser", "hosts", "foxglove", "rerun", "teleop", "ros2 --rviz", "Fleet"]
+)
+@pytest.mark.parametrize("named", [True, False])
+def test_an_administrator_loads_no_code_of_another_users_run(place: Path, command: str, named: bool) -> None:
+    (place / "theirs").mkdir()
+    (place / "theirs" / "config.yaml").write_text(SWIRL.read_text().replace("mylab:", "theirs_lab:"))
+    (place / "theirs" / "theirs_lab.py").write_text(
+        "import pathlib\npathlib.Path(__file__).with_suffix('.ran').touch()\n"
+    )
+    with Elsewhere(str(place / "theirs")):
+        if command == "Fleet":
+            with pytest.raises(FleetError) as refused:
+                Fleet("platoon").open()
+            said = str(refused.value)
+        else:
+            words = command.split()
+            came = CliRunner().invoke(app, [*words, *(["platoon"] if named else [])])
+            assert came.exit_code == 2, came.output
+            said = came.stderr
+        assert "the arena platoon has a run of nobody (process " in said
+        assert "do this as nobody" in said
+        assert len(said.splitlines()) == 1
+        assert operator.chosen(None).user == "nobody", "it may be stopped"
+        with claimed(config("arena.name=mine"), Path("/mine")):
+            assert operator.chosen(None, own=True).arena == "mine"
+    assert not (place / "theirs" / "theirs_lab.ran").exists()
 
 
 @as_root

@@ -180,7 +180,7 @@ def test_check_refuses_it_too_near_to_the_path(platoon_of: Make, left_m: float, 
     assert not [text for _, text in refusals(excitation) if "from the path" in text], "it follows no path"
 
 
-@pytest.mark.parametrize(("gap_m", "refused"), [(0.043, True), (0.046, False)])
+@pytest.mark.parametrize(("gap_m", "refused"), [(0.009, True), (0.011, False)])
 def test_check_refuses_it_within_reach_of_a_wiggle(platoon_of: Make, gap_m: float, refused: bool) -> None:
     config = platoon_of()
     robot = config.robots[3]

@@ -2,9 +2,11 @@
 
 import os
 import pty
+import signal
 import threading
 import tty
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -17,6 +19,7 @@ from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.processes import check_drivers
+from robofleet.processes.drivers import ConfiguredDrivers
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.processes.realrun import CLOCK, PLATOON
@@ -27,7 +30,7 @@ HERE = f"{__name__}:Echo"
 class Echo:
     """A robot that answers every byte with the same one, and whose board takes a while to start."""
 
-    closed: ClassVar[list["Echo"]] = []
+    concurrent: ClassVar[bool] = True
 
     class Settings(BaseModel):
         model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
@@ -36,8 +39,11 @@ class Echo:
         """Its serial port."""
         boot_s: Annotated[float, Field(ge=0)] = 0.0
         """What its board takes."""
+        closed: str = os.devnull
+        """File that gets a line when it is closed."""
 
     def __init__(self, context: DriverContext) -> None:
+        self._closed = Path(context.settings.closed)
         threading.Event().wait(context.settings.boot_s)
         self._line = SerialPort(context.settings.port, 57600)
         self._line.write(b"?")
@@ -58,7 +64,35 @@ class Echo:
 
     def close(self) -> None:
         self._line.close()
-        self.closed.append(self)
+        with self._closed.open("a") as file:
+            print(self, file=file)
+
+
+class Crowded:
+    """A robot of a world that is shared by all and bears one constructor at a time; it writes its name in a file."""
+
+    busy = threading.Lock()
+
+    class Settings(BaseModel):
+        model_config = ConfigDict(frozen=True, extra="forbid")
+
+        made: str
+        ends_by: str = ""
+
+    def __init__(self, context: DriverContext) -> None:
+        if not self.busy.acquire(blocking=False):
+            raise DriverError("another one is being constructed")
+        with Path(context.settings.made).open("a") as file:
+            print(context.robot, file=file)
+        if context.settings.ends_by:
+            os.kill(os.getpid(), signal.Signals[context.settings.ends_by])
+        threading.Event().wait(0.02)
+        self.busy.release()
+
+    write, read = Echo.write, Echo.read
+
+    def close(self) -> None:
+        pass
 
 
 class Eye:
@@ -102,11 +136,33 @@ def told(*changes: str) -> list[tuple[str, str]]:
     return list(check_drivers.complaints(config)) or check_drivers.unreachable(config)
 
 
-def test_a_robot_that_answers_is_accepted_and_let_go(port: str) -> None:
-    Echo.closed.clear()
+def test_a_robot_that_answers_is_accepted_and_let_go(port: str, tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
     for _ in range(2):
-        assert told(*robots({"port": port})) == []
-    assert len(Echo.closed) == 2
+        assert told(*robots({"port": port, "closed": closed})) == []
+    assert len(closed.read_text().splitlines()) == 2
+
+
+def test_drivers_are_constructed_one_after_the_other_in_order(tmp_path: Path) -> None:
+    made = tmp_path / "made"
+    assert told(*robots(*[{"made": made}] * 4, driver=f"{__name__}:Crowded")) == []
+    assert made.read_text().split() == ["r1", "r2", "r3", "r4"]
+
+
+def test_drivers_that_failed_at_once_are_made_again_one_after_the_other(tmp_path: Path) -> None:
+    made = tmp_path / "made"
+    config = load_config(PLATOON, robots(*[{"made": made}] * 4, driver=f"{__name__}:Crowded"))
+    drivers = ConfiguredDrivers(config, CLOCK.now_ns)
+    contexts = [drivers.context(robot.id) for robot in config.robots[:4]]
+    with ThreadPoolExecutor(4) as pool:
+        assert len(list(pool.map(drivers.driver, contexts))) == 4
+
+
+def test_a_driver_that_crashes_is_named_and_the_command_goes_on(tmp_path: Path) -> None:
+    settings = [{"made": tmp_path / "made"}, {"made": tmp_path / "made", "ends_by": "SIGKILL"}]
+    ((path, why),) = told(*robots(*settings, driver=f"{__name__}:Crowded"))
+    assert path == "robots.1.driver"
+    assert why == "the process that opened it was killed by SIGKILL: mend its driver"
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,17 @@ import pytest
 from selenium.webdriver import Chrome
 
 from robofleet.behaviours.interface import WishKind
+from robofleet.comms import keys
 from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATE, STATUS, TICK, WISH, key
+from robofleet.comms.keys import STATE, STATUS, TICK, key, split
 from robofleet.comms.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
+from robofleet.comms.permissions import PAGE
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import driving
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from robofleet.processes.hand import Hand, Hands, Stick
 from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.rescues import Way
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.gateways.piped_pad import PipedDevice
 from tests.processes.browser import chromium
@@ -41,12 +42,15 @@ class Wished:
     """What was wished of the group, in order."""
 
     def __init__(self, stand: WebStand) -> None:
-        self._stream = stand._bus.stream(key(stand.config.arena.name, WISH, GROUP), capacity=4096)
+        self._stream = stand._bus.stream(key(stand.config.arena.name, keys.TELEOP, GROUP), capacity=4096)
         self.all: list[ScriptWish] = []
+        self.roles: set[str] = set()  # of the senders, as their keys say
 
     def newest(self) -> ScriptWish | None:
-        said = (SCRIPT_WISH.decode(payload) for *_, payload in self._stream.drain())
-        self.all += [wish for wish in said if wish is not None]
+        for _, full, payload in self._stream.drain():
+            if (wish := SCRIPT_WISH.decode(payload)) is not None:
+                self.all.append(wish)
+                self.roles.add(split(full)[1].partition("/")[0])
         return self.all[-1] if self.all else None
 
     def is_(self, kind: WishKind, v: float = 0.0, omega: float = 0.0) -> bool:
@@ -121,7 +125,7 @@ def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_g
     newest = wished.all[-1]
     assert [robot.told for robot in newest.robots] == [0, 0, 1, 0]
     assert newest.robots[2].first == pytest.approx(CRAWL)
-    assert newest.order == Way.PAGE, "who asks is told"
+    assert wished.roles == {PAGE}, "who commands is known by the key"
     page.fleet.phase, page.fleet.cause = Phase.RUNNING, Event.RESUME_REQUESTED
     page.becomes(lambda: wished.is_(WishKind.STAND))
     page.run("pad.buttons[5].pressed = false")
@@ -254,7 +258,7 @@ def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
     """
     config = load_config(TELEOP, ["run.duration_s=1.5", "tracker.source=truth", "drivers.robots_per_process=1"])
     run = Lockstep(config)
-    hand = Hand(run.bus, config, GROUP, Way.GAMEPAD)
+    hand = Hand(run.bus, config, GROUP)
     tick, statuses = key(config.arena.name, TICK), [key(config.arena.name, STATUS, one) for one in config.ids]
     found: list[tuple[float, ...]] = []
 
@@ -315,7 +319,7 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
                 pad.happens((EV_KEY, BTN_TR, 0))
                 pad.happens((EV_KEY, BTN_TR, 1))
                 return False
-            return its.order == Way.GAMEPAD and its.robots[1][:2] == pytest.approx((1, -CRAWL), abs=1e-3)
+            return its.robots[1][:2] == pytest.approx((1, -CRAWL), abs=1e-3)
 
         assert wait(out, 5.0)
         over.set()

@@ -1,6 +1,7 @@
 """``robofleet keys`` and ``robofleet join``: from an authority to a robot; what is refused writes nothing."""
 
 import json
+import os
 import re
 import shutil
 import stat
@@ -21,10 +22,12 @@ from robofleet.clock import utc_now
 from robofleet.comms import authority as authorities
 from robofleet.comms import bundle as bundles
 from robofleet.comms import credentials as credentials_of
-from robofleet.config.robot_file import RobotFile, load_robot_file
-from robofleet.processes import join_command
+from robofleet.config.robot_file import RobotFile, load_robot_file, robot_file
+from robofleet.processes import daemon, join_command, node
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+DEPLOY = Path(__file__).parents[2] / "tools" / "deploy"
+NOBODY = 65534
 ROUTER = "quic/192.168.1.10:7447"
 BEGIN, END = "-----BEGIN ", "-----END "
 
@@ -36,7 +39,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setattr(folders, "SYSTEM", tmp_path / "etc")
     monkeypatch.setattr(join_command, "_SERVICE", tmp_path / "systemd" / "robofleet-unit.service")
-    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    monkeypatch.setattr(join_command, "_is_root", lambda: False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -192,7 +195,7 @@ def test_a_roster_is_added_and_only_what_it_lacks(desk: Path) -> None:
 
 def test_simulated_robots_get_no_keys(desk: Path) -> None:
     said("keys", "init", "platoon")
-    said("keys", "add", "platoon", "--from", CONFIGS / "platoon.yaml", "--address", "lab.example")
+    said("keys", "add", "platoon", "--from", CONFIGS / "platoon.yaml", "--address", "lab.local")
     assert {*names("platoon")} == {"router", "operator", "viewer"}
 
 
@@ -440,14 +443,14 @@ def test_root_joins_for_the_whole_computer_and_a_user_alone(
     monkeypatch.delenv("XDG_CONFIG_HOME")
     said("join", bundle)
     assert (desk / "home" / ".config" / "robofleet" / "robot.yaml").exists()
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     said("join", bundle)
     assert (desk / "etc" / "robot.yaml").exists()
     assert credentials_of.keys_folder("lab") == desk / "etc" / "keys" / "lab"
 
 
 def test_root_joins_in_a_folder_that_it_names(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(desk / "host"))
     said("join", bundle)
     assert (desk / "host" / "robofleet" / "robot.yaml").exists()
@@ -457,7 +460,7 @@ def test_root_joins_in_a_folder_that_it_names(bundle: Path, desk: Path, monkeypa
 def test_keys_of_the_whole_computer_do_not_hide_an_authority(
     lab: Path, bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     (desk / "home").mkdir()
     (desk / "config").rename(desk / "home" / ".config")
     monkeypatch.setenv("HOME", str(desk / "home"))
@@ -470,7 +473,7 @@ def test_keys_of_the_whole_computer_do_not_hide_an_authority(
 def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(desk / "robot"))
     assert "as root" in refused("join", bundle, "--service")
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     assert "this computer has no systemd" in refused("join", bundle, "--service")
     assert not (desk / "etc").exists()
     (desk / "systemd").mkdir()
@@ -482,14 +485,85 @@ def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch
     assert load_robot_file(desk / "etc" / "robot.yaml").unit == "r1"
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
-def test_systemd_has_nothing_to_complain_of_in_it(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def service(bundle: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the service of r1's driver, installed under a umask that lets nobody read anything."""
     monkeypatch.delenv("XDG_CONFIG_HOME")
-    monkeypatch.setattr("os.geteuid", lambda: 0)
+    monkeypatch.setenv("HOME", str(desk / "home"))
+    monkeypatch.setattr(join_command, "_is_root", lambda: True)
     (desk / "systemd").mkdir()
-    said("join", bundle, "--service")
-    service = desk / "systemd" / "robofleet-unit.service"
-    found = subprocess.run(
-        ["systemd-analyze", "verify", str(service)], capture_output=True, text=True, timeout=30, check=False
-    )
-    assert (found.returncode, found.stderr) == (0, "")
+    umask = os.umask(0o077)
+    try:
+        said("join", bundle, "--service")
+        assert os.umask(0o077) == 0o077
+    finally:
+        os.umask(umask)
+    return desk / "systemd" / "robofleet-unit.service"
+
+
+def test_a_service_is_nobody_but_its_robots_driver(service: Path) -> None:
+    text = service.read_text()
+    for line in ("DynamicUser=yes", "CapabilityBoundingSet=", "NoNewPrivileges=yes", "DevicePolicy=closed",
+                 "SupplementaryGroups=dialout"):  # fmt: skip
+        assert f"\n{line}\n" in text
+    assert not re.search(r"^User=", text, re.MULTILINE)
+    assert int(re.findall(r"^LimitRTPRIO=(\d+)$", text, re.MULTILINE)[0]) >= daemon._PRIORITY
+    assert int(re.findall(r"^LimitNICE=(-\d+)$", text, re.MULTILINE)[0]) <= node.NICE
+    driver = (DEPLOY / "robofleet-driver@.service").read_text()
+    allowed = re.findall(r"^DeviceAllow=.*$", driver, re.MULTILINE)
+    assert {*allowed} <= {*re.findall(r"^DeviceAllow=.*$", text, re.MULTILINE)}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="ROOT ALONE becomes another user")
+def test_a_service_reads_what_systemd_hands_it_though_the_keys_are_roots_alone(
+    service: Path, desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handed = desk / "handed"
+    handed.mkdir()
+    for name, file in re.findall(r"^LoadCredential=(.+?):(.+)$", service.read_text(), re.MULTILINE):
+        shutil.copy(file, handed / name)
+        (handed / name).chmod(0o440)  # as it looks where the file system has access control lists
+    keys = desk / "etc" / "keys" / "lab"
+    assert stat.S_IMODE(keys.stat().st_mode) == 0o700
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(handed))
+    monkeypatch.setenv("HOME", "/nonexistent")
+    for path in (handed, *handed.iterdir()):
+        os.chown(path, NOBODY, NOBODY)
+    for folder in (desk, *list(desk.parents)[:2]):  # pytest's own, which are this user's alone
+        folder.chmod(folder.stat().st_mode | 0o011)
+
+    def read() -> str:
+        robot = load_robot_file(robot_file())
+        found = credentials_of.credentials(robot.arena, robot.unit)
+        sizes = [len(file.read_bytes()) > 100 for file in found[1:]]
+        return f"{os.geteuid()} {robot.unit} {found.name} {sizes} {os.access(keys, os.R_OK)}"
+
+    assert as_nobody(read) == f"{NOBODY} r1 r1 {[True] * 3} False"
+
+
+def as_nobody(act: Callable[[], str]) -> str:
+    """Return what a function says as another user: in a fork, since that user may not reach this Python."""
+    ours, theirs = os.pipe()
+    if (child := os.fork()) == 0:
+        try:
+            os.setgroups([])
+            os.setgid(NOBODY)
+            os.setuid(NOBODY)
+            os.write(theirs, act().encode())
+        except BaseException as error:  # noqa: BLE001 - the other process tells of it
+            os.write(theirs, repr(error).encode())
+        os._exit(0)
+    os.close(theirs)
+    with os.fdopen(ours) as told:
+        said = told.read()
+    os.waitpid(child, 0)
+    return said
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")
+def test_systemd_has_nothing_to_complain_of_in_it(service: Path) -> None:
+    for words in (["verify"], ["security", "--offline=true", "--threshold=20", "--no-pager"]):
+        found = subprocess.run(
+            ["systemd-analyze", *words, str(service)], capture_output=True, text=True, timeout=30, check=False
+        )
+        assert (found.returncode, found.stderr) == (0, ""), found.stdout

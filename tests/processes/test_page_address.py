@@ -21,7 +21,7 @@ PAGE = f"http://127.0.0.1:43210/?token={SECRET}"
 HERE = Addresses(PAGE, PAGE.replace("/?token", "/open?ticket"))
 PHONE_PAGE = "https://192.168.100.105:43210/open?ticket=m3Zk0Qv7TtY5c1WnR8aJxA"
 THERE = Addresses(PHONE_PAGE, f"{PHONE_PAGE}-once", f"{PHONE_PAGE}-viewer", ":".join(["AB"] * 32))
-BY_PYTHON = [sys.executable, "-m", "webbrowser"]
+BY_PYTHON = [sys.executable, "-P", "-m", "webbrowser"]
 DESKTOP = {"DISPLAY": ":0"}
 
 

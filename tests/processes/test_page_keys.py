@@ -36,6 +36,7 @@ from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders, wait
 from tests.processes.secureweb import HOST, trusting
 
 ARENA = "hall"
+INIT = f"`robofleet keys init {ARENA} --address {HOST}`"
 ADD = f"`robofleet keys add {ARENA} web --address {HOST}`"
 
 
@@ -64,7 +65,7 @@ def test_on_this_computer_no_keys_are_asked_for(host: str) -> None:
 
 
 def test_without_keys_two_commands_are_named() -> None:
-    assert refused().endswith(f"needs a certificate of the arena {ARENA}: `robofleet keys init {ARENA}`, then {ADD}")
+    assert refused().endswith(f"needs a certificate of the arena {ARENA}: {INIT}, then {ADD}")
 
 
 def test_where_the_arena_has_an_authority_one_command_is_enough(folder: Path) -> None:
@@ -77,18 +78,19 @@ def test_the_commands_that_are_named_bring_the_page(folder: Path) -> None:
         result = CliRunner().invoke(app, command.split()[1:])
         assert result.exit_code == 0, result.stderr
     assert page_keys(ARENA, HOST, "--host") is not None
-    other = refused("192.0.2.7")
+    other = refused("192.168.7.7")
     assert f"web.pem is for 127.0.0.1, ::1, {HOST}, localhost only: `robofleet keys revoke {ARENA} web`, then" in other
     for command in other.split("`")[1::2]:
         result = CliRunner().invoke(app, command.split()[1:])
         assert result.exit_code == 0, result.stderr
-    for host in (HOST, "192.0.2.7"):
+    for host in (HOST, "192.168.7.7"):
         assert page_keys(ARENA, host, "--host") is not None
 
 
 @pytest.mark.parametrize("host", ["lab.example", "LAB.example", "2001:db8::5", "2001:DB8:0::5"])
 def test_a_name_and_an_address_of_ipv6_are_found_however_they_are_written(folder: Path, host: str) -> None:
-    Authority.create(ARENA, folder).issue(PAGE, PAGE, addresses=["lab.example", "2001:db8::5"])
+    hosts = ["lab.example", "2001:db8::5"]
+    Authority.create(ARENA, folder, hosts=hosts).issue(PAGE, PAGE, addresses=hosts)
     assert page_keys(ARENA, host, "--host") is not None
 
 
@@ -142,7 +144,7 @@ def test_both_commands_refuse_a_page_without_keys_and_leave_nothing(
         more += ["--out", str(tmp_path / "run")]
     result = CliRunner().invoke(app, [name, str(file), option, *more])
     line = f"{option} {HOST}: beyond this computer the page needs a certificate of the arena {ARENA}: "
-    assert (result.exit_code, result.stderr) == (2, f"{line}`robofleet keys init {ARENA}`, then {ADD}\n")
+    assert (result.exit_code, result.stderr) == (2, f"{line}{INIT}, then {ADD}\n")
     assert not (tmp_path / "run").exists()
 
 
@@ -150,7 +152,7 @@ class Elsewhere(socket.socket):
     """A socket that others reach."""
 
     def getsockname(self) -> tuple[str, int]:
-        return "192.0.2.7", 8080
+        return "192.168.7.7", 8080
 
 
 def test_a_name_of_this_computer_that_others_reach_is_not_served_without_keys(
@@ -158,7 +160,10 @@ def test_a_name_of_this_computer_that_others_reach_is_not_served_without_keys(
 ) -> None:
     clock = WallClock()
     served = Served(platoon_of(), tmp_path, MemoryBus("platoon", clock, 0), clock, "localhost", lambda: False)
-    with Elsewhere() as listening, pytest.raises(RefusedError, match=r"localhost is 192\.0\.2\.7, which others reach"):
+    with (
+        Elsewhere() as listening,
+        pytest.raises(RefusedError, match=r"localhost is 192\.168\.7\.7, which others reach"),
+    ):
         asyncio.run(serve(served, listening, lambda _: None, lambda: True))
 
 

@@ -7,14 +7,13 @@ from random import Random
 import numpy as np
 import pytest
 
-from robofleet.comms.keys import ENABLE, STATE, STATUS, TICK, TRUTH, key
+from robofleet.comms.keys import ENABLE, STATE, STATUS, TICK, TRUTH, WISH, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, UNIT_STATUS, UNIT_TRUTH
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.processes.hand import Hand, Stick
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.replay import replay
-from robofleet.processes.rescues import Way
 from robofleet.recording.lines import state_lines
 from robofleet.recording.log import RunLog
 from robofleet.recording.reading import read
@@ -38,7 +37,7 @@ class Held:
         self.config = load_config(TELEOP, given, faults)
         self.log = None if file is None else RunLog(file, self.config)
         self.run = Lockstep(self.config, log=self.log)
-        self.hand = Hand(self.run.bus, self.config, GROUP, Way.GAMEPAD)
+        self.hand = Hand(self.run.bus, self.config, GROUP)
         self.stick: Stick | None = LET_GO
         self.out: str | None = None
         self.held_s = 0.0  # when the button was held last
@@ -145,6 +144,23 @@ def test_a_robot_stranded_at_the_wall_is_driven_out_and_the_run_goes_on(tmp_path
     told = stops(Run(held.run.recording))
     assert any(stop["robot"] == "r1" and "a person no longer drives it out" in stop["cause"] for stop in told)
     assert replay(read(tmp_path), 0.0).equal, "a replay finds every command of the person's"
+
+
+def test_a_program_that_sends_what_a_person_sends_moves_nothing_running_or_held() -> None:
+    """On the topic that a program's certificate permits, whatever it claims to be."""
+    held = Held()
+    held.hand._publish = held.run.bus.publisher(WISH, GROUP, "web/mallory/1f")
+    held.begin()
+    before = held.x_m.copy()
+    held.stick = BACK
+    held.run.advance(1.0)
+    held.stick = LET_GO
+    held.hold()
+    held.out, held.stick = "r1", BACK
+    for _ in range(20):
+        held.run.advance(0.1)
+        assert not any(held.limits.values()) and not any(held.wheels.values())
+    assert held.x_m == pytest.approx(before, abs=1e-4)
 
 
 def test_it_turns_at_a_crawl_too() -> None:

@@ -13,7 +13,7 @@ from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
 from robofleet.comms.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotTick, TrackerNews
 from robofleet.config.barrier import body, keepout
 from robofleet.recording.run import Recording
-from robofleet.safety.barrier import apart
+from robofleet.safety.distances import apart
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent

@@ -16,7 +16,7 @@ from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening
 from robofleet.safety.view import FleetView, RobotView
-from robofleet.safety.wiggle import PROBE_RAD_S, STROKES
+from robofleet.safety.wiggle import probe_speeds
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 from robofleet.vehicles.plant import Plant
 from tests.robots import GTERNAL, WORN
@@ -142,9 +142,9 @@ class Lab:
         """The controller's tick, and an image that is taken and seen at it."""
         self.tick += 1
         for row in range(len(self.plants)):
-            wheels = STROKES[self.state.stroke(row)] if self.obeys else STOP
+            wheels = WheelSpeeds(*probe_speeds(self.state.stroke(row), 0.016)) if self.obeys else STOP
             if wheels != STOP or row not in self.runaway:
-                self.commands[row] = WheelSpeeds(*(PROBE_RAD_S * wheel for wheel in wheels))
+                self.commands[row] = wheels
         bodies = [plant.truth()[:3] for plant in self.plants]
         image = self.view.image + 1
         poses = [

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import daqp
 import numpy as np
 
-from robofleet.safety.barrier import Barrier, Body, Keepout, apart, from_edge
+from robofleet.safety.barrier import Barrier
+from robofleet.safety.distances import Body, Keepout, apart, from_edge
 from robofleet.vehicles.differential_drive import arc, body_from_wheels, wheels_from_body
 from tests.robots import GTERNAL
 

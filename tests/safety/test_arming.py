@@ -6,12 +6,13 @@ from collections.abc import Callable
 import pytest
 
 from robofleet.safety import arming
-from robofleet.safety.arming import ArmingState, Stage, free_m
+from robofleet.safety.arming import ArmingState, Stage
+from robofleet.safety.distances import least_room_m, room_m
 from robofleet.safety.gate import Latch
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView
-from robofleet.safety.wiggle import BACK, FORTH, room_m
+from robofleet.safety.wiggle import BACK, FORTH, LEFT, RIGHT, STAND
 from robofleet.vehicles.interface import RobotFault
 from robofleet.vehicles.solids import Solid
 from tests.safety.arming_lab import BODY_M, MS, PROVED, Alter, Lab, S, one
@@ -112,7 +113,7 @@ def test_nobody_leaves_the_room_that_the_checks_leave_it(wiring: str) -> None:
         furthest = max(furthest, math.hypot(now.x - start.x, now.y - start.y))
     spins = wiring in ("left_reversed", "right_reversed")  # and gets nowhere: it is refused because it does not rest
     assert (happening.event, happening.robot) == (Event.NOT_AT_REST if spins else Event.WRONG_GAIN, 0)
-    assert furthest < free_m(0.016)
+    assert furthest < room_m(0.016)
 
 
 def test_three_images_of_a_robot_at_rest_are_looked_at_before_the_next_stroke() -> None:
@@ -215,7 +216,7 @@ def test_every_stage_tells_when_it_began() -> None:
         assert lab.state.since_ns == lab.now_ns
 
 
-FREE_M = 0.01 + room_m(0.016)  # a centimetre more than a wiggle may take
+FREE_M = least_room_m(0.016)
 
 
 @pytest.mark.parametrize(
@@ -366,7 +367,7 @@ def test_a_bystander_keeps_clear_of_a_wiggle(row: int, spare: float) -> None:
     lab = Lab(3)
     lab.noise = (0.0, 0.0, 0.0)
     bystanders(lab, *range(row, 3))
-    reach = 2 * BODY_M + free_m(0.016) + spare
+    reach = 2 * BODY_M + least_room_m(0.016) + spare
     x, y, psi = lab.plants[0].truth()[:3] if row == 1 else lab.plants[1].truth()[:3]
     near = one(row, pose=(x + reach * math.cos(2.0), y + reach * math.sin(2.0), psi))
     before = lab.alter
@@ -392,7 +393,65 @@ def test_a_bystanders_own_wheels_need_no_room(spare: float) -> None:
     lab.settings = lab.settings._replace(wheel_radius=radii)
     bystanders(lab, 2)
     x, y, psi = lab.plants[1].truth()[:3]
-    near = one(2, pose=(x + 2 * BODY_M + free_m(0.016) + spare, y, psi))
+    near = one(2, pose=(x + 2 * BODY_M + least_room_m(0.016) + spare, y, psi))
     before = lab.alter
     lab.alter = lambda view: near(before(view))
     assert lab.arm() == (PROVED if spare > 0 else Happening(Event.TOO_CLOSE, 1, 2))
+
+
+TIGHT_M = least_room_m(0.016) + 0.002  # noise may take some of it
+
+
+def tight(seed: int = 1, **fault: object) -> Lab:
+    """Return two robots beside each other without room for an arc; something may be wrong with the first one."""
+    return Lab(2, seed, {0: fault}, [(0.0, 0.0), (0.0, 2 * BODY_M + TIGHT_M)])
+
+
+def test_robots_without_room_for_an_arc_are_tried_on_the_spot() -> None:
+    lab = tight()
+    before = [plant.truth() for plant in lab.plants]
+    assert lab.arm() == PROVED
+    assert {stroke for _, strokes in lab.stages for stroke in strokes} == {STAND, LEFT, RIGHT}
+    for old, plant in zip(before, lab.plants, strict=True):
+        assert math.dist(old[:2], plant.truth()[:2]) < 0.002
+    assert (lab.now_ns - S) / S < 10.0
+
+
+@pytest.mark.parametrize("encoders", [True, False])
+@pytest.mark.parametrize(("wiring", "event"), WIRINGS.items())
+@pytest.mark.parametrize("seed", [1, 2])
+def test_on_the_spot_a_faulty_wiring_is_named_and_nobody_leaves_the_room(
+    wiring: str, event: Event, seed: int, encoders: bool
+) -> None:
+    lab = tight(seed, wiring=wiring)
+    lab.silent_encoders = not encoders
+    start, furthest = lab.plants[0].truth(), 0.0
+    while (happening := lab.run(0.01)) is None:
+        furthest = max(furthest, math.dist(start[:2], lab.plants[0].truth()[:2]))
+    lab.state = lab.program.begin(lab.now_ns)
+    for _ in range(50):  # to rest
+        lab.now_ns += 10 * MS
+        lab._move()
+        furthest = max(furthest, math.dist(start[:2], lab.plants[0].truth()[:2]))
+    assert (happening.event, happening.robot) == (event, 0)
+    assert furthest < least_room_m(0.016) - 0.002
+
+
+@pytest.mark.parametrize("error", [0.2, -0.2, 1 / 1.2 - 1])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_on_the_spot_a_wheel_radius_that_is_a_fifth_off_is_found(error: float, seed: int) -> None:
+    happening = tight(seed, wheel_gain_error=error).arm()
+    assert happening is not None
+    assert (happening.event, happening.robot) == (Event.WRONG_GAIN, 0)
+    assert happening.detail == pytest.approx(1 + error, abs=0.07)
+
+
+def test_on_the_spot_a_stuck_robot_and_exchanged_tags_are_named() -> None:
+    lab = tight()
+    lab.stuck = {0}
+    assert lab.arm() == Happening(Event.DID_NOT_MOVE, 0)
+    lab = tight()
+    lab.tags = [1, 0]
+    happening = lab.arm()
+    assert happening is not None
+    assert happening.event is Event.WRONG_TAG_MOVED

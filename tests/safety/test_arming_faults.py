@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.arming import Stage, free_m
+from robofleet.safety.arming import Stage
+from robofleet.safety.distances import room_m
 from robofleet.safety.supervisor import Event, Happening
 from tests.safety.arming_lab import BODY_M, Lab
 from tests.safety.test_arming import WIRINGS
 
 Accepted = set[tuple[Event, int]]
-REACH_M = 2 * BODY_M + free_m(0.016)  # of two robots that may just start
+REACH_M = 2 * BODY_M + room_m(0.016)  # of two robots that may just start
 
 
 def named(lab: Lab) -> Happening:

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Body, apart, apart_at_rest, from_edge
+from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier
+from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from tests.robots import GTERNAL
 from tests.safety import barrier_scenes
@@ -170,7 +171,7 @@ def test_the_distance_counts_bodies_gap_points_errors_and_a_robot_that_stands_un
 
 
 def test_the_edge_is_as_far_as_body_point_and_error() -> None:
-    assert from_edge(KEEPOUT, BODY) == pytest.approx(0.055 + 0.01 + 0.002)
+    assert from_edge(KEEPOUT, BODY) == pytest.approx(0.055 + 0.01 + 0.01 + 0.002)
 
 
 FAST = DifferentialDrive(0.016, 0.105, 100.0, 1.5, 0.08, 900.0)

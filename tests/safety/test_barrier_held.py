@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from robofleet.safety.barrier import CHANGED, Barrier, Body, apart
+from robofleet.safety.barrier import CHANGED, Barrier
+from robofleet.safety.distances import Body, apart
 from robofleet.vehicles.differential_drive import arc, wheels_from_body
 from tests.robots import GTERNAL
 from tests.safety.barrier_scenes import (

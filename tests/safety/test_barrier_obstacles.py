@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.safety.barrier import Barrier, from_edge, from_solid
+from robofleet.safety.barrier import Barrier
+from robofleet.safety.distances import from_edge
 from robofleet.vehicles.differential_drive import arc
 from robofleet.vehicles.solids import Solid, distances
 from tests.safety.barrier_scenes import BODY, GTERNAL, KEEPOUT, Array, body, feasible, stop_point, velocities
@@ -31,7 +32,7 @@ def drawn(rng: np.random.Generator) -> tuple[Solid, ...]:
 
 def left(solids: tuple[Solid, ...], points: Array) -> Array:
     """Return what each point has left of what is kept from each solid (R, M) [m]."""
-    kept = np.array([from_solid(KEEPOUT, BODY, solid) for solid in solids])
+    kept = np.array([from_edge(KEEPOUT, BODY) for solid in solids])
     return distances(solids, points) - kept[:, None]
 
 
@@ -86,7 +87,7 @@ def test_a_robot_that_is_too_near_withdraws_from_an_obstacle():
 def test_along_a_wall_a_robot_is_not_slowed(speed):
     """Also past the corners between walls that are one straight line."""
     wall = Solid("wall", ((1.0, 0.0), (0.5, 0.0), (0.0, 0.0), (-1.0, 0.0), (-1.0, -0.1), (1.0, -0.1)))
-    kept = from_solid(KEEPOUT, BODY, wall)
+    kept = from_edge(KEEPOUT, BODY)
     for x in np.linspace(-0.9, 0.9, 19):
         barrier = Barrier(replace(KEEPOUT, solids=(wall,)), (BODY,))
         pose, asked = np.array([(x, kept + 1e-4, 0.0)]), np.array([feasible(np.array((speed, speed)))])
@@ -112,7 +113,6 @@ def test_solids_far_away_change_nothing():
 
 def test_a_rectangular_floor_is_kept_as_the_arena_s_edge_is():
     rectangle = Solid("floor", ((-1.6, -1.0), (1.6, -1.0), (1.6, 1.0), (-1.6, 1.0)), floor=True)
-    assert from_solid(KEEPOUT, BODY, rectangle) == from_edge(KEEPOUT, BODY)
     rng = np.random.default_rng(5)
     for _ in range(100):
         at = rng.uniform(0.85, 0.9) * np.array([1.0, rng.uniform(-1, 1)]) * (1.6, 1.0)

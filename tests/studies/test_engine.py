@@ -1,8 +1,14 @@
 """An engine gives every unit back: its result, or in one line why there is none."""
 
+import json
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from contextlib import closing
+from importlib.util import find_spec
 from multiprocessing import active_children
+from pathlib import Path
 
 import pytest
 
@@ -36,9 +42,26 @@ def test_ended_early_an_engine_leaves_no_process() -> None:
 
 
 @pytest.mark.slow
-def test_ray_gives_the_same() -> None:
+def test_ray_gives_the_same_on_loopback_alone_to_whoever_has_its_token() -> None:
+    if find_spec("ray") is None:
+        pytest.skip("NO RAY")
+    done = subprocess.run([sys.executable, "-m", "tests.studies.on_ray"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    seen = json.loads(done.stdout.splitlines()[-1])  # Ray prints, too
+    _holds([Finished(*one) for one in seen["finished"]])
+    assert len(seen["listening"]) > 3
+    assert {ip.removeprefix("::ffff:") for ip in seen["listening"]} == {"127.0.0.1"}
+    assert seen["answers"] == {"its own": "OK", "another": "UNAUTHENTICATED", "none": "UNAUTHENTICATED"}
+
+
+def test_ray_that_does_not_start_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    _holds(_all("ray"))
+    folder = tmp_path / ("x" * 90)  # a socket's name has 107 bytes at most
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    with pytest.raises(RefusedError, match=r"^--on: ray cannot be used: .*: try --on local$"), engine.opened("ray", 1):
+        pass
+    assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize(

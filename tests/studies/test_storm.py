@@ -1,23 +1,28 @@
 """A storm finds what is wrong with a gate or with a supervisor, and nothing where nothing is."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from robofleet.comms.messages import UNIT_TRUTH
+from robofleet.config.load import load_config
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.processes.check import refusals
 from robofleet.studies.engine import Local
 from robofleet.studies.storm import workers
-from robofleet.studies.storm.bodies import apart
+from robofleet.studies.storm.bodies import apart, at_goals
 from robofleet.studies.storm.episode import play
 from robofleet.studies.storm.schedule import KINDS, WINDOW_S, plan
-from robofleet.studies.storm.tally import Tally
+from robofleet.studies.storm.tally import SOME, Tally
+
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.fixture(scope="module")
@@ -99,4 +104,43 @@ def test_a_storm_that_never_brought_what_it_planned_proves_too_little(fleet: Con
     assert list(tally.shortfalls()) == []
     tally.injected.clear()
     kinds = {fault.kind for fault in done.plan.faults}
+    tally.scheduled = Counter(kinds)
+    assert list(tally.shortfalls()) == [], "one may come while the fleet stands"
+    tally.scheduled = Counter(dict.fromkeys(kinds, SOME))
     assert {line.split()[0] for line in tally.shortfalls()} == kinds
+
+
+@pytest.mark.parametrize(
+    ("off_m", "off_deg", "there"), [(0.0, 0.0, True), (0.0039, 1.7, True), (0.0041, 0.0, False), (0.0, 2.0, False)]
+)
+@pytest.mark.parametrize("assignment", ["labelled", "nearest"])
+def test_a_robot_is_at_its_goal_by_where_it_truly_is(
+    off_m: float, off_deg: float, there: bool, assignment: str
+) -> None:
+    """A robot that has arrived need not turn again, and one that is elsewhere must."""
+    config = load_config(CONFIGS / "go-to.yaml", [f"groups.0.settings.assignment={assignment}"])
+    goal = config.groups[0].settings["goals"]["r1"]
+    psi = math.radians(goal["heading_deg"] + off_deg)
+    poses = {"r1": (goal["x_m"] + off_m, goal["y_m"], psi), "r2": (0.0, 0.0, 0.0)}
+    assert at_goals(config, poses) == ({"r1"} if there else set())
+    elsewhere = {"r2": poses["r1"]}
+    assert at_goals(config, elsewhere) == ({"r2"} if there and assignment == "nearest" else set())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["script", "teleop", "ros2"])
+def test_groups_that_somebody_else_drives_run_again_after_a_storm(name: str) -> None:
+    config = load_config(CONFIGS / f"{name}.yaml", ["tracker.source=truth"])
+    assert play(config, 50000).violations == ()
+
+
+@pytest.mark.slow
+def test_a_fleet_that_stopped_beside_an_obstacle_starts_again() -> None:
+    config = load_config(CONFIGS / "obstacles.yaml", ["tracker.source=truth"])
+    assert play(config, 50029).violations == ()
+
+
+@pytest.mark.slow
+def test_a_robot_that_lets_others_by_is_not_dead() -> None:
+    config = load_config(CONFIGS / "go-to.yaml", ["tracker.source=truth"])
+    assert play(config, 50032).violations == ()

@@ -11,12 +11,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.studies.sweep import journal
 from robofleet.studies.sweep.plan import Distribution, Sweep, settings
+from robofleet.studies.sweep.plots import scale
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HEAD = f"config: {CONFIGS / 'platoon.yaml'}\n"
@@ -99,6 +101,31 @@ def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, int
 def _same_in_parquet(folder: Path, found: list[dict[str, str]]) -> None:
     table = pytest.importorskip("pyarrow.parquet").read_table(folder / "runs.parquet").to_pylist()
     assert [{name: "" if cell is None else str(cell) for name, cell in row.items()} for row in table] == found
+
+
+def test_bounds_are_met_missed_or_not_judged_and_only_met_is_green(tmp_path: Path) -> None:
+    (tmp_path / "s.yaml").write_text(
+        f"{HEAD}set: {{run.duration_s: 0.1, tracker.source: truth, run.bounds: {{min_obstacle_gap_mm: 10}}}}\n"
+        "grid: {controller.alpha: [30, 31]}"
+    )
+    code, out, err = sweep(str(tmp_path / "s.yaml"), "--out", str(tmp_path / "out"), "--jobs", "1", "--json")
+    assert code == 0, err
+    result = json.loads(out)
+    assert (result["completed"], result["bounds_missed"], result["bounds_not_judged"]) == (2, 0, 2)
+    assert [row["bounds_not_judged"] for row in rows(tmp_path / "out")] == ["1", "1"]
+    page = (tmp_path / "out" / "sweep.html").read_text()
+    assert "2 completed and missed no bound, but not every bound was judged" in page
+    assert "not measured in any run, not judged; bound 10" in page
+    assert "completed and missed a bound" not in page
+    assert "met its bounds" not in page
+
+
+@pytest.mark.parametrize(("bound", "values"), [(None, [0.2, 0.202]), (1.0, [0.0, 0.002]), (None, [-3.0, -3.1])])
+def test_differences_of_no_weight_share_a_tenth_of_a_scale(bound: float | None, values: list[float]) -> None:
+    low, high = scale(np.array(values), bound)
+    assert low <= min(values) < max(values) <= high
+    assert (max(values) - min(values)) / (high - low) < 0.4
+    assert scale(np.array([1.0, np.nan, 3.0]), bound) == (1.0, 3.0)
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ class TestUdp(PosesContract):
     @pytest.fixture(autouse=True)
     def found(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         monkeypatch.setattr(sys, "path", [*sys.path, str(MOCAP.parent)])
-        monkeypatch.delenv("PYTHONPATH", raising=False)
+        monkeypatch.delenv("ROBOFLEET_MODULES", raising=False)
         yield
         sys.modules.pop("myposes", None)
 

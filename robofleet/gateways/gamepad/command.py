@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.gateways.place import is_over, run_of
+from robofleet.gateways.place import is_over, joined_otherwise, run_of
 from robofleet.processes.commands import OPERATOR, ArenaName
 from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, need_extra
 
@@ -45,12 +45,15 @@ def teleop(
     """
     from robofleet.clock import WallClock  # noqa: PLC0415
     from robofleet.comms.joining import joined  # noqa: PLC0415
+    from robofleet.comms.permissions import OPERATOR as PERSON  # noqa: PLC0415
     from robofleet.gateways.gamepad import driving, pads  # noqa: PLC0415
 
     with bad_input():
         need_extra("teleop", "evdev")
         need_extra("lab", *LAB_MODULES)
         tree, place = run_of(arena or None, config)
+        if why := joined_otherwise(tree, place, PERSON):
+            raise RefusedError(why)
         chosen = _group(tree, group)
         robots = next(one for one in tree.groups if one.title == chosen).robots
         if out is not None and out not in robots:

@@ -11,7 +11,6 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.gateways.gamepad.pads import Pad
 from robofleet.processes.hand import Hand
-from robofleet.processes.rescues import Way
 from robofleet.safety.supervisor import Phase
 
 _AGAIN_NS = 20 * MS  # a command that stays as it is
@@ -25,7 +24,7 @@ def drive(
 
     ``out``: the robot of the group that is driven out while the run is held; by default the first one.
     """
-    hand, state = Hand(bus, config, group, Way.GAMEPAD), bus.newest(STATE)
+    hand, state = Hand(bus, config, group), bus.newest(STATE)
     out = out or next(its.robots[0] for its in config.groups if its.title == group)
     held, epoch = False, 0  # of the run; of its supervisor: another one is another run's
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)

@@ -59,6 +59,9 @@ def ros2(
     rviz: Annotated[
         bool, typer.Option("--rviz", help="Print a configuration of RViz for the run, or for CONFIG.")
     ] = False,
+    urdf: Annotated[
+        str | None, typer.Option("--urdf", metavar="ROBOT", help="Print the URDF of a robot of the run, or of CONFIG.")
+    ] = None,
     share: Annotated[bool, typer.Option("--share", help="Print the folder of the launch file.")] = False,
 ) -> None:
     """Be a ROS 2 node: a run's poses, odometry, images and state for ROS 2; cmd_vel of groups with behaviour ros2.
@@ -71,6 +74,8 @@ def ros2(
 
     $ robofleet ros2 --rviz
 
+    $ robofleet ros2 configs/ros2.yaml --urdf r1
+
     It needs your ROS 2 Jazzy, or newer. The run does not need it: start and end it at any time.
     """
     if share:
@@ -78,8 +83,9 @@ def ros2(
         return
     with bad_input():
         need_extra("lab", *LAB_MODULES)
-        if rviz:
-            print(_rviz(arena, overrides, config, namespace), end="")
+        if rviz or urdf is not None:
+            tree = _configuration(arena, overrides, config)
+            print(_rviz(tree, namespace) if urdf is None else _urdf(tree, urdf), end="")
             return
         _need_ros()
         if lockstep:
@@ -97,7 +103,7 @@ def _need_ros() -> None:
     """Refuse where there is no rclpy, or one of another Python."""
     chosen = os.environ.get("RMW_IMPLEMENTATION")
     if chosen:  # rclpy ends the process that imports it and has no such one
-        tried = subprocess.run([sys.executable, "-c", "import rclpy"], stderr=subprocess.DEVNULL, check=False)
+        tried = subprocess.run([sys.executable, "-P", "-c", "import rclpy"], stderr=subprocess.DEVNULL, check=False)
         if tried.returncode not in (0, _RAISED):
             raise RefusedError(f"RMW_IMPLEMENTATION={chosen}: this rclpy does not start with it: unset it")
     missing = [package for package in _PACKAGES if package != _OPTIONAL and find_spec(package) is None]
@@ -114,15 +120,30 @@ def _need_ros() -> None:
         )
 
 
-def _rviz(arena: str | None, overrides: list[str], copy: Path | None, namespace: str) -> str:
-    """Return what RViz shows of a run that is on, or of a configuration's."""
+def _configuration(arena: str | None, overrides: list[str], copy: Path | None) -> "Config":
+    """Return the configuration of a run that is on, or the one that is named."""
     from robofleet.config.load import load_config  # noqa: PLC0415
+
+    if arena is not None and Path(arena).suffix in CONFIGURATIONS:
+        return load_config(Path(arena), overrides)
+    return run_of(arena or None, copy)[0]
+
+
+def _rviz(config: "Config", namespace: str) -> str:
+    """Return what RViz shows of a run."""
     from robofleet.gateways.ros2 import rviz  # noqa: PLC0415
 
-    named = arena is not None and Path(arena).suffix in CONFIGURATIONS
-    tree = load_config(Path(arena or ""), overrides) if named else run_of(arena or None, copy)[0]
-    _check_names(tree)
-    return rviz.configuration(tree, namespace)
+    _check_names(config)
+    return rviz.configuration(config, namespace)
+
+
+def _urdf(config: "Config", robot: str) -> str:
+    from robofleet.config.faults import did_you_mean  # noqa: PLC0415
+    from robofleet.gateways.urdf import urdf  # noqa: PLC0415
+
+    if robot not in config.ids:
+        raise RefusedError(f"--urdf {robot}: there is no such robot: {did_you_mean(robot, config.ids)}")
+    return urdf(config.robot(robot))
 
 
 def _check_names(config: "Config") -> None:

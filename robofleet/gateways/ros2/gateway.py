@@ -11,6 +11,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import camera, topics
 from robofleet.gateways.ros2.camera import Camera
+from robofleet.gateways.ros2.floor import Floor
 from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.run import Run, markers
@@ -52,9 +53,13 @@ class Gateway:
             self._parts += [Camera(graph, name, view, robots, bus, wake) for name, view in config.trackers.items()]
         self._markers = graph.publisher(topics.MARKERS)
         self._markers.publish(markers(config, names, graph.frames))
+        self._floor = Floor(graph, config, names)
         self._say_places(graph, config, names)
         if not there():
-            node.get_logger().warning(f"no /tf: the package {PACKAGE} is not installed here; every ROS 2 has it")
+            node.get_logger().warning(
+                f"no /tf, so RViz and Nav2 see no robots: this Python has no {PACKAGE}, and PyPI has none: "
+                "install robofleet for the Python of a ROS 2 of your own (configs/ROS2.md), which has it"
+            )
 
     def step(self) -> None:
         """Say what is new; it is called when something comes, too."""

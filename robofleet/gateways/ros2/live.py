@@ -1,6 +1,5 @@
 """The gateway of a run in real time: one more client of its bus, which it may leave at any time."""
 
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -11,16 +10,19 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from robofleet.behaviours.ros2 import Ros2
 from robofleet.clock import WallClock, epoch_ns
 from robofleet.comms.joining import joined
 from robofleet.comms.permissions import SCRIPT
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.place import Place, is_over, joined_otherwise
 from robofleet.gateways.ros2 import services
 from robofleet.gateways.ros2.gateway import NODE, Gateway
 from robofleet.gateways.served import Served
 from robofleet.processes.refusal import RefusedError
+from robofleet.processes.terminal import interrupts
 
 _JOINED_WITHIN_S = 3.0
 _LOOK_S = 0.05  # at least so often it is seen what came
@@ -28,12 +30,8 @@ _LOOK_S = 0.05  # at least so often it is seen what came
 
 @contextmanager
 def node(namespace: str) -> Iterator[Node]:
-    """Be a node of the graph; RefusedError where there can be none.
-
-    Signals are ours: SIGINT and SIGTERM end the gateway in order.
-    """
+    """Be a node of the graph, which leaves signals alone; RefusedError where there can be none."""
     context = rclpy.Context()
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         try:
             rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -47,7 +45,6 @@ def node(namespace: str) -> Iterator[Node]:
         finally:
             made.destroy_node()
     finally:
-        signal.signal(signal.SIGTERM, before)
         rclpy.try_shutdown(context=context)
 
 
@@ -56,19 +53,20 @@ def _line(error: Exception) -> str:
 
 
 def serve(config: Config, place: Place, namespace: str) -> None:
-    """Serve a run until it ends, or until SIGINT; TimeoutError where its bus does not answer, RefusedError as ``node``.
+    """Serve a run until it ends, or a signal comes; TimeoutError if its bus does not answer, RefusedError as ``node``.
 
     The bus wakes the node, so it is left before the node is destroyed.
     """
     clock = WallClock()
     with ExitStack() as held:
+        interrupted = held.enter_context(interrupts())
         made = held.enter_context(node(namespace))
-        held.enter_context(suppress(KeyboardInterrupt, ExternalShutdownException))
+        held.enter_context(suppress(ExternalShutdownException))
         bus = held.enter_context(
             closing(joined(config.arena.name, place.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
                            credentials=place.credentials))
         )  # fmt: skip
-        asking = held.enter_context(closing(Asking(bus, clock, config)))
+        asking = held.enter_context(closing(Asking(bus, clock, config, place.role)))
         executor = SingleThreadedExecutor(context=made.context)
         executor.add_node(made)
         served = Served(lambda: is_over(config, place), clock.now_ns())
@@ -76,6 +74,8 @@ def serve(config: Config, place: Place, namespace: str) -> None:
         held.callback(gateway.velocities.stand)
         services.serve(made, asking)
         made.create_timer(_LOOK_S, gateway.step)
+        if groups.wishing(config, Ros2) and (why := joined_otherwise(config, place, SCRIPT)):
+            print(why, file=sys.stderr)
         print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
-        while not served.is_over(clock.now_ns()):
+        while not interrupted.count and not served.is_over(clock.now_ns()):
             executor.spin_once(timeout_sec=_LOOK_S)

@@ -21,9 +21,11 @@ from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, wanted
 from robofleet.gateways.ros2.odometry import Odometry
 from robofleet.gateways.ros2.transforms import Transforms
+from robofleet.gateways.urdf import WHEELS
 from robofleet.tracking.measured import rows_of
+from robofleet.vehicles.differential_drive import DifferentialDrive
 
-_WHEELS = "left_wheel_joint", "right_wheel_joint"
+_JOINTS = [f"{wheel}_joint" for wheel in WHEELS]
 _BATTERY_NS = S  # from one word of the batteries to the next
 _COVARIANCE = tuple(TagPose._fields[6:])
 _PLACES = 0, 1, 7, 5, 11, 35  # of xx, xy, yy, xpsi, ypsi, psipsi in ROS's 6 x 6: x, y, z, roll, pitch, yaw
@@ -84,8 +86,9 @@ class _Unit:
         self.robots = [robot for robot, _ in robots]
         self._graph, self._transforms = graph, transforms
         self._statuses = bus.newest(STATUS, unit, wake)
-        self._odometry = Odometry([slices.drive(config.robot(robot)) for robot in self.robots])
-        self._robots = [_Robot(graph, name) for _, name in robots]
+        drives = [slices.drive(config.robot(robot)) for robot in self.robots]
+        self._odometry = Odometry(drives)
+        self._robots = [_Robot(graph, name, drive) for (_, name), drive in zip(robots, drives, strict=True)]
         self._battery_ns = 0
 
     def step(self, now_ns: int) -> None:
@@ -109,7 +112,7 @@ class _Unit:
                 robot.say_battery(stamp, float(items["battery"][row]))
             if self._transforms.wanted:
                 place = odometry.corrections[row].tolist() if odometry.corrected[row] else None
-                moved += robot.transforms(stamp, place, pose)
+                moved += robot.transforms(stamp, place, pose, angles[row].tolist())
         if tells:
             self._battery_ns = now_ns
         self._transforms.say(moved)
@@ -124,7 +127,7 @@ class _Unit:
 class _Robot:
     """One robot's publishers, and the messages that it says again and again."""
 
-    def __init__(self, graph: Graph, name: str) -> None:
+    def __init__(self, graph: Graph, name: str, drive: DifferentialDrive) -> None:
         frames = graph.frames
         odom, base = frames.odom(name), frames.base(name)
         self._pose = graph.publisher(topics.POSE, name)
@@ -135,7 +138,7 @@ class _Robot:
         self._seen.header.frame_id = frames.map
         self._moved = OdometryMessage(child_frame_id=base)
         self._moved.header.frame_id = odom
-        self._turned = JointState(name=_WHEELS)
+        self._turned = JointState(name=_JOINTS)
         self._turned.header.frame_id = base
         self._charged = BatteryState(
             present=True, voltage=math.nan, current=math.nan, charge=math.nan, capacity=math.nan,
@@ -144,6 +147,11 @@ class _Robot:
         self._charged.header.frame_id = base
         self._from_map, self._from_odom = TransformStamped(child_frame_id=odom), TransformStamped(child_frame_id=base)
         self._from_map.header.frame_id, self._from_odom.header.frame_id = frames.map, odom
+        self._wheels = [TransformStamped(child_frame_id=frames.link(name, f"{wheel}_link")) for wheel in WHEELS]
+        for wheel, side in zip(self._wheels, (0.5, -0.5), strict=True):
+            wheel.header.frame_id = base
+            wheel.transform.translation.y = side * drive.wheel_base
+            wheel.transform.translation.z = drive.wheel_radius
 
     def say_pose(self, stamp: Any, pose: Sequence[float], covariance: Sequence[float]) -> None:
         said, whole = self._seen, np.zeros(36)
@@ -176,11 +184,14 @@ class _Robot:
         self._battery.publish(said)
 
     def transforms(
-        self, stamp: Any, place: Sequence[float] | None, pose: Sequence[float]
+        self, stamp: Any, place: Sequence[float] | None, pose: Sequence[float], angles: Sequence[float]
     ) -> tuple[TransformStamped, ...]:
-        """Return odom -> base_link, and where the tracker has seen the robot map -> odom."""
-        moved = _transform(self._from_odom, stamp, pose)
-        return (moved,) if place is None else (_transform(self._from_map, stamp, place), moved)
+        """Return odom -> base_link -> wheels, and where the tracker has seen the robot map -> odom."""
+        for wheel, angle in zip(self._wheels, angles, strict=True):
+            wheel.header.stamp = stamp
+            wheel.transform.rotation.y, wheel.transform.rotation.w = math.sin(angle / 2.0), math.cos(angle / 2.0)
+        moved = _transform(self._from_odom, stamp, pose), *self._wheels
+        return moved if place is None else (_transform(self._from_map, stamp, place), *moved)
 
 
 def heading(psi: float) -> Quaternion:

@@ -18,6 +18,7 @@ from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.topics import Frames
 from robofleet.gateways.served import Served
+from robofleet.gateways.urdf import HEIGHT_M
 from robofleet.recording.causes import halt_cause, named, run_cause
 from robofleet.safety.advice import advised
 from robofleet.safety.gate import GateStatus, Latch
@@ -27,7 +28,6 @@ _EVERY_NS = S  # from one word of the diagnostics to the next
 _OLD_NS = S  # a robot that said nothing for so long is stale
 _OK, _WARN, _ERROR, _STALE = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 _LEVELS = {Phase.HOLD: _WARN, Phase.FAULT: _ERROR, Phase.ESTOP: _ERROR}
-_HEIGHT_M = 0.08  # of the bodies as they are drawn
 
 
 class Run:
@@ -121,10 +121,10 @@ def markers(config: Config, names: dict[str, str], frames: Frames) -> MarkerArra
             _marker(kind, number, frame, shape)
             for kind, shape in (("body", Marker.CYLINDER), ("ahead", Marker.ARROW), ("name", Marker.TEXT_VIEW_FACING))
         )
-        body.pose.position.z = _HEIGHT_M / 2.0
+        body.pose.position.z = HEIGHT_M / 2.0
         body.scale.x = body.scale.y = 2.0 * radius
-        body.scale.z = _HEIGHT_M
-        nose.pose.position.z = title.pose.position.z = _HEIGHT_M
+        body.scale.z = HEIGHT_M
+        nose.pose.position.z = title.pose.position.z = HEIGHT_M
         nose.scale.x, nose.scale.y, nose.scale.z = 1.5 * radius, 0.2 * radius, 0.1 * radius
         title.scale.z, title.text = radius, robot.id
         drawn += [body, nose, title]

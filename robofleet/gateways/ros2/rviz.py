@@ -31,9 +31,13 @@ def configuration(config: Config, namespace: str) -> str:
         _display(
             "TF", "Frames", **{"Show Names": False, "Show Arrows": False, "Marker Scale": 0.25, "Frame Timeout": 2}
         ),
+        shown("Map", "Floor and obstacles", topics.FLOOR),
         shown("MarkerArray", "Arena and robots", topics.MARKERS),
     ]
     for robot in config.robots:
+        model = shown("RobotModel", robot.id, topics.DESCRIPTION, names[robot.id])
+        where = {"Description Source": "Topic", "Description Topic": model.pop("Topic")}
+        displays.append(model | where | {"TF Prefix": Frames(namespace).link(names[robot.id], "").rstrip("/")})
         sensors = robot.vehicle.sensors
         if robot.sensors and sensors is not None and sensors.distances is not None:
             for number in range(len(sensors.distances.places)):

@@ -23,6 +23,7 @@ from robofleet.gateways.ros2.live import node
 from robofleet.gateways.served import Served
 from robofleet.processes.script_link import FleetError
 from robofleet.processes.script_lockstep import LockstepLink
+from robofleet.processes.terminal import Interrupts, interrupts
 from robofleet.safety.supervisor import Phase
 
 _STEP_S = 0.005  # of simulated time, from one look at ROS to the next
@@ -38,17 +39,17 @@ class Simulated:
         self._link = LockstepLink(config, config.groups[0].title, name, folder)
 
     def serve(self, namespace: str, speed: float) -> dict[str, Any]:
-        """Let it go on until its duration is over, it ends, or SIGINT comes; returns its summary.
+        """Let it go on until its duration is over, it ends, or a signal comes; returns its summary.
 
         ``speed``: simulated seconds a second. FleetError where it does not begin.
         """
         link = self._link
-        link.begin()
-        with node(namespace) as made:
+        with interrupts() as interrupted, node(namespace) as made:
+            link.begin()
             outcome: tuple[str, str | None] = "stopped", "the operator interrupted"
             try:
                 with suppress(KeyboardInterrupt):
-                    outcome = link.run.lap(_Passing(link, made, speed).until, _OVER)
+                    outcome = link.run.lap(_Passing(link, made, speed, interrupted).until, _OVER)
             finally:
                 summary = link.end(*outcome)  # whose last messages the node still hears
         return summary
@@ -57,8 +58,8 @@ class Simulated:
 class _Passing:
     """Lets simulated time pass, while a node hears of it."""
 
-    def __init__(self, link: LockstepLink, made: Node, speed: float) -> None:
-        self._link, self._run = link, link.run
+    def __init__(self, link: LockstepLink, made: Node, speed: float, interrupted: Interrupts) -> None:
+        self._link, self._run, self._interrupted = link, link.run, interrupted
         self._executor = SingleThreadedExecutor(context=made.context)
         self._executor.add_node(made)
         clock = self._run.clock
@@ -69,9 +70,11 @@ class _Passing:
         self._pace = _Pace(speed, clock.now_ns())
 
     def until(self, done: Callable[[], bool]) -> None:
-        """Let time pass until something is true."""
+        """Let time pass until something is true; KeyboardInterrupt after a signal."""
         spin, left_s = self._executor.spin_once, self._pace.left_s
         while not done():
+            if self._interrupted.count:
+                raise KeyboardInterrupt
             self._run.advance(_STEP_S)
             now_ns = self._run.clock.now_ns()
             self._ticking.publish(Clock(clock=stamped(now_ns)))

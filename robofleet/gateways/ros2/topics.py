@@ -54,7 +54,12 @@ RANGE = Topic("{}/range_{}", "sensor_msgs/msg/Range", "{}/range_{}", SENSOR, "ea
 COMMAND = Topic(
     "{}/cmd_vel", "geometry_msgs/msg/TwistStamped or geometry_msgs/msg/Twist", "{}/base_link", NEWEST, "yours", "in"
 )
-TRANSFORMS = Topic("/tf", "tf2_msgs/msg/TFMessage", "map -> {}/odom -> {}/base_link", MANY, "each status, 20 ms")
+DESCRIPTION = Topic("{}/robot_description", "std_msgs/msg/String", "{}/base_link", LATCHED, "once: its URDF")
+TRANSFORMS = Topic(
+    "/tf", "tf2_msgs/msg/TFMessage", "map -> {}/odom -> {}/base_link -> {}/left_wheel_link, {}/right_wheel_link", MANY,
+    "each status, 20 ms",
+)  # fmt: skip
+FLOOR = Topic("map", "nav_msgs/msg/OccupancyGrid", MAP, LATCHED, "once: floor and obstacles")
 FIXED = Topic(
     "/tf_static", "tf2_msgs/msg/TFMessage", "map -> {}_optical_frame, {}/base_link -> {}/range_{}", LATCHED, "once"
 )
@@ -68,10 +73,10 @@ STATE = Topic("state", "std_msgs/msg/String", "", LATCHED, "each change")
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "", PLAIN, "1 s")
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", "", SENSOR, "5 ms of simulated time, with `--lockstep`")
 
-OF_ROBOTS = POSE, ODOM, JOINTS, BATTERY, COMMAND
+OF_ROBOTS = POSE, ODOM, JOINTS, BATTERY, DESCRIPTION, COMMAND
 OF_SENSORS = IMU, MAGNETIC, RANGE
 OF_CAMERAS = IMAGE, COMPRESSED, CAMERA_INFO
-OF_RUN = TRANSFORMS, FIXED, MARKERS, STATE, DIAGNOSTICS, CLOCK
+OF_RUN = TRANSFORMS, FIXED, FLOOR, MARKERS, STATE, DIAGNOSTICS, CLOCK
 TOPICS = (*OF_ROBOTS, *OF_SENSORS, *OF_CAMERAS, *OF_RUN)
 
 SERVICE = "std_srvs/srv/Trigger"
@@ -112,6 +117,10 @@ class Frames:
     def base(self, robot: str) -> str:
         """Return a robot's own frame: on the floor under the middle of its axle, x ahead, y to the left, z up."""
         return f"{self._prefix}{robot}/base_link"
+
+    def link(self, robot: str, name: str) -> str:
+        """Return the frame of a part of a robot, as its URDF names it."""
+        return f"{self._prefix}{robot}/{name}"
 
     def range(self, robot: str, number: int) -> str:
         """Return the frame of a distance sensor: x is the direction in which it looks."""

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from robofleet.clock import MS, WallClock, epoch_ns
 from robofleet.comms.bus import Stream
 from robofleet.comms.joining import joined
-from robofleet.comms.keys import STATE
+from robofleet.comms.keys import STATE, split
 from robofleet.comms.keys import key as key_of
 from robofleet.comms.permissions import VIEWER
 from robofleet.config import groups
@@ -80,7 +80,7 @@ def serve(
             raise SystemExit
 
     bus = joined(config.arena.name, place.endpoint, VIEWER, clock, within_s, look, place.credentials)
-    run = Run(config, place, folder, Asking(bus, clock, config))
+    run = Run(config, place, folder, Asking(bus, clock, config, place.role))
 
     def opened(channels: Sequence[Channel]) -> Opened:
         try:
@@ -128,7 +128,8 @@ class Viewers:
 
     def step(self, now_ns: int) -> None:
         """Tell what came."""
-        for at_ns, full, payload in self._stream.drain():
+        for at_ns, full_of_sender, payload in self._stream.drain():
+            full, _ = split(full_of_sender)
             if full == self._state:
                 self._served.take(payload, at_ns)
                 if self._served.is_over(at_ns):

@@ -35,7 +35,11 @@ def page_keys(arena: str, host: str, option: str) -> PageKeys | None:
         add = f"`robofleet keys add {arena} {PAGE} --address {host}`"
         if at.certificate.exists():
             raise RefusedError(f"{option} {host}: {error}") from error
-        first = "" if (at.certificate.parent / AUTHORITY).exists() else f"`robofleet keys init {arena}`, then "
+        first = (
+            ""
+            if (at.certificate.parent / AUTHORITY).exists()
+            else f"`robofleet keys init {arena} --address {host}`, then "
+        )
         raise RefusedError(
             f"{option} {host}: beyond this computer the page needs a certificate of the arena {arena}: {first}{add}"
         ) from error

@@ -42,7 +42,7 @@ def there(named: str | None, running: Callable[[str | None], ArenaFile], load: C
         return There(load(folder / _CONFIG), folder, run)
     file = file / _CONFIG if file.is_dir() else file
     config, folder = load(file), file.absolute().parent
-    mine = [run for run in found().runs if run.mine and run.arena == config.arena.name]
+    mine = [run for run in found().runs if run.own and run.arena == config.arena.name]
     if mine and Path(mine[0].folder) == folder:
         return There(config, folder, mine[0])
     if (verdict := verdict_of(folder)) is not None:

@@ -23,7 +23,7 @@ from robofleet.processes.web.hearing import CameraHearing, Hearing, Shown
 from robofleet.processes.web.words import phase_name, phase_word, stage, what_next
 from robofleet.recording import busy_machine
 from robofleet.recording.causes import named, own_state
-from robofleet.safety.barrier import apart
+from robofleet.safety.distances import apart
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.tracking.outlines import TagOutlines
 

@@ -2,13 +2,15 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.behaviours.go_to import GoTo
 from robofleet.clock import S
+from robofleet.config import groups
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.safety.gate import Latch
@@ -82,6 +84,30 @@ def unnamed(
             if newest.state.latch is not Latch.RUNAWAY:
                 numbers = f"{newest.state.latch.name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
                 found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
+    return found
+
+
+def at_goals(config: Config, poses: Mapping[str, tuple[float, float, float]]) -> set[str]:
+    """Return the robots that have nothing more to do: they stand at their goals, to twice the accuracy of the group.
+
+    ``poses``: true x, y [m], psi [rad] of each robot.
+    """
+    found = set()
+    for group in config.groups:
+        if not issubclass(groups.kind(group), GoTo):
+            continue
+        settings = GoTo.Settings.model_validate(group.settings)
+        near_m, turned = 2 * settings.position_accuracy_m, math.radians(2 * settings.heading_accuracy_deg)
+        labelled = settings.assignment == "labelled"
+        for robot in group.robots:
+            x, y, psi = poses.get(robot, (math.nan,) * 3)
+            goals = [settings.goals[robot]] if labelled else settings.goals.values()
+            if any(
+                math.hypot(x - goal.x_m, y - goal.y_m) <= near_m
+                and abs(math.remainder(psi - goal.pose[2], math.tau)) <= turned
+                for goal in goals
+            ):
+                found.add(robot)
     return found
 
 

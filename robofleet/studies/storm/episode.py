@@ -5,7 +5,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, redirect_stderr
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -13,31 +12,34 @@ import numpy as np
 from robofleet.clock import S
 from robofleet.comms.bus import Answer
 from robofleet.comms.keys import REQUEST, STATE, TRUTH, key
-from robofleet.config import slices
+from robofleet.config import barrier, obstacles, slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
 from robofleet.processes.estop import EmergencyStop
 from robofleet.processes.lockstep import Lockstep
 from robofleet.processes.log_lines import Unfailing
+from robofleet.safety.distances import least_room_m
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faulty_disk import FaultyLog
-from robofleet.studies.storm.bodies import apart, rolling_on, unnamed
+from robofleet.studies.storm.bodies import apart, at_goals, rolling_on, unnamed
 from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, without_cause
 from robofleet.studies.storm.forger import Forger
 from robofleet.studies.storm.gates import GateAudit
 from robofleet.studies.storm.ledger import Ledger, Outage
 from robofleet.studies.storm.schedule import Plan, plan, shared
+from robofleet.studies.storm.setpoints import Senders
 from robofleet.studies.storm.stops import going_on, out_of_reach, stops, unlatched
 from robofleet.studies.storm.verdict import Violation
+from robofleet.vehicles.solids import distances
 
 _FIRST_S = 60.0  # a fleet without faults is armed long before
-_AGAIN_S = 5.0  # after healing, beside what the checks took at first
+_AGAIN_S, _SLOWER = 5.0, 2.0  # after healing, beside what the checks took at first: they are slower on the spot
 _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most seeds, and in one of so many
 _MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
 _POLL_S = 0.002  # of whoever stops the fleet
 _LOOK_S = 0.05  # the operator's eye
-_ROOM_M = 0.06  # what the wheels' trial before a start may ask for
+_WAITING_S, _PAUSE_S = 30.0, 3.0  # of a robot that lets others by, and of all of them for another plan
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
 _NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
 
@@ -80,6 +82,7 @@ class _Player:
         self._lockstep = Lockstep(config, self._ledger.witness)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
         tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
+        self._senders = Senders(config, self._lockstep.bus)
         self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops, self._losing)
         self._found: list[Violation] = []
         self._longest_queue = 0
@@ -111,7 +114,8 @@ class _Player:
             else:
                 self._ask(request)
         lockstep.advance(max(0.0, run_ns / S + storm.healed_s + _SETTLE_S - lockstep.clock.now_ns() / S))
-        self._again(_AGAIN_S + (run_ns - started_ns) / S)
+        self._senders.calm()
+        self._again(_AGAIN_S + _SLOWER * (run_ns - started_ns) / S)
         lockstep.close()
         self._judge(run_ns)
         return Episode(
@@ -132,20 +136,30 @@ class _Player:
         yield from sorted([*acts, *((t, None) for t in looks.tolist() if t < self._plan.healed_s)], key=lambda a: a[0])
 
     def _again(self, within_s: float) -> None:
-        """Bring the fleet back to running, and see every robot's wheels turn."""
+        """Bring the fleet back to running, and see every robot's wheels turn, or its robot where it is to be.
+
+        A robot whose gate lets commands through may wait longer, as long as others drive: a plan gives them the way.
+        """
         lockstep = self._lockstep
         end_s = lockstep.clock.now_ns() / S + within_s
+        last_s = end_s + _WAITING_S
         stay_s = _STAY_S if self._config.run.seed % _LONG else _LONG_STAY_S
         turned: set[str] = set()
+        members = {robot.id for robot in self._config.members}
         while lockstep.clock.now_ns() / S < end_s:
             self._look()
-            everybody = len(turned) == len(self._config.members)
+            everybody = turned >= members
             lockstep.advance(stay_s if everybody else _LOOK_S)
+            if everybody and Event.ACCOMPLISHED is lockstep.status.cause:
+                return
             if lockstep.status.phase is not Phase.RUNNING:
                 turned.clear()
             elif everybody:
                 return
-            turned |= self._ledger.turning()
+            turning, obeying = self._ledger.turning(), self._ledger.obeying()
+            turned |= turning | (obeying & at_goals(self._config, self._true_poses()))
+            if turning and obeying >= members and lockstep.status.phase is Phase.RUNNING:
+                end_s = min(last_s, max(end_s, lockstep.clock.now_ns() / S + _PAUSE_S))
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
             words = lockstep.status.describe(self._config.ids)
@@ -153,21 +167,30 @@ class _Player:
             self._fail("it does not run again within 5 s", numbers)
 
     def _no_room(self) -> bool:
-        """Whether robots stand where none may start: their bodies nearly touch, or they are nearly in the wall."""
-        robots, arena = self._config.bodies, self._config.arena
-        recording = self._lockstep.recording
-        said = {
-            name: truth
+        """Whether a robot has no room to be tried on the spot, by arming's own distances and the poses' error."""
+        config, poses = self._config, self._true_poses()
+        known = [robot for robot in config.bodies if robot.id in poses]
+        at = np.array([poses[robot.id][:2] for robot in known])
+        radii = np.array([robot.vehicle.body_radius_m for robot in known])
+        gaps = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1)) - radii[:, None] - radii[None]
+        np.fill_diagonal(gaps, np.inf)
+        walls = (np.array(config.arena.size_m) / 2 - np.abs(at)).min(axis=1) - radii
+        solids = distances(obstacles.every(config.arena), at) - radii
+        free, members = np.vstack([gaps, walls, solids]).min(axis=0), {robot.id for robot in config.members}
+        error_m = barrier.keepout(config).pose_error
+        return any(
+            left < least_room_m(slices.drive(robot).wheel_radius) + error_m
+            for robot, left in zip(known, free.tolist(), strict=True)
+            if robot.id in members
+        )
+
+    def _true_poses(self) -> dict[str, tuple[float, float, float]]:
+        return {
+            name: (truth.x_m, truth.y_m, truth.psi_rad)
             for unit, names in self._config.units.items()
-            if (truths := recording.newest(TRUTH, unit)) is not None
+            if (truths := self._lockstep.recording.newest(TRUTH, unit)) is not None
             for name, truth in zip(names, truths.robots, strict=True)
         }
-        known = ((said[robot.id], robot.vehicle.body_radius_m) for robot in robots if robot.id in said)
-        bodies = [(truth.x_m, truth.y_m, radius) for truth, radius in known]
-        half_x, half_y = (side / 2 - _ROOM_M for side in arena.size_m)
-        return any(abs(x) + r > half_x or abs(y) + r > half_y for x, y, r in bodies) or any(
-            math.hypot(x - x2, y - y2) < r + r2 + _ROOM_M for (x, y, r), (x2, y2, r2) in combinations(bodies, 2)
-        )
 
     def _look(self) -> None:
         """Do what an operator does who wants the fleet to run."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from robofleet.clock import Clock
 from robofleet.comms.bus import MemoryBus
-from robofleet.safety.gate import GateOutput, GateState, Inputs
+from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs
 from robofleet.vehicles.interface import STOP
 
 
@@ -40,6 +40,10 @@ class Ledger:
     def turning(self) -> set[str]:
         """Return the robots whose wheels are let turn now."""
         return {robot for robot, rows in self.decisions.items() if rows[-1].output.target != STOP}
+
+    def obeying(self) -> set[str]:
+        """Return the robots whose gates let through what their controller commands, be it to stand."""
+        return {robot for robot, rows in self.decisions.items() if rows[-1].output.status is GateStatus.OPEN}
 
     def forget(self) -> None:
         """Let go of everything."""

@@ -13,8 +13,7 @@ from robofleet.config import barrier, groups, slices
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault, PoseFault, Push
-from robofleet.safety.arming import free_m
-from robofleet.safety.barrier import apart
+from robofleet.safety.distances import apart, room_m
 from robofleet.settings import LAST_TAG
 
 Array = NDArray[np.float64]
@@ -104,7 +103,7 @@ class Parking:
         if (np.abs(at) + radius + _MARGIN_M > half).any() or self._off_the_ways(at) < near:
             return False
         for robot in (*self._config.robots, *self._robots):
-            room = free_m(slices.drive(robot).wheel_radius) + robot.vehicle.body_radius_m + radius + _PUSH_M
+            room = room_m(slices.drive(robot).wheel_radius) + robot.vehicle.body_radius_m + radius + _PUSH_M
             if math.dist(slices.start_pose(robot)[:2], at) < room:
                 return False
         return True

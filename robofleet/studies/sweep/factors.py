@@ -73,19 +73,32 @@ def factors(study: Study) -> list[Factor]:
 
 def measures(runs: Sequence[Ran]) -> list[Measure]:
     """Return the figures that were measured in some run: those that bounds can judge, then the groups' own."""
-    summaries = [None if ran.played is None else ran.played.summary for ran in runs]
-    found = []
-    for name, figure in JUDGED.items():
-        limits = {bound["limit"] for s in summaries if s for bound in s["bounds"] if bound["figure"] == name}
-        values = [None if s is None else figure.of(s) for s in summaries]
-        limit = limits.pop() if len(limits) == 1 else None
-        found.append(Measure(figure.label, figure.unit, _array(values), limit, figure.at_least))
+    summaries = _summaries(runs)
     own: dict[tuple[str, str], list[float | None]] = {}
     for k, summary in enumerate(summaries):
         for label, unit, value in _own(summary):
             own.setdefault((label, unit), [None] * len(runs))[k] = value
-    found += [Measure(label, unit, _array(values)) for (label, unit), values in own.items()]
+    found = [*_judged(summaries), *(Measure(label, unit, _array(values)) for (label, unit), values in own.items())]
     return [measure for measure in found if np.isfinite(measure.values).any()]
+
+
+def unmeasured(runs: Sequence[Ran]) -> list[Measure]:
+    """Return the figures that have a bound, and that no run measured."""
+    judged = _judged(_summaries(runs))
+    return [measure for measure in judged if measure.limit is not None and np.isnan(measure.values).all()]
+
+
+def _summaries(runs: Sequence[Ran]) -> list[dict[str, Any] | None]:
+    return [None if ran.played is None else ran.played.summary for ran in runs]
+
+
+def _judged(summaries: Sequence[dict[str, Any] | None]) -> Iterator[Measure]:
+    """Yield the figures that bounds can judge."""
+    for name, figure in JUDGED.items():
+        limits = {bound["limit"] for s in summaries if s for bound in s["bounds"] if bound["figure"] == name}
+        values = [None if s is None else figure.of(s) for s in summaries]
+        limit = limits.pop() if len(limits) == 1 else None
+        yield Measure(figure.label, figure.unit, _array(values), limit, figure.at_least)
 
 
 def _own(summary: dict[str, Any] | None) -> Iterator[tuple[str, str, float]]:

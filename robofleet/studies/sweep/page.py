@@ -12,9 +12,9 @@ from robofleet.config.load import spelled
 from robofleet.figures import STYLE
 from robofleet.pages import Marked, Page, Tile
 from robofleet.studies.sweep import plots
-from robofleet.studies.sweep.factors import Factor, Measure, factors, measures
+from robofleet.studies.sweep.factors import Factor, Measure, factors, measures, unmeasured
 from robofleet.studies.sweep.load import Study
-from robofleet.studies.sweep.table import TIMES, Ran
+from robofleet.studies.sweep.table import TIMES, Ending, Ran
 
 FILE = "sweep.html"
 _PAIRS = 6  # of settings that are drawn
@@ -23,24 +23,19 @@ _SHOWN = 50  # runs of a list
 
 def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]) -> Path:
     """Write the page; returns its file. OSError if it cannot be."""
-    kinds = np.array([_kind(ran) for ran in runs])
+    endings = np.array([ran.ending for ran in runs])
     page = Page(study.name, _subtitle(study, runs))
-    _verdict(page, runs, kinds)
+    _verdict(page, runs, endings)
     known, varied = measures(runs), factors(study)
-    page.tiles(_tile(measure, runs) for measure in known)
+    page.tiles(_tile(measure, runs) for measure in [*known, *unmeasured(runs)])
     shown = [measure for measure in known if measure.varies][: plots.MOST]
     with mpl.rc_context(STYLE):
-        _breaking(page, varied, kinds)
-        _plots(page, varied, shown, kinds)
-    _broken(page, runs, kinds)
+        _breaking(page, varied, endings)
+        _plots(page, varied, shown, endings)
+    _broken(page, runs, endings)
     _origin(page, study, runs, files)
     page.write(folder / FILE)
     return folder / FILE
-
-
-def _kind(ran: Ran) -> int:
-    """Return which of plots.KINDS a run is of."""
-    return 2 if ran.outcome != "completed" else 1 if ran.missed else 0
 
 
 def _subtitle(study: Study, runs: Sequence[Ran]) -> str:
@@ -49,18 +44,25 @@ def _subtitle(study: Study, runs: Sequence[Ran]) -> str:
     return f"{utc_now():%Y-%m-%d %H:%M:%S} UTC; {', '.join(said)}"
 
 
-def _verdict(page: Page, runs: Sequence[Ran], kinds: plots.Kinds) -> None:
-    fine, missed, fault = (int((kinds == kind).sum()) for kind in range(3))
+def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
+    met, not_judged, missed, fault = (int((endings == ending).sum()) for ending in Ending)
     said = f"{len(runs) - fault:,} of {len(runs):,} runs completed" if fault else f"All {len(runs):,} runs completed"
     lines = [f"{fault:,} did not: the commands that replay them are below."] if fault else []
     if missed:
-        lines.append(f"{missed:,} completed and did not meet a bound.")
-    if not missed and any(ran.played is not None and ran.played.summary["bounds"] for ran in runs) and fine:
+        lines.append(f"{missed:,} completed and missed a bound.")
+    if not_judged:
+        lines.append(f"{not_judged:,} completed and missed no bound, but not every bound was judged: see below.")
+    if met and not missed and not not_judged and any(ran.played and ran.played.summary["bounds"] for ran in runs):
         lines.append("Every run that completed met its bounds.")
-    page.verdict(said, good=not fault and not missed, detail="\n".join(lines))
+    page.verdict(said, good=not fault and not missed and not not_judged, detail="\n".join(lines))
 
 
 def _tile(measure: Measure, runs: Sequence[Ran]) -> Tile:
+    lacking = int(np.isnan(measure.values).sum())
+    if lacking == len(runs):
+        return Tile(
+            measure.label, "–", "", Marked(f"not measured in any run, not judged; bound {measure.limit:g}", None)
+        )
     worst = measure.values[measure.worst]
     good = None
     if measure.limit is not None:
@@ -69,6 +71,7 @@ def _tile(measure: Measure, runs: Sequence[Ran]) -> Tile:
     note = f"{word} {_short(worst)}, run {runs[measure.worst].plan.number}"
     if measure.limit is not None:
         note = f"{'✓' if good else '✗'} {note}; bound {measure.limit:g}"
+        note += f"; not measured in {lacking:,} of {len(runs):,} runs" if lacking else ""
     return Tile(
         f"{measure.label}, median", _short(float(np.nanmedian(measure.values))), measure.unit, Marked(note, good)
     )
@@ -79,16 +82,16 @@ def _short(value: float) -> str:
     return f"{value:,.{digits}f}"
 
 
-def _breaking(page: Page, varied: Sequence[Factor], kinds: plots.Kinds) -> None:
+def _breaking(page: Page, varied: Sequence[Factor], endings: plots.Endings) -> None:
     page.section("Which settings break")
-    if not kinds.any():
+    if not (endings != Ending.MET).any():
         page.note("None: every run completed and met its bounds.")
         return
     caption = "How the runs with each value ended, whatever their other settings were."
-    page.figure(plots.breaking(varied, kinds), caption, legend=plots.KINDS, long=True)
+    page.figure(plots.breaking(varied, endings), caption, legend=plots.ENDINGS, long=True)
 
 
-def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], kinds: plots.Kinds) -> None:
+def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], endings: plots.Endings) -> None:
     if not shown:
         page.note("No figure differs between the runs: there is nothing to plot.")
         return
@@ -96,27 +99,30 @@ def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], kinds
         page.section("Two settings together", "Each cell is the median of its runs.")
         for one, other in islice(combinations(varied, 2), _PAIRS):
             across, up = (one, other) if len(one) >= len(other) else (other, one)
-            figure = plots.together(across, up, shown, kinds)
+            figure = plots.together(across, up, shown, endings)
             page.figure(figure, f"{up.key} over {across.key}.", title=f"{across.name} and {up.name}")
     page.section("One setting at a time", "A box holds half of the runs, its line is the median; a point is a run.")
-    legend = [(label, colour) for kind, (label, colour) in enumerate(plots.KINDS) if kind and (kinds == kind).any()]
+    legend = [
+        shown for ending, shown in zip(Ending, plots.ENDINGS, strict=True) if ending and (endings == ending).any()
+    ]
     for factor in varied:
         page.figure(
-            plots.alone(factor, shown, kinds), f"Every figure over {factor.key}.", title=factor.name, legend=legend
+            plots.alone(factor, shown, endings), f"Every figure over {factor.key}.", title=factor.name, legend=legend
         )
 
 
-def _broken(page: Page, runs: Sequence[Ran], kinds: plots.Kinds) -> None:
-    for kind, title, text in (
-        (2, "Runs that did not complete", "Each with the command that replays it, bit for bit on this machine."),
-        (1, "Runs that did not meet a bound", "They completed. The commands replay them."),
+def _broken(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
+    for ending, title, text in (
+        (Ending.BROKEN, "Runs that did not complete", "Each with the command that replays it, bit for bit here."),
+        (Ending.MISSED, "Runs that missed a bound", "They completed. The commands replay them."),
+        (Ending.NOT_JUDGED, "Runs that were not judged by every bound", "They completed, and missed no bound."),
     ):
-        found = [ran for ran, own in zip(runs, kinds, strict=True) if own == kind]
+        found = [ran for ran, own in zip(runs, endings, strict=True) if own == ending]
         if not found:
             continue
         page.section(title, text)
         rows = [
-            (ran.plan.number, _settings(ran), ran.plan.seed, ran.cause or "; ".join(ran.missed))
+            (ran.plan.number, _settings(ran), ran.plan.seed, ran.cause or "; ".join([*ran.missed, *ran.not_judged]))
             for ran in found[:_SHOWN]
         ]
         page.table(("run", "settings", "seed", "what happened"), rows)

@@ -14,22 +14,31 @@ from numpy.typing import NDArray
 from robofleet.figures import COLOURS, FAINT, INK, QUIET
 from robofleet.recording.canvas import WIDTH
 from robofleet.studies.sweep.factors import Array, Factor, Measure
+from robofleet.studies.sweep.table import Ending
 
-FINE, MISSED, FAULT = COLOURS[2], "#e0a33e", COLOURS[1]
-KINDS = (("completed", FINE), ("completed, a bound not met", MISSED), ("did not complete", FAULT))
+_FAULT = COLOURS[1]
+ENDINGS = (  # of runs, by Ending
+    ("completed", COLOURS[2]),
+    ("completed, a bound not judged", "#b9c2ca"),
+    ("completed, a bound missed", "#e0a33e"),
+    ("did not complete", _FAULT),
+)
+_ENDED = {Ending.BROKEN: "not completed", Ending.MISSED: "missed a bound", Ending.NOT_JUDGED: "not judged"}
 
 _SHADES = LinearSegmentedColormap.from_list("shades", ["#eef4f9", "#8fb8d9", COLOURS[0], "#0d3a5c"])
-_REDS = LinearSegmentedColormap.from_list("reds", ["#f4f4f4", "#eeb8aa", FAULT, "#7d2615"])
+_REDS = LinearSegmentedColormap.from_list("reds", ["#f4f4f4", "#eeb8aa", _FAULT, "#7d2615"])
 MOST = 4  # figures that are drawn
 _ROW, _BAR = 2.5, 0.21  # heights [inch]
 _LONG_NAMES = 26  # letters of all level names of a panel that fit side by side
 _WRITTEN = 64  # cells with their numbers in them
 _DARK = 0.6  # brightness of a cell that is written on in white
 
-Kinds = NDArray[np.int64]  # (R,) of every run, into KINDS
+_LEAST_SPAN = 0.1  # of a scale, as a share of the largest value or of the bound: smaller differences look alike
+
+Endings = NDArray[np.int64]  # (R,) of every run: Ending
 
 
-def breaking(factors: Sequence[Factor], kinds: Kinds) -> Figure:
+def breaking(factors: Sequence[Factor], endings: Endings) -> Figure:
     """Draw for each level of each factor how many of its runs ended in which way."""
     rows = sum(len(factor) for factor in factors)
     height = _BAR * rows + 0.34 * len(factors) + 0.5
@@ -37,18 +46,18 @@ def breaking(factors: Sequence[Factor], kinds: Kinds) -> Figure:
     panels = figure.subplots(len(factors), 1, squeeze=False, height_ratios=[len(factor) + 0.6 for factor in factors])
     for axes, factor in zip(panels.flat, factors, strict=True):
         counts = np.array(
-            [[np.sum((factor.of == k) & (kinds == kind)) for kind in range(3)] for k in range(len(factor))]
+            [[np.sum((factor.of == k) & (endings == ending)) for ending in Ending] for k in range(len(factor))]
         )
         share = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         left = np.zeros(len(factor))
-        for kind, (_, colour) in enumerate(KINDS):
-            axes.barh(range(len(factor)), share[:, kind], 0.72, left, color=colour)
-            left += share[:, kind]
-        for k, (_, missed, fault) in enumerate(counts):
-            said = ", ".join(f"{n} {word}" for n, word in ((fault, "not completed"), (missed, "over a bound")) if n)
+        for ending, (_, colour) in enumerate(ENDINGS):
+            axes.barh(range(len(factor)), share[:, ending], 0.72, left, color=colour)
+            left += share[:, ending]
+        for k, row in enumerate(counts):
+            words = ", ".join(f"{row[ending]} {word}" for ending, word in _ENDED.items() if row[ending])
             axes.annotate(
-                f"{said or 'all well'}, of {counts[k].sum()}", (101.5, k), va="center", fontsize=8,
-                annotation_clip=False, color=INK if said else QUIET,
+                f"{words or 'all well'}, of {row.sum()}", (101.5, k), va="center", fontsize=8,
+                annotation_clip=False, color=INK if words else QUIET,
             )  # fmt: skip
         axes.set(xlim=(0, 140), title=factor.key, xticks=[])
         axes.set_yticks(range(len(factor)), factor.levels)
@@ -59,9 +68,9 @@ def breaking(factors: Sequence[Factor], kinds: Kinds) -> Figure:
     return figure
 
 
-def together(across: Factor, up: Factor, measures: Sequence[Measure], kinds: Kinds) -> Figure:
+def together(across: Factor, up: Factor, measures: Sequence[Measure], endings: Endings) -> Figure:
     """Draw the share of runs that broke, where some did, and each figure's median over two factors."""
-    broke = np.where(kinds == 2, 100.0, 0.0)
+    broke = np.where(endings == Ending.BROKEN, 100.0, 0.0)
     shown = [*measures]
     if broke.any():
         shown = [Measure("did not complete", "% of the runs", broke), *shown[: MOST - 1]]
@@ -71,11 +80,11 @@ def together(across: Factor, up: Factor, measures: Sequence[Measure], kinds: Kin
     return figure
 
 
-def alone(factor: Factor, measures: Sequence[Measure], kinds: Kinds) -> Figure:
+def alone(factor: Factor, measures: Sequence[Measure], endings: Endings) -> Figure:
     """Draw every figure over the levels of one factor: a box from quartile to quartile, and each run as a point."""
     figure, panels = _panels(len(measures), _ROW)
     for axes, measure in zip(panels, measures, strict=True):
-        _boxes(axes, factor, measure, kinds)
+        _boxes(axes, factor, measure, endings)
     return figure
 
 
@@ -95,14 +104,9 @@ def _cells(axes: Axes, across: Factor, up: Factor, measure: Measure, *, red: boo
         values = measure.values[(up.of == i) & (across.of == k)]
         if np.isfinite(values).any():
             medians[i, k] = values.mean() if red else np.nanmedian(values)
-    low, high = (0.0, 100.0) if red else (np.nanmin(medians), np.nanmax(medians))
+    low, high = (0.0, 100.0) if red else scale(medians, measure.limit)
     image = axes.pcolormesh(
-        medians,
-        cmap=_REDS if red else _SHADES,
-        vmin=low,
-        vmax=max(high, low + 1e-12),
-        edgecolors="white",
-        linewidth=1.5,
+        medians, cmap=_REDS if red else _SHADES, vmin=low, vmax=high, edgecolors="white", linewidth=1.5
     )
     if medians.size <= _WRITTEN:
         for (i, k), value in np.ndenumerate(medians):
@@ -124,7 +128,7 @@ def _cells(axes: Axes, across: Factor, up: Factor, measure: Measure, *, red: boo
     axes.spines[["left", "bottom"]].set_visible(False)
 
 
-def _boxes(axes: Axes, factor: Factor, measure: Measure, kinds: Kinds) -> None:
+def _boxes(axes: Axes, factor: Factor, measure: Measure, endings: Endings) -> None:
     values = [measure.values[(factor.of == k) & np.isfinite(measure.values)] for k in range(len(factor))]
     places = np.arange(len(factor), dtype=np.float64)
     axes.boxplot(
@@ -133,13 +137,13 @@ def _boxes(axes: Axes, factor: Factor, measure: Measure, kinds: Kinds) -> None:
         medianprops={"color": COLOURS[0], "linewidth": 1.8},
         whiskerprops={"color": COLOURS[0], "linewidth": 0.9}, capprops={"color": COLOURS[0], "linewidth": 0.9},
     )  # fmt: skip
-    spread = 0.16 * np.sin(12.9898 * np.arange(len(kinds)))  # beside each other, the same every time
-    for kind, (_, colour) in enumerate(KINDS):
-        of = (kinds == kind) & np.isfinite(measure.values)
-        quiet = kind == 0
+    spread = 0.16 * np.sin(12.9898 * np.arange(len(endings)))  # beside each other, the same every time
+    for ending, (_, colour) in enumerate(ENDINGS):
+        of = (endings == ending) & np.isfinite(measure.values)
+        quiet = ending == Ending.MET
         axes.plot(
             factor.of[of] + spread[of], measure.values[of], "o", ms=2.6 if quiet else 4, mew=0,
-            color=INK if quiet else colour, alpha=0.45 if quiet else 1, rasterized=len(kinds) > 2000,
+            color=INK if quiet else colour, alpha=0.45 if quiet else 1, rasterized=len(endings) > 2000,
         )  # fmt: skip
     if measure.limit is not None and _near(measure.limit, measure.values):
         axes.axhline(measure.limit, color=QUIET, lw=0.9, ls=(0, (5, 3)))
@@ -147,7 +151,8 @@ def _boxes(axes: Axes, factor: Factor, measure: Measure, kinds: Kinds) -> None:
             "bound", (1.0, measure.limit), (-2, 2), xycoords=("axes fraction", "data"), textcoords="offset points",
             ha="right", fontsize=8, color=INK,
         )  # fmt: skip
-    axes.set(title=measure.title, xlabel=factor.name, xlim=(-0.6, len(factor) - 0.4))
+    least, most = scale(np.array(axes.get_ylim()), measure.limit)
+    axes.set(title=measure.title, xlabel=factor.name, xlim=(-0.6, len(factor) - 0.4), ylim=(least, most))
     _named(axes, factor, places)
     axes.grid(visible=False, axis="x")
     axes.tick_params(axis="x", length=0)
@@ -157,6 +162,14 @@ def _named(axes: Axes, factor: Factor, places: Array) -> None:
     """Write the levels below an axis, turned where they are too long to stand side by side."""
     long = sum(len(level) + 2 for level in factor.levels) > _LONG_NAMES
     axes.set_xticks(places, factor.levels, rotation=35 if long else 0, ha="right" if long else "center")
+
+
+def scale(values: Array, limit: float | None) -> tuple[float, float]:
+    """Return the ends of a scale for values: their own, or wider, so that differences of no weight look alike."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    least = max(_LEAST_SPAN * max(abs(low), abs(high), abs(limit or 0.0)), 1e-12)
+    missing = max(0.0, least - (high - low)) / 2
+    return low - missing, high + missing
 
 
 def _near(limit: float, values: Array) -> bool:

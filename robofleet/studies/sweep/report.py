@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from robofleet.config.faults import counted
 from robofleet.studies.sweep.factors import measures
 from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import Ran
@@ -41,9 +42,12 @@ def summarise(study: Study, runs: Sequence[Ran], files: Sequence[Path]) -> None:
         console.print(table)
     else:
         print(_ended(study, runs))
-    missed = sum(bool(ran.missed) for ran in runs)
-    if missed:
-        print(f"{missed:,} runs did not meet a bound", file=sys.stderr)
+    for count, what in (
+        (sum(bool(ran.missed) for ran in runs), "did not meet a bound"),
+        (sum(bool(ran.not_judged) for ran in runs), "were not judged by a bound: its figure was not measured"),
+    ):
+        if count:
+            print(f"{counted(count, 'run')} {what}", file=sys.stderr)
     for file in files:
         print(file)
 
@@ -58,6 +62,7 @@ def told(study: Study, runs: Sequence[Ran], folder: Path) -> dict[str, Any]:
         "runs": len(runs),
         "completed": sum(ran.outcome == "completed" for ran in runs),
         "bounds_missed": sum(bool(ran.missed) for ran in runs),
+        "bounds_not_judged": sum(bool(ran.not_judged) for ran in runs),
         "figures": {
             measure.title: {
                 "median": float(np.nanmedian(measure.values)),

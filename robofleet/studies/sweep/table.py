@@ -7,13 +7,14 @@ computers took is in a table of its own.
 import csv
 import io
 from collections.abc import Iterator, Sequence
+from enum import IntEnum
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.config.load import spelled
 from robofleet.files import replaced, write_text
-from robofleet.recording.bounds import failures
+from robofleet.recording.bounds import missed, unmeasured
 from robofleet.studies.sweep.load import Planned, Study
 from robofleet.studies.sweep.unit import Played
 
@@ -27,6 +28,15 @@ _GROUPS_OWN = "behaviour", "robots", "asked"
 
 Cell = str | int | float | bool | None
 Row = dict[str, Cell]
+
+
+class Ending(IntEnum):
+    """How a run ended, the worst last."""
+
+    MET = 0  # it completed, and met its bounds
+    NOT_JUDGED = 1  # it completed, and the figure of a bound was not measured
+    MISSED = 2  # it completed, and did not meet a bound
+    BROKEN = 3  # it did not complete
 
 
 class Ran(NamedTuple):
@@ -49,7 +59,19 @@ class Ran(NamedTuple):
     @property
     def missed(self) -> list[str]:
         """The bounds that it did not meet, a line each."""
-        return [] if self.played is None else failures(self.played.summary)
+        return [] if self.played is None else missed(self.played.summary)
+
+    @property
+    def not_judged(self) -> list[str]:
+        """The bounds whose figures were not measured, a line each."""
+        return [] if self.played is None else unmeasured(self.played.summary)
+
+    @property
+    def ending(self) -> Ending:
+        """How it ended."""
+        if self.outcome != "completed":
+            return Ending.BROKEN
+        return Ending.MISSED if self.missed else Ending.NOT_JUDGED if self.not_judged else Ending.MET
 
 
 def row(study: Study, ran: Ran) -> Row:
@@ -71,6 +93,7 @@ def row(study: Study, ran: Ran) -> Row:
     }
     cells["trace_hash"] = summary["trace_hash"]
     cells["bounds_missed"] = len(ran.missed)
+    cells["bounds_not_judged"] = len(ran.not_judged)
     cells["stops"] = sum(not stop["by_operator"] for stop in summary["stops"])
     cells.update(_flat(figures, "", summary["robots"]))
     for name, (figure, robots) in own.items():

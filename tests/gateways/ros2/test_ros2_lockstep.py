@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -23,21 +24,21 @@ needs_ros = pytest.mark.skipif(
 
 
 @needs_ros
-def test_a_node_drives_in_simulated_time(tmp_path: Path) -> None:
+def test_a_node_drives_in_simulated_time_until_the_run_in_the_background_is_interrupted(tmp_path: Path) -> None:
     environment = own_folders(tmp_path) | {
         "ROS_DOMAIN_ID": str(101 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(tmp_path),
     }  # fmt: skip
     user = [sys.executable, "-m", "tests.gateways.ros2.user", "clock"]
     gateway = [sys.executable, "-m", "robofleet", "ros2", str(CONFIG), "--lockstep", "--out", str(tmp_path / "run")]
-    with subprocess.Popen(
-        [*gateway, "--set", "tracker.source=truth"], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as run:
+    background = ["env", "--ignore-signal=INT", *gateway, "--set", "tracker.source=truth"]  # as a shell's `&` does
+    with subprocess.Popen(background, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
         try:
             node = subprocess.run(user, env=environment, capture_output=True, text=True, timeout=WITHIN_S, check=False)
-        finally:
-            run.terminate()
+            run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=WITHIN_S)
+        finally:
+            run.kill()
     assert node.returncode == 0, (node.stderr, said.decode())
     heard = json.loads(node.stdout)
     assert heard["moved_m"] == pytest.approx(2 * 0.12, abs=0.05), "less the motors' lag"

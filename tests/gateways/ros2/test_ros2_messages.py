@@ -7,10 +7,12 @@ from collections import defaultdict
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
+from matplotlib.path import Path as Outline
 
 pytest.importorskip("rclpy", reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own")
 
@@ -26,9 +28,11 @@ from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import camera, run, sensing, topics, transforms
+from robofleet.gateways.ros2.floor import grid
 from robofleet.gateways.ros2.graph import stamped
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.sensing import Sensing
+from robofleet.gateways.urdf import urdf
 from robofleet.processes.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.pictures import picture_size
@@ -149,6 +153,52 @@ def test_frames_compose_to_where_the_robot_is(graph: Paper) -> None:
             checked += 1
     assert checked > 100
     assert np.ptp(known, axis=0).max() > 0.1, "it drove"
+
+
+def test_a_robot_is_described_with_the_frames_and_joints_that_are_told(graph: Paper) -> None:
+    """Its wheels' frames are where the URDF has them, turned as the joints are."""
+    config = load_config(SHIPPED / "ros2.yaml", TRUTH)
+    driven(config, graph, 1.0)
+    whole = ElementTree.fromstring(urdf(config.robot("r1")))
+    joints = {one.attrib["name"]: one for one in whole.iter("joint")}
+    turned = graph.topics["r1/joint_states"].said[-1]
+    assert list(turned.name) == list(joints)
+    frames = {one.child_frame_id: one for one in graph.topics["/tf"].said[-1].transforms}
+    assert {f"r1/{one.attrib['name']}" for one in whole.iter("link")} <= frames.keys()
+    for name, angle in zip(turned.name, turned.position, strict=True):
+        joint = joints[name]
+        frame = frames[f"r1/{joint.find('child').attrib['link']}"]
+        assert frame.header.frame_id == f"r1/{joint.find('parent').attrib['link']}"
+        at = frame.transform.translation
+        assert f"{at.x:g} {at.y:g} {at.z:g}" == joint.find("origin").attrib["xyz"]
+        turn = frame.transform.rotation
+        assert math.remainder(2.0 * math.atan2(turn.y, turn.w) - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_map_is_occupied_where_obstacles_are_and_beside_the_floor() -> None:
+    floor = "[[-1.6, -1.0], [1.6, -1.0], [1.6, 0.2], [0.4, 1.0], [-1.6, 1.0]]"
+    config = load_config(SHIPPED / "obstacles.yaml", [f"arena.floor_m={floor}"])
+    graph = Paper()
+    graph.clock = SimulatedClock()  # type: ignore[attr-defined]
+    message = grid(config, graph)  # type: ignore[arg-type]
+    cells = np.array(message.data).reshape(message.info.height, message.info.width)
+    corner, side = message.info.origin.position, message.info.resolution
+    assert (cells.shape[1] * side, cells.shape[0] * side) == pytest.approx(config.arena.size_m, abs=side)
+    columns, rows = np.meshgrid(np.arange(cells.shape[1]), np.arange(cells.shape[0]))
+    middles = np.column_stack([(corner.x + (columns + 0.5) * side).ravel(), (corner.y + (rows + 0.5) * side).ravel()])
+
+    solid, sure = np.zeros(cells.size, np.bool_), np.ones(cells.size, np.bool_)
+    for corners, inside in [(config.arena.floor_m, False), *((one.polygon_m, True) for one in config.arena.obstacles)]:
+        if corners is not None:
+            wider, narrower = (Outline(corners).contains_points(middles, radius=margin) for margin in (1e-6, -1e-6))
+            solid |= wider == inside
+            sure &= wider == narrower
+    for circle in (one.circle for one in config.arena.obstacles if one.circle is not None):
+        away = np.hypot(*(middles - (circle.x_m, circle.y_m)).T) - circle.radius_m
+        solid |= away < 0.0
+        sure &= abs(away) > 1e-6
+    assert (cells.ravel() == np.where(solid, 100, 0))[sure].all() and np.count_nonzero(~sure) < 0.01 * cells.size
+    assert 0 < np.count_nonzero(cells) < cells.size / 2
 
 
 def test_a_pose_is_said_at_the_instant_when_it_was_true(graph: Paper) -> None:

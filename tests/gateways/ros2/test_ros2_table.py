@@ -46,16 +46,25 @@ def test_rviz_shows_what_is_said(name: str, namespace: str) -> None:
     assert shown["Global Options"]["Fixed Frame"] == shown["Views"]["Current"]["Target Frame"] == f"{prefix}map"
     sensors = config.robot("r1").vehicle.sensors
     assert sensors is not None and sensors.distances is not None
-    rows = {"markers": topics.MARKERS, **{f"{camera}/image": topics.IMAGE for camera in config.camera_names}}
+    rows = {
+        "map": topics.FLOOR,
+        "markers": topics.MARKERS,
+        **{f"{camera}/image": topics.IMAGE for camera in config.camera_names},
+    }
     rows |= {f"r1/range_{number}": topics.RANGE for number in range(len(sensors.distances.places))}
+    models = [one for one in shown["Displays"] if one["Class"].endswith("/RobotModel")]
+    assert [one["Description Topic"]["Value"] for one in models] == [
+        f"/{prefix}{r}/robot_description" for r in config.ids
+    ]
+    assert [one["TF Prefix"] for one in models] == [f"{prefix}{robot}" for robot in config.ids]
     displays = {one["Topic"]["Value"]: one for one in shown["Displays"] if "Topic" in one}
     assert set(displays) == {f"/{prefix}{topic}" for topic in rows}
     for topic, row in rows.items():
         one = displays[f"/{prefix}{topic}"]
-        assert one["Class"].rpartition("/")[2] == row.type.rpartition("/")[2]
+        assert one["Class"].rpartition("/")[2] == row.type.rpartition("/")[2].replace("OccupancyGrid", "Map")
         assert one["Topic"]["Reliability Policy"] == ("Reliable" if row.quality.reliable else "Best Effort")
         assert one["Topic"]["Durability Policy"] == ("Transient Local" if row.quality.latched else "Volatile")
-    assert {one["Name"] for one in shown["Displays"] if "Topic" not in one} == {"Grid", "Frames"}
+    assert {one["Name"] for one in shown["Displays"] if "Topic" not in one} == {"Grid", "Frames", *config.ids}
     assert all(one["Enabled"] for one in shown["Displays"])
 
 

@@ -53,6 +53,16 @@ def test_of_an_order_and_a_stop_that_came_together_the_stop_counts(stand: Stand,
     assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
 
 
+@pytest.mark.parametrize("order", [b"reset", b"resume", b"start"])
+def test_an_operators_order_and_stop_that_came_together_leave_the_stop(stand: Stand, order: bytes) -> None:
+    stand.running()
+    for what in (b"estop", order, b"hold"):
+        stand.bench.bus.ask(REQUEST, "supervisor", what)
+    stand.run(S)
+    assert stand.cause[0] == Phase.ESTOP
+    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
+
+
 @pytest.mark.parametrize("deaf", [("r2",), ("r1", "r4")])
 def test_who_has_not_acknowledged_after_200_ms_is_named(stand: Stand, deaf: tuple[str, ...]) -> None:
     stand.running()
