@@ -48,3 +48,9 @@ CREATE2 = DifferentialDrive(
     max_wheel_acceleration=60.0,
 )
 CREATE2_IDEAL = replace(IDEAL, speed_quantum=0.8233, loop_period=0.015)
+
+
+def stalls(robot: str, from_s: int, until_s: int) -> str:
+    """Return a setting by which a robot stands again and again, each time for less than what holds the run."""
+    each = (f"{{kind: motor_stuck, robot: {robot}, at_s: {at_s}, duration_s: 0.85}}" for at_s in range(from_s, until_s))
+    return f"faults=[{', '.join(each)}]"

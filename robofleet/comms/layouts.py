@@ -64,10 +64,7 @@ def _instants(letters: str) -> tuple[int, ...]:
 
 def _near(values: Sequence[float], instants: tuple[int, ...]) -> bool:
     """Return whether no instant is so far away that a difference of two overflows."""
-    for k in instants:  # a loop: this is done for every message, and takes half as long as `all` with a generator
-        if not -_FURTHEST_NS <= values[k] <= _FURTHEST_NS:
-            return False
-    return True
+    return all(-_FURTHEST_NS <= values[k] <= _FURTHEST_NS for k in instants)
 
 
 def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:

@@ -24,7 +24,7 @@ class BusyNews:
 
     def stopped(self, memory: busy.Memory, status: RunStatus, now_ns: int) -> None:
         """Take note of a change of the run's phase."""
-        explained = status.phase in _STOPPED and busy.explains(memory, status.cause, now_ns, busy.SPOILT)
+        explained = status.phase in _STOPPED and busy.explains(memory, status.cause, status.robot, now_ns, busy.SPOILT)
         self._cause = status.cause if explained else Event.NOTHING
         self._late = dict(memory.recent) if explained else {}
         self._due_ns = 0
@@ -37,7 +37,7 @@ class BusyNews:
         self._seq += 1
         late = tuple(Late(row, most_ns, self._late.get(row, 0)) for row, most_ns in memory.worst)
         goes_on = int(memory.held_ns != NEVER)
-        _, load, cores = view.machine
+        _, load, cores, _ = view.machine
         return BusyMachine(
             self._epoch, self._seq, self._cause, goes_on, memory.resumed, memory.attempts, cores, load, late
         )

@@ -161,6 +161,9 @@ class Launcher:
         for one in self._others:
             taking = ["--takeover"] if self._take_over and one.row is table.CONTROLLER else []
             fleet.start(one.name, *one.command, *taking)
+        for child in fleet.children:
+            if child.name == table.SUPERVISOR.name:
+                self._silence.of(child.process.pid)
         fleet.wait_ready(self._clock, wait)  # controller and tracker compile their kernels at the same time
 
     def _show(self, phase: str, words: str) -> None:

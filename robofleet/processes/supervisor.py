@@ -121,7 +121,7 @@ class Supervisor:
         self._memory = Memory()
         self._instead = {Event.PROVED: Event.SET_OUT} if config.run.begin == "go_to_start" else {}
         self._instead |= {Event.ACCOMPLISHED: Event.OFF_TO_PARK} if config.run.end == "park" else {}
-        self._phases, self._simulated = groups.phases(config), config.simulated
+        self._simulated, self._phases = config.simulated, groups.phases(config)
         self._busy = busy.Memory()
         self._busy_news = BusyNews(self._epoch, self._ids)
         self._publish_busy = bus.publisher(BUSY)

@@ -179,7 +179,7 @@ def _supervisor(edges: Edges) -> Node:
     return Supervisor(
         edges.config, edges.bus, edges.clock, edges.wake, edges.rng, free_bytes=free,
         attended=edges.real_time and edges.config.run.attended, say=_say if edges.real_time else lambda _: None,
-        machine=MachineProbe() if edges.real_time else lambda _: None,
+        machine=MachineProbe(edges.config.ids) if edges.real_time else lambda _: None,
     )  # fmt: skip
 
 

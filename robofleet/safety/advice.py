@@ -48,6 +48,7 @@ _ADVICE = {
     Event.CHARGING: "take it off its charger, then `robofleet run --reset`",
     Event.UNREACHABLE: "plug it in, switch it on, then `robofleet run --reset`; its driver's log says more",
     Event.RUNAWAY: "switch off its power and repair it, then `robofleet run --reset`",
+    Event.WHEEL_STALLED: "look at its motors, encoders and their plugs, then `robofleet resume`",
     Event.BATTERY_LOW: "charge it",
     Event.TAG_LOST: "clear the view of it, or put it back; a tag needs light",
     Event.TAG_TWICE: "take one of the two away",

@@ -1,7 +1,8 @@
 """A machine that is too busy for its run: who was late by it, and what a fleet that is only simulated does then. Pure.
 
 Evidence is asked for. A process was late by the machine's load only if, for at least half of the time in which it was
-not heard, some process of this machine was ready to run and no core was free for it.
+not heard, some process of this machine was ready to run and no core was free for it. And it must have tried: who
+neither waited for a core for half of that time nor ran again and again hangs, or somebody stopped it.
 
 Where everything is simulated, nobody is in danger while the fleet stands. So it stands as always, and where load alone
 made it stand it goes on by itself as soon as everybody is heard, seen and at rest again. What ends a run of real robots
@@ -16,7 +17,7 @@ from robofleet.safety import supervisor
 from robofleet.safety.arming import missing
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import MOVING, TRANSITIONS, Event, Happening, Phase, RunStatus
-from robofleet.safety.view import NEVER, FleetView
+from robofleet.safety.view import NEVER, FleetView, Turns
 
 _MS = 1_000_000
 _S = 1000 * _MS
@@ -24,6 +25,7 @@ _S = 1000 * _MS
 SUPERVISOR, CONTROLLER, TRACKER, DRIVERS = range(4)  # rows of processes; then each robot's driver has one
 _PERIOD_NS = 40 * _MS  # between two looks of the supervisor; all others are heard more often
 LATE_NS = 60 * _MS  # what a gate's 120 ms leave beside the age of a nonce in health
+TURN_NS = 50 * _MS  # all loop more often: who works is given a turn in each
 EXPLAINS_NS = _S  # lateness explains what happens within this time
 GONE_NS = 10 * _S  # a process that was not heard for so long does not come back
 FRESH_NS = 300 * _MS  # nine images in which all is well
@@ -55,6 +57,8 @@ class Memory(NamedTuple):
     """What one view does not tell. Instants on the supervisor's clock [ns]."""
 
     heard: tuple[tuple[int, int], ...] = ()  # every process: when it was heard last, and the contention by then
+    turns: tuple[Turns | None, ...] = ()  # of every process by then; none where nobody counts them
+    unexplained: frozenset[int] = frozenset()  # processes that are late now, but not by load
     late_ns: tuple[int, ...] = ()  # the most that each was late by load so far
     recent: tuple[Lateness, ...] = ()  # who was late by load in the newest view in which anybody was
     recent_ns: int = NEVER  # and when that was
@@ -82,17 +86,27 @@ def watch(memory: Memory, phase: Phase, view: FleetView) -> Memory:
     heard_ns = (now_ns, view.controller_ns, view.tracker_ns, *(robot.heard_ns for robot in view.robots))
     before = memory.heard or ((NEVER, 0),) * len(heard_ns)
     own_ns = now_ns - before[SUPERVISOR][0] if before[SUPERVISOR][0] != NEVER else 0
-    late = []
+    turns = view.machine.turns
+    turns_then = memory.turns if len(memory.turns) == len(turns) else turns
+    late, unexplained = [], []
     for row, (since_ns, contended_then_ns) in enumerate(before):
         gap_ns = now_ns - since_ns
         # who is not looked for is not late: the supervisor's own lateness is nobody else's
         late_ns = gap_ns - (_PERIOD_NS if row == SUPERVISOR else max(_PERIOD_NS, own_ns))
-        if since_ns != NEVER and late_ns >= LATE_NS and 2 * (contended_ns - contended_then_ns) >= gap_ns:
+        if since_ns == NEVER or late_ns < LATE_NS:
+            continue
+        tried = not turns or tries(turns_then[row], turns[row], gap_ns)
+        if tried and 2 * (contended_ns - contended_then_ns) >= gap_ns:
             late.append(Lateness(row, late_ns))
+        else:
+            unexplained.append(row)
+    came = [at_ns != then[0] for at_ns, then in zip(heard_ns, before, strict=True)]
     memory = memory._replace(
         heard=tuple(
-            (at_ns, contended_ns) if at_ns != then[0] else then for at_ns, then in zip(heard_ns, before, strict=True)
-        )
+            (at_ns, contended_ns) if new else then for at_ns, then, new in zip(heard_ns, before, came, strict=True)
+        ),
+        turns=tuple(now if new else then for now, then, new in zip(turns, turns_then, came, strict=False)),
+        unexplained=frozenset(unexplained),
     )
     if not late or phase not in _ACTIVE:
         return memory
@@ -101,9 +115,20 @@ def watch(memory: Memory, phase: Phase, view: FleetView) -> Memory:
     return memory._replace(late_ns=tuple(most.values()), recent=latest(late), recent_ns=now_ns)
 
 
-def explains(memory: Memory, event: int, now_ns: int, causes: frozenset[Event] = CAUSED) -> bool:
-    """Return whether a cause is one that lateness can make, and somebody was late by load just now."""
-    return event in causes and memory.recent_ns != NEVER and now_ns - memory.recent_ns <= EXPLAINS_NS
+def tries(then: Turns | None, now: Turns | None, lasts_ns: int) -> bool:
+    """Return whether a process that was not heard for so long worked, or waited for a core; also if nobody knows it."""
+    if then is None or now is None:
+        return True
+    return 2 * (now.waited_ns - then.waited_ns) >= lasts_ns or TURN_NS * (now.taken - then.taken) >= lasts_ns
+
+
+def explains(memory: Memory, event: int, robot: int, now_ns: int, causes: frozenset[Event] = CAUSED) -> bool:
+    """Return whether a cause is one that lateness can make, and somebody was late by load just now.
+
+    Where it is one process's silence, that one must not be late by anything else.
+    """
+    lately = memory.recent_ns != NEVER and now_ns - memory.recent_ns <= EXPLAINS_NS
+    return event in causes and lately and _process(event, robot) not in memory.unexplained
 
 
 def step(
@@ -121,7 +146,7 @@ def step(
         apart_ns = now_ns - memory.checks_ns  # what lasts begins them anew at every look, and counts once
         return memory._replace(checks_ns=now_ns, attempts=memory.attempts + (apart_ns >= _S)), status
     if status.phase in (Phase.HOLD, *MOVING) and changes and after.phase in (Phase.HOLD, Phase.FAULT):
-        comes_back = explains(memory, happening.event, now_ns) and not _gone(memory, happening, now_ns)
+        comes_back = explains(memory, happening.event, happening.robot, now_ns) and not _gone(memory, happening, now_ns)
         if comes_back and status.phase is Phase.HOLD:
             return memory, status
         if comes_back:
@@ -173,22 +198,31 @@ def latest(late: Iterable[Lateness]) -> tuple[Lateness, ...]:
 
 def _spoilt(memory: Memory, happening: Happening, now_ns: int) -> bool:
     """Return whether load explains why the checks failed: somebody was late by it since they began."""
-    event, _, detail = happening
+    event, robot, detail = happening
     drill = event is not Event.GATE_LATCHED or detail <= Latch.DRILL  # a graver latch is no matter of time
     together = memory.recent_ns == memory.checks_ns == now_ns  # another one in the look that began them anew
     late = together or (memory.recent_ns > memory.checks_ns and memory.attempts < ATTEMPTS)
-    return event in SPOILT and drill and late and not _gone(memory, happening, now_ns)
+    hangs = _process(event, robot) in memory.unexplained
+    return event in SPOILT and drill and late and not hangs and not _gone(memory, happening, now_ns)
+
+
+_PROCESSES: dict[int, int] = {
+    Event.SUPERVISOR_STALLED: SUPERVISOR,
+    Event.CONTROLLER_SILENT: CONTROLLER,
+    Event.TRACKER_SILENT: TRACKER,
+    Event.CAMERA_STALLED: TRACKER,
+    Event.POSES_SILENT: TRACKER,
+}
+
+
+def _process(event: int, robot: int) -> int | None:
+    """Return the process whose silence an event tells of; None where it tells of something else."""
+    return DRIVERS + robot if event == Event.DRIVER_SILENT else _PROCESSES.get(event)
 
 
 def _gone(memory: Memory, happening: Happening, now_ns: int) -> bool:
     """Return whether the process that an event tells of was not heard for so long that nobody waits for it."""
-    rows = {
-        Event.CONTROLLER_SILENT: CONTROLLER,
-        Event.TRACKER_SILENT: TRACKER,
-        Event.CAMERA_STALLED: TRACKER,
-        Event.POSES_SILENT: TRACKER,
-    }
-    row = DRIVERS + happening.robot if happening.event is Event.DRIVER_SILENT else rows.get(happening.event)
+    row = _process(happening.event, happening.robot)
     if row is None or row >= len(memory.heard):
         return False
     heard_ns = memory.heard[row][0]

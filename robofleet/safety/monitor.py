@@ -4,7 +4,7 @@ An event is told again as long as what it tells of lasts, so a run cannot be res
 once: a restart, ticks that were overrun, the tracker's news.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations
 from math import hypot
 from typing import NamedTuple
@@ -36,6 +36,8 @@ OVERRUNS = 3  # in a row: 132 ms without a command, more than a gate waits; so t
 LATE_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
 LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
+STALLED_RAD_S = 2.0  # of a command: three times what a wheel of the worst shipped robot needs to start from rest
+STALLED_NS = _S  # a motor's lag (0.25 s), and a reading as old as one may be (0.5 s)
 INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or something must be moved by hand
 LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must keep
 OPERATOR_NS = _S  # 5 signs of life: the terminal is gone, or its machine sleeps
@@ -74,6 +76,7 @@ class Memory(NamedTuple):
     since_ns: int = 0  # when it began
     sessions: tuple[int, ...] = ()  # that held the robots' leases when they were proved
     infeasible_ns: tuple[int, ...] = ()  # since when the filter finds no answer; NEVER: it does
+    stalled_ns: tuple[int, ...] = ()  # since when a wheel stands that is told to turn; NEVER: none does
     rolling: tuple[Rolling, ...] = ()  # of robots that are told to stand
 
 
@@ -83,6 +86,7 @@ class Suspects(NamedTuple):
     robots: tuple[int, ...]
     pairs: tuple[tuple[int, int], ...]  # that may be too close, in the order of their rows
     infeasible: bool  # the filter finds no answer for some robot, or found none before
+    stalled: bool  # a wheel of some robot stands that is told to turn
     rolling: bool  # some robot without encoders is told to stand
 
 
@@ -98,11 +102,11 @@ def watch(
     now_ns, before, count = view.now_ns, memory.view or view, len(view.robots)
     running, checking = phase in MOVING, phase is Phase.ARMED and not proved
     infeasible_ns: tuple[int, ...] = ()
+    stalled_ns: tuple[int, ...] = ()
     if running and (suspects is None or suspects.infeasible):
-        infeasible_ns = tuple(
-            (at_ns or now_ns) if robot.filtered == 2 else NEVER
-            for at_ns, robot in zip(memory.infeasible_ns or (NEVER,) * count, view.robots, strict=True)
-        )
+        infeasible_ns = _since(memory.infeasible_ns, view, lambda robot: robot.filtered == 2)
+    if running and (suspects is None or suspects.stalled):
+        stalled_ns = _since(memory.stalled_ns, view, _stalled)
     started = phase in (Phase.HOLD, *MOVING)
     sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
     rolling: tuple[Rolling, ...] = ()
@@ -110,7 +114,7 @@ def watch(
         radii = settings.body_radius
         rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * count, view.robots, radii))
     since_ns = memory.since_ns if phase is memory.phase else now_ns
-    memory = Memory(view, phase, since_ns, sessions, infeasible_ns, rolling)
+    memory = Memory(view, phase, since_ns, sessions, infeasible_ns, stalled_ns, rolling)
     happenings = [
         *_host(before, memory, settings, view, checking=checking),
         *_controller(before, settings, phase, view),
@@ -129,11 +133,27 @@ def watch(
         happenings += _place(row, robot, settings)
         if infeasible_ns and infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
             happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
+        if stalled_ns and stalled_ns[row] and now_ns - stalled_ns[row] >= STALLED_NS:
+            happenings.append(Happening(Event.WHEEL_STALLED, row))
         if running and robot.blocked:
             happenings.append(Happening(Event.DEADLOCKED, row))
         if running and robot.failed:
             happenings.append(Happening(Event(robot.failed), row))
     return memory, (*happenings, *_neighbours(settings, view, None if suspects is None else suspects.pairs))
+
+
+def _since(before_ns: tuple[int, ...], view: FleetView, lasts: Callable[[RobotView], bool]) -> tuple[int, ...]:
+    """Return since when something lasts, of each robot; NEVER: it does not."""
+    known = zip(before_ns or (NEVER,) * len(view.robots), view.robots, strict=True)
+    return tuple((at_ns or view.now_ns) if lasts(robot) else NEVER for at_ns, robot in known)
+
+
+def _stalled(robot: RobotView) -> bool:
+    """Return whether a wheel stands that is told to turn; of a robot that counts nothing nobody knows it."""
+    counts = robot.left_angle or robot.right_angle or robot.left_speed or robot.right_speed
+    wheels = (robot.left_output, robot.left_speed), (robot.right_output, robot.right_speed)
+    stands = any(abs(told) >= STALLED_RAD_S and abs(seen) <= runaway.TURNING_RAD_S for told, seen in wheels)
+    return bool(counts) and stands
 
 
 def _host(

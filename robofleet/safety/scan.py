@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.kernels import kernel
-from robofleet.safety import monitor
+from robofleet.safety import monitor, runaway
 from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.monitor import Memory, MonitorSettings, Suspects
 from robofleet.safety.rows import ROBOT, Rows
@@ -19,7 +19,7 @@ from robofleet.safety.view import NEVER, FleetView
 from robofleet.vehicles.solids import away, outlines
 
 _SILENT_NS, _LATE_NS, _LOWEST_BATTERY = monitor.SILENT_NS, monitor.LATE_NS, monitor.LOWEST_BATTERY
-_CLOSEST_M = CLOSEST_M
+_CLOSEST_M, _STALLED_RAD_S, _TURNING_RAD_S = CLOSEST_M, monitor.STALLED_RAD_S, runaway.TURNING_RAD_S
 _NEVER, _NOBODY = NEVER, np.uint64(0)
 _S = 1e9
 _MORE_M = 1e-9  # what rounding may hide: the monitor decides
@@ -48,7 +48,7 @@ class Scan:
         else:
             sessions = np.ascontiguousarray(rows["session"])
         length, width = self._settings.arena
-        found, infeasible, rolling = _scan(
+        found, infeasible, stalled, rolling = _scan(
             self._suspect, rows, before, sessions, self._bodies, self._settings.build, length / 2, width / 2,
             *self._floors, view.now_ns,
         )  # fmt: skip
@@ -56,13 +56,13 @@ class Scan:
         pairs = tuple(map(tuple, close.tolist())) if len(close) else ()
         infeasible = infeasible or any(memory.infeasible_ns)
         robots = tuple(np.flatnonzero(self._suspect).tolist()) if found else ()
-        return Suspects(robots, pairs, infeasible=infeasible, rolling=rolling)
+        return Suspects(robots, pairs, infeasible=infeasible, stalled=stalled, rolling=rolling)
 
 
 @kernel
 def _scan(suspect, rows, before, sessions, bodies, build, half_length, half_width, edges, rings, now_ns):  # type: ignore[no-untyped-def]
-    """Mark the robots (N,) of which something may be wrong; returns whether there are any, and two of their kinds."""
-    found = infeasible = rolling = False
+    """Mark the robots (N,) of which something may be wrong; returns whether there are any, and three of their kinds."""
+    found = infeasible = stalled = rolling = False
     for k in range(len(rows)):
         r, b, body = rows[k], before[k], bodies[k]
         wrong = r.faults != 0 or r.latch != 0 or r.filtered == _INFEASIBLE or r.blocked != 0 or r.failed != 0
@@ -71,12 +71,16 @@ def _scan(suspect, rows, before, sessions, bodies, build, half_length, half_widt
             restarted = b.boot_id not in (_NOBODY, r.boot_id)
             silent = now_ns - r.heard_ns > _SILENT_NS
             wrong = wrong or silent or restarted or r.build != build or r.session != sessions[k]
+        counts = r.left_angle != 0.0 or r.right_angle != 0.0 or r.left_speed != 0.0 or r.right_speed != 0.0
+        left = abs(r.left_output) >= _STALLED_RAD_S and abs(r.left_speed) <= _TURNING_RAD_S
+        right = abs(r.right_output) >= _STALLED_RAD_S and abs(r.right_speed) <= _TURNING_RAD_S
+        if counts and (left or right):
+            stalled = wrong = True
         if r.seen_ns != _NEVER:
             outside = abs(r.x) + body.radius > half_length - _MORE_M or abs(r.y) + body.radius > half_width - _MORE_M
             for ring in rings:
                 outside = outside or away(edges, ring, r.x, r.y) < body.radius + _MORE_M
             wrong = wrong or r.unseen_ns >= _LATE_NS or r.lost != 0 or outside
-            counts = r.left_angle != 0.0 or r.right_angle != 0.0 or r.left_speed != 0.0 or r.right_speed != 0.0
             if not (counts or r.left_output != 0.0 or r.right_output != 0.0):
                 rolling = True  # it has no encoders, and is told to stand
                 wrong = True
@@ -87,7 +91,7 @@ def _scan(suspect, rows, before, sessions, bodies, build, half_length, half_widt
         suspect[k] = wrong
         found = found or wrong
         infeasible = infeasible or r.filtered == _INFEASIBLE
-    return found, infeasible, rolling
+    return found, infeasible, stalled, rolling
 
 
 @kernel

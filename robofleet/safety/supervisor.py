@@ -92,6 +92,7 @@ class Event(IntEnum):
     UNREACHABLE = 47
     RUNAWAY = 48  # a wheel turns that is told to stand
     STOPPED_AT_GATE = 49  # an emergency stop that the supervisor had not heard of
+    WHEEL_STALLED = 93  # a wheel stands that is told to turn
     # a bystander: a robot that this run does not drive
     BYSTANDER_LOST = 65  # not seen for 2 s: nobody knows where an obstacle is
     BYSTANDER_MOVED = 66  # carried somewhere else: distance [m]
@@ -178,6 +179,7 @@ CAUSES = {
     Event.CHARGING: "it is at its charger",
     Event.UNREACHABLE: "its driver has lost the connection to it (unplugged?)",
     Event.RUNAWAY: "a wheel turns by itself",
+    Event.WHEEL_STALLED: "a wheel does not turn, though it is told to",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
     Event.TAG_LATE: "it is not seen",
     Event.TAG_LOST: "the tracker lost the robot",
@@ -277,6 +279,7 @@ _TABLE: dict[Event, tuple[Phase | None, ...]] = {
     Event.OUTSIDE_ARENA:        (_SAME, _F,    _F,    _F,    _SAME, _SAME),
     Event.TOO_CLOSE:            (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.FILTER_INFEASIBLE:    (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
+    Event.WHEEL_STALLED:        (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.DEADLOCKED:           (_SAME, _SAME, _H,    _SAME, _SAME, _SAME),
     Event.BYSTANDER_LOST:       (_SAME, _F,    _H,    _SAME, _SAME, _SAME),
     Event.BYSTANDER_MOVED:      (_SAME, _F,    _H,    _SAME, _SAME, _SAME),

@@ -46,12 +46,20 @@ class RobotView(NamedTuple):
         return max(map(abs, wheels)) < 0.05
 
 
+class Turns(NamedTuple):
+    """How a process comes to run, as its operating system counts it; so far."""
+
+    waited_ns: int  # it was ready to run, and no core was free
+    taken: int  # how often it ran
+
+
 class Machine(NamedTuple):
     """How busy the supervisor's computer is, as its operating system measures it."""
 
     contended_ns: int  # so far, since some instant: time in which a process was ready to run and no core was free
     load: float  # processes that ran or were ready to, mean of a minute
     cores: int  # that this run may use
+    turns: tuple[Turns | None, ...] = ()  # of the processes, as safety.busy numbers them; None: nobody counts them
 
 
 class FleetView(NamedTuple):

@@ -1,6 +1,10 @@
 """Kill -9 and SIGSTOP the processes of a running fleet, one by one, and read how long its wheels went on.
 
     python -m tests.processes.kills --times 25
+    python -m tests.processes.kills --times 20 --config configs/go-to.yaml --config configs/two-groups.yaml
+
+Without ``--config`` the fleet has no launcher, and what was killed is started again. With it each strike is a run of
+its own, of that configuration: a line tells also what was left over, and what was missing in its report.
 
 Real processes over Zenoh. The times are the drivers' own (``RobotStatus``): from the issue of the newest nonce that
 their last command and their last permission echoed, to a target of zero and to an output of zero.
@@ -11,7 +15,7 @@ import os
 import signal
 import sys
 import tempfile
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,6 +32,7 @@ from robofleet.config.load import load_config
 from robofleet.safety.supervisor import Phase
 from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
+from tests.processes import struck_runs
 from tests.processes.unlaunched import started, wait_ready
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
@@ -166,8 +171,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=25, help="of each process")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--config", type=Path, action="append", default=[], help="of whole runs; again for more")
+    parser.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE", help="of these runs"
+    )
+    parser.add_argument("--only", action="append", default=[], help="processes to strike; default: each")
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
+    if arguments.config:
+        good = [runs(config, arguments.settings, arguments.only, arguments.times, rng) for config in arguments.config]
+        raise SystemExit(not all(good))
     worst: dict[str, list[tuple[float, float]]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_STATE_HOME"] = folder
@@ -189,7 +202,30 @@ def main() -> None:
         raise SystemExit(1)
 
 
+def runs(config: Path, settings: list[str], only: list[str], times: int, rng: np.random.Generator) -> bool:
+    """Strike each process of a configuration's runs so many times, killed and frozen; returns whether all was well."""
+    print(
+        f"{config.name:<24}{'times':>6}{'to zero target, ms':>22}{'to zero output, ms':>22}  left, missing", flush=True
+    )
+    good = True
+    for victim in struck_runs.victims(config, settings):
+        if only and victim.name not in only:
+            continue
+        for number in (signal.SIGKILL, signal.SIGSTOP):
+            struck = [struck_runs.strike(config, settings, victim, number, rng) for _ in range(times)]
+            target = np.array([ms for one in struck for ms in one.target_ms])
+            output = np.array([ms for one in struck for ms in one.output_ms])
+            wrong = Counter(what for one in struck for what in one.wrong)
+            good = good and not wrong and not (target > TARGET_MS).any() and not (output > OUTPUT_MS).any()
+            name = f"{victim.name} {'killed' if number == signal.SIGKILL else 'frozen'}"
+            said = ", ".join(f"{count} x {what}" for what, count in wrong.items()) or "nothing"
+            print(f"{name:<24}{times:>6}{_shown(target):>22}{_shown(output):>22}  {said}", flush=True)
+    return good
+
+
 def _shown(values: np.ndarray) -> str:
+    if not len(values):
+        return "-"
     return f"{np.median(values):.0f} (worst {values.max():.0f})"
 
 

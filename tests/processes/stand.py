@@ -15,7 +15,7 @@ from robofleet.safety import arming
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase
-from robofleet.safety.view import FleetView, Machine
+from robofleet.safety.view import FleetView, Machine, Turns
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from tests.comms.alone import ENABLE as ENABLE_LAYOUT
 from tests.comms.alone import Enable, RobotStatus
@@ -65,15 +65,21 @@ class Stand:
     """``run`` lets everybody talk; what a test changes in between is seen by the supervisor as it would be."""
 
     def __init__(
-        self, bench: Any, *, attended: bool = False, prove: Any = proved, contended: float | None = None
-    ) -> None:
-        """``contended``: the share of the time in which no core is free; None: nobody measures that."""
+        self, bench: Any, *, attended: bool = False, prove: Any = proved, contended: float | None = None,
+        counted: bool = False,
+    ) -> None:  # fmt: skip
+        """``contended``: the share of the time in which no core is free; None: nobody measures that.
+
+        ``counted``: the processes' turns are, and who is in ``stuck`` takes none.
+        """
         self.bench = bench
-        self.build = slices.build(bench.config)
+        self.build, self._counted = slices.build(bench.config), counted
         self.robots = {robot: Robot(100 + row) for row, robot in enumerate(ROBOTS)}
         self.tags = {robot.id: robot.tag for robot in bench.config.members}
         self.places = dict(zip(ROBOTS, PLACES, strict=True))
         self.silent: set[str] = set()  # of the robots, "controller", "tracker", "operator"
+        self.stuck: set[str] = set()
+        self._turns = {name: Turns(0, 0) for name in ("supervisor", "controller", "tracker", *ROBOTS)}
         self.hidden: set[str] = set()  # robots whose tags are not seen
         self.stopped: dict[str, float] = {}  # fields of every robot's tick
         self.free_bytes = 1 << 40
@@ -87,7 +93,7 @@ class Stand:
         self.node = Supervisor(
             bench.config, bench.bus, bench.clock, self.woken.append, np.random.default_rng(1),
             free_bytes=lambda: self.free_bytes, attended=attended, say=self.said.append,
-            machine=lambda ns: None if contended is None else Machine(round(contended * ns), 6.1, 2),
+            machine=lambda ns: None if contended is None else Machine(round(contended * ns), 6.1, 2, self._counts(ns)),
         )  # fmt: skip
 
     def run(self, ns: int) -> None:
@@ -136,6 +142,12 @@ class Stand:
         self._news += 1
         tag = NO_TAG if robot is None else self.tags[robot]
         self.bench.say(NEWS, TrackerNews(1, self._news, 0, event, tag, value), CAMERA)
+
+    def _counts(self, now_ns: int) -> tuple[Turns, ...]:
+        """Return the turns of all: of those that are not stuck one every 10 ms, in half of which they wait."""
+        now = Turns(now_ns // 2, now_ns // (10 * MS))
+        self._turns |= dict.fromkeys(self._turns.keys() - self.stuck, now)
+        return tuple(self._turns.values()) if self._counted else ()
 
     def _talk(self) -> None:
         for name, robot in self.robots.items():

@@ -12,6 +12,7 @@ from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
 from robofleet.recording.run import Run
 from robofleet.vehicles.differential_drive import body_from_wheels
+from tests.robots import stalls
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
@@ -46,10 +47,9 @@ def test_the_input_on_record_is_what_the_wheels_are_told(started: Lockstep) -> N
     assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(told, abs=1e-9)
 
 
-def test_behind_a_robot_that_stalls_bodies_stay_apart(tmp_path: Path) -> None:
-    faults = tmp_path / "faults.yaml"
-    faults.write_text("faults:\n  - {robot: r2, kind: motor_stuck, at_s: 8, duration_s: 60}\n")
-    run = Lockstep(load_config(PLATOON, [TRUTH, "run.duration_s=20", "groups.0.settings.spacing_m=0.215"], faults))
-    run.run()
+def test_behind_a_robot_that_stalls_bodies_stay_apart() -> None:
+    settings = [TRUTH, "run.duration_s=20", "groups.0.settings.spacing_m=0.215"]
+    run = Lockstep(load_config(PLATOON, [*settings, stalls("r2", 8, 20)]))
+    assert run.run() == ("completed", None)
     figures = summary(run.recording, name="stall", mode="lockstep", outcome="completed", cause=None)
     assert figures["min_gap_mm"] >= 10.0

@@ -5,13 +5,11 @@ from typing import Any
 
 import pytest
 
+from tests.robots import stalls
+
 Summary = dict[str, Any]
 RunOf = Callable[..., Summary]
 ROBOTS = ["r1", "r2", "r3", "r4"]
-
-
-def stall(robot: str) -> str:
-    return f"faults=[{{robot: {robot}, kind: motor_stuck, at_s: 12, duration_s: 5}}]"
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +107,7 @@ def test_a_tracked_centre_stays_on_the_path(truth: RunOf) -> None:
 
 @pytest.mark.parametrize("robot", ["r1", *(pytest.param(robot, marks=pytest.mark.slow) for robot in ("r2", "r3"))])
 def test_nobody_drives_into_a_robot_that_stalls(truth: RunOf, robot: str) -> None:
-    s = truth("run.duration_s=22", stall(robot))
+    s = truth("run.duration_s=22", stalls(robot, 12, 17))
     assert s["outcome"] == "completed"
     assert 110 <= s["min_centre_distance_mm"] < 185  # they did come nearer than at the start
     assert s["timed_error_mm"]["per_robot_mean"][ROBOTS.index(robot)] > 10

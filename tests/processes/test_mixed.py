@@ -19,6 +19,7 @@ from robofleet.processes.check import refusals
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
 from tests.comms.alone import Truth
+from tests.robots import stalls
 
 pytestmark = pytest.mark.slow
 
@@ -130,9 +131,8 @@ def test_a_robot_in_no_image_can_be_lost_as_any_other(platoon_of: Make) -> None:
 
 
 def test_a_simulated_robot_that_comes_too_near_is_kept_off_a_real_one(platoon_of: Make) -> None:
-    """r2 is sent after r1, which stands: one barrier for both."""
-    faults = "faults=[{robot: r1, kind: motor_stuck, at_s: 3, duration_s: 100}]"
-    run = Lockstep(platoon_of(*VIRTUAL, "run.duration_s=12", faults))
+    """r2 is sent after r1, which stands again and again: one barrier for both."""
+    run = Lockstep(platoon_of(*VIRTUAL, "run.duration_s=12", stalls("r1", 3, 12)))
     outcome, cause = run.run()
     s = summary(run.recording, name="mixed", mode="lockstep", outcome=outcome, cause=cause)
     assert s["filtered_fraction"] > 0.01, "else nobody came near"

@@ -5,6 +5,7 @@ from pathlib import Path
 from robofleet.config.load import load_config
 from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.metrics import summary
+from tests.robots import stalls
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WORN = ("wheel_gain_error=-0.08", "deadband_rad_s=1.0", "breakaway_rad_s=1.2", "top_speed_sag=0.3")
@@ -31,11 +32,9 @@ def test_the_offset_vanishes() -> None:
     assert with_estimate < without / 3
 
 
-def test_a_stalled_robot_is_not_run_into(tmp_path: Path) -> None:
-    faults = tmp_path / "faults.yaml"
-    faults.write_text("faults:\n  - {robot: r2, kind: motor_stuck, at_s: 12, duration_s: 5}\n")
+def test_a_stalled_robot_is_not_run_into() -> None:
     overrides = ["tracker.source=truth", "controller.disturbance=estimated", "run.duration_s=20"]
-    run = Lockstep(load_config(PLATOON, overrides, faults))
+    run = Lockstep(load_config(PLATOON, [*overrides, stalls("r2", 12, 17)]))
     assert run.run() == ("completed", None)
     figures = summary(run.recording, name="stall", mode="lockstep", outcome="completed", cause=None)
     assert figures["min_centre_distance_mm"] >= 110

@@ -33,7 +33,7 @@ HOLDS = {  # it may pass, and the run can be resumed
 OF_MOTION = {  # mean something while the fleet drives
     Event.TICKS_OVERRUN, Event.FILTER_INFEASIBLE, Event.DEADLOCKED, Event.UNDER_WAY_TOO_LONG,
     Event.BEHAVIOUR_RAISED, Event.BEHAVIOUR_NOT_FINITE, Event.BEHAVIOUR_SHAPE, Event.BEHAVIOUR_LATE,
-    Event.SCRIPT_SILENT, Event.SCRIPT_FAILED, Event.BEHAVIOUR_NO_WAY,
+    Event.SCRIPT_SILENT, Event.SCRIPT_FAILED, Event.BEHAVIOUR_NO_WAY, Event.WHEEL_STALLED,
 }  # fmt: skip
 OF_CHECKS = {event for event in Event if 50 <= event < 60} | {  # the fifties are the checks'
     Event.ARMED_TOO_LONG, Event.WRONG_ORDER, Event.WAYS_CROSS, Event.MOVED_UNASKED,

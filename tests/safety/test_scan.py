@@ -17,6 +17,7 @@ BUILD, SESSION = 7, 5
 N = 6
 FLOOR = Solid("floor", ((-1.0, -0.5), (1.0, -0.5), (1.0, 0.3), (0.8, 0.5), (-1.0, 0.5)), floor=True)
 SETTINGS = MonitorSettings(BUILD, (0.05,) * N, (2.0, 1.0), (0.3,) * N, attended=False, floors=(FLOOR,))
+_WHEELS = "left_speed", "right_speed", "left_output", "right_output"
 AT_THE_CORNER = 0.9 - 0.05 / 2**0.5  # of x; of y 0.5 less
 
 
@@ -39,6 +40,39 @@ def robot(rng: random.Random, row: int, now_ns: int) -> RobotView:
         {"left_angle": 0.0, "pose": (place[0] + 0.02, 0.0, 0.0)}, {"left_speed": 1.0, "latch": 7},
     )  # fmt: skip
     return well._replace(**rng.choice(changes)) if rng.random() < 0.3 else well
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_of_wheels_that_stand_the_same_is_told_with_the_scan_and_without(seed: int) -> None:
+    """Each robot is told and turns the same way for a while, long enough to be named or not."""
+    rng, told = random.Random(seed), 0
+    alone, guided, scan = Memory(), Memory(), Scan(SETTINGS)
+    now_ns, wheels, left = 1_000_000 * MS, [(0.0,) * 4] * N, [0] * N
+    for _ in range(120):
+        now_ns += 40 * MS
+        for row in range(N - 1):
+            left[row] -= 1
+            if left[row] <= 0:
+                left[row] = rng.choice((5, 24, 25, 26, 40))
+                wheels[row] = (
+                    *rng.choices((0.0, 0.5, -0.5, 0.51), k=2), *rng.choices((0.0, 1.99, 2.0, -2.0, 12.5), k=2),
+                )  # fmt: skip
+        robots = tuple(
+            robot(random.Random(99), row, now_ns)._replace(
+                left_angle=float(row > 0), **dict(zip(_WHEELS, wheels[row], strict=True))
+            )
+            for row in range(N)
+        )
+        view = FleetView(
+            now_ns, robots, controller_ns=now_ns, controller_build=BUILD, tracker_ns=now_ns, tracker_build=BUILD
+        )
+        rows = view._replace(robots=Rows.of(robots))
+        alone, expected = monitor.watch(alone, SETTINGS, Phase.RUNNING, view)
+        suspects = scan.suspects(guided, Phase.RUNNING, rows)
+        guided, happenings = monitor.watch(guided, SETTINGS, Phase.RUNNING, rows, suspects=suspects)
+        assert happenings == expected
+        told += len(expected)
+    assert told > 5
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -77,7 +111,7 @@ def test_a_healthy_fleet_is_not_looked_at() -> None:
     suspects = Scan(SETTINGS._replace(body_radius=(0.05,) * 3, max_speed=(0.3,) * 3)).suspects(
         Memory(), Phase.RUNNING, view
     )
-    assert suspects == ((), (), False, False)
+    assert suspects == ((), (), False, False, False)
 
 
 def test_rows_are_the_robots_that_they_were_made_of() -> None:

@@ -49,6 +49,41 @@ def test_a_simulated_run_goes_on_when_who_was_late_is_heard_again(
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
+def test_who_was_stopped_or_hangs_on_a_busy_machine_is_not_late_by_load(
+    stand_of: MakeStand, who: str, event: Event, robot: int
+) -> None:
+    """Others are, at the same time: that does not explain it."""
+    stand = stand_of(contended=0.9, counted=True)
+    stand.running()
+    stand.silent.add("r3")
+    stand.run(160 * MS)
+    stand.silent = {who}
+    stand.stuck.add(who)
+    stand.run(700 * MS)
+    assert told(stand) is not None, "r3 was late by load"
+    assert stand.cause == (Phase.HOLD if who == "tracker" else Phase.FAULT, event, robot)
+    stand.silent.clear()
+    stand.stuck.clear()
+    stand.run(2 * S)
+    assert stand.state.phase != Phase.RUNNING
+    message = told(stand)
+    assert message is not None
+    assert (message.cause, message.goes_on, message.resumed) == (Event.NOTHING, 0, 0)
+
+
+@pytest.mark.parametrize(("who", "event", "robot"), SILENT)
+def test_who_waited_for_a_core_is_late_by_load(stand_of: MakeStand, who: str, event: Event, robot: int) -> None:
+    stand = stand_of(contended=0.9, counted=True)
+    stand.running()
+    stand.silent.add(who)
+    stand.run(700 * MS)
+    assert stand.cause == (Phase.HOLD, event, robot)
+    stand.silent.clear()
+    stand.run(S)
+    assert stand.cause == (Phase.RUNNING, Event.CAUGHT_UP, NOBODY)
+
+
+@pytest.mark.parametrize(("who", "event", "robot"), SILENT)
 @pytest.mark.parametrize("contended", [None, 0.3])
 def test_without_evidence_it_stands_as_ever(
     stand_of: MakeStand, who: str, event: Event, robot: int, contended: float | None
