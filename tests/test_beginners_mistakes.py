@@ -750,7 +750,7 @@ def test_a_mistake_is_one_line_with_its_place_and_its_cure(
 ) -> None:
     at = prepared(folder, mistake)
     before = content_of(folder)
-    monkeypatch.setattr(cli, "_summary", lambda *a, **k: pytest.fail("it was started"))
+    monkeypatch.setattr(cli, "_result", lambda *a, **k: pytest.fail("it was started"))
     monkeypatch.setattr(sys, "argv", ["robofleet", *mistake.typed.split()])
     with pytest.raises(SystemExit) as ended:
         cli.main()

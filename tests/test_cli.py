@@ -62,7 +62,7 @@ def refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]
 
     def run(*arguments: object) -> str:
         started: list[Any] = []
-        monkeypatch.setattr(cli, "_summary", lambda *a, **k: started.append((a, k)))
+        monkeypatch.setattr(cli, "_result", lambda *a, **k: started.append((a, k)))
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         result = robofleet("run", *arguments)
         assert result.exit_code == 2, result.output

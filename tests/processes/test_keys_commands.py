@@ -529,7 +529,7 @@ def test_a_service_reads_what_systemd_hands_it_though_the_keys_are_roots_alone(
     monkeypatch.setenv("HOME", "/nonexistent")
     for path in (handed, *handed.iterdir()):
         os.chown(path, NOBODY, NOBODY)
-    for folder in (desk, *list(desk.parents)[:2]):  # pytest's own, which are this user's alone
+    for folder in (desk, *list(desk.parents)[:-2]):  # pytest's own, which are this user's alone, below /tmp
         folder.chmod(folder.stat().st_mode | 0o011)
 
     def read() -> str:
