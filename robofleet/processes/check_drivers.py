@@ -155,11 +155,10 @@ def _open_all(config: Config, robots: Sequence[Robot], theirs: Connection, news:
             else:
                 report(robot, "")
 
-    at_once = [[robot] for robot in robots if is_concurrent(load("robofleet.drivers", robot.driver))]
-    in_order = [robot for robot in robots if [robot] not in at_once]
-    threads = [threading.Thread(target=attempt, args=(group,)) for group in at_once]
+    at_once = {robot.id for robot in robots if is_concurrent(load("robofleet.drivers", robot.driver))}
+    threads = [threading.Thread(target=attempt, args=([robot],)) for robot in robots if robot.id in at_once]
     for thread in threads:
         thread.start()
-    attempt(in_order)
+    attempt([robot for robot in robots if robot.id not in at_once])
     for thread in threads:
         thread.join()
