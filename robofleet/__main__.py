@@ -1,6 +1,6 @@
 """The command line: ``robofleet``, and ``python -m robofleet``, which takes no library from the current folder.
 
-Python's own modules it may: Python looks there for them before anything here runs. ``python -P -m robofleet`` forbids it.
+Python's own modules it may: Python looks there before anything here runs. ``python -P -m robofleet`` forbids it.
 """
 
 import sys
