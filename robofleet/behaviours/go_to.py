@@ -89,7 +89,7 @@ class GoTo(Behaviour):
         heading_accuracy_deg: Annotated[float, within(0.2, 90)] = 0.9
         """A robot stops within this angle of its goal's heading, and is corrected likewise."""
         slowest_wheel_rad_s: Annotated[float, within(0, 10)] = 0.9
-        """Least wheel speed that is asked for at the goal. It must start a wheel that stands."""
+        """Least wheel speed at the goal and where a robot waits. It must start a wheel that stands."""
 
     settings: Settings
     figures = (

@@ -3,7 +3,8 @@
 The virtual robot drives along its way's straight pieces and turns in place at corners, as far as ``precedence`` allows,
 and waits for a real robot that is behind. The real one's point p follows the virtual one's (eq. 31): r(t + T) is where
 that point will be if the virtual robot goes on. At its goal a robot is brought to position and heading by short drives
-and turns in place. There a wheel is asked for no less than it needs to start.
+and turns in place. There a wheel is asked for no less than it needs to start. So it is under way where the virtual
+robot waits and the flow asks for less than starts a wheel: else who is not quite there would keep the others waiting.
 """
 
 import math
@@ -57,7 +58,7 @@ class State(IntEnum):
     MOVING = 10  # 1: the virtual robot drove or turned in this tick
     RATE_X = 11  # velocity of the virtual robot's point [m/s]
     RATE_Y = 12
-    BRINGING = 13  # ticks for which it has been brought to its pose without standing there
+    BRINGING = 13  # ticks for which it has been brought to its pose, or to where it waits, without standing there
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,12 @@ class Follower:
                 for d, speed in zip(drives, s.speeds, strict=True)
             ]
         )
-        self._accuracy = np.array([s.position, s.heading, s.slowest_wheel, PATIENCE_S / s.tick])
+        self._accuracy = np.array(
+            [
+                (s.position, s.heading, s.slowest_wheel, PATIENCE_S / s.tick),  # at the goal
+                (_STANDS, _STRAIGHT, s.slowest_wheel, math.inf),  # where it waits
+            ]
+        )
         n = len(drives)
         self.state = np.zeros((n, len(State)))
         self.u = np.zeros((n, 2))
@@ -229,17 +235,26 @@ def _drive(
             out[i] = 0.0
             s[8] = 0.0
         elif s[7] > 0.0:
-            _finish(poses[i], goals[i], limits[i], accuracy, s, out[i])
+            _finish(poses[i], goals[i], limits[i], accuracy[0], s, out[i])
         else:
+            waits = s[10] == 0.0
+            if waits and s[13] == 0.0 and np.hypot(s[0] - poses[i, 0], s[1] - poses[i, 1]) < _STANDS:
+                out[i] = 0.0
+                continue
             c, sn = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             x, y = poses[i, 0] + l * c, poses[i, 1] + l * sn
             px, py = s[0] + l * np.cos(s[2]), s[1] + l * np.sin(s[2])
-            if s[10] == 0.0 and np.hypot(s[0] - poses[i, 0], s[1] - poses[i, 1]) < _STANDS:
-                out[i] = 0.0
-                continue
             u_x = point_update(u[i, 0], x + T * w[i, 0], px + T * s[11], T, gain)
             u_y = point_update(u[i, 1], y + T * w[i, 1], py + T * s[12], T, gain)
-            out[i, 0], out[i, 1] = _body_from_point(u_x, u_y, poses[i, 2], l)
+            v, omega = _body_from_point(u_x, u_y, poses[i, 2], l)
+            out[i, 0], out[i, 1] = v, omega
+            fastest = abs(v) + limits[i, 1] / 2.0 * abs(omega)  # of its wheels' rims [m/s]
+            if waits and (s[13] > 0.0 or fastest < limits[i, 0] * accuracy[1, 2]):
+                _finish(poses[i], s[:3], limits[i], accuracy[1], s, out[i])
+                if s[8] > 0.0:
+                    s[8], s[13] = 0.0, 0.0
+            else:
+                s[13] = 0.0
 
 
 @kernel

@@ -12,7 +12,7 @@ from robofleet.behaviours.go_to import GoTo
 from robofleet.behaviours.interface import Past, Situation, Team
 from robofleet.config import groups
 from robofleet.safety.supervisor import Event
-from robofleet.vehicles.differential_drive import arc, feasible_ratio, wheels_from_body
+from robofleet.vehicles.differential_drive import arc, body_from_wheels, feasible_ratio, wheels_from_body
 from tests.behaviours.go_to_trials import configuration, go, places
 
 Array = np.ndarray
@@ -39,6 +39,8 @@ class Floor:
         self.driving, self.others, self.t = np.ones(len(starts), dtype=np.bool_), NOBODY, 0.0
         self.figures: Mapping[str, Any] = {}
         self.holds: list[float] = []  # when the run was to be held
+        self.references: Array | None = None  # points of the virtual robots
+        self.starts_rad_s = 0.0  # a wheel stands that is asked for less
 
     def tick(self) -> None:
         team, n = self.behaviour.team, len(self.poses)
@@ -54,11 +56,13 @@ class Floor:
             d, psi = team.drives[i], float(self.poses[i, 2])
             wheels = wheels_from_body(*asked, d.wheel_radius, d.wheel_base)
             ratio = feasible_ratio(*wheels, d.wheel_radius, d.max_wheel_speed, d.max_speed) * self.driving[i]
-            v, omega = (ratio * one for one in asked)
+            turning = [ratio * wheel if abs(ratio * wheel) >= self.starts_rad_s else 0.0 for wheel in wheels]
+            v, omega = body_from_wheels(*turning, d.wheel_radius, d.wheel_base)
             c, s = math.cos(psi), math.sin(psi)
             u[i] = c * v - s * team.point_ahead * omega, s * v + c * team.point_ahead * omega
             self.poses[i] = arc(*self.poses[i].tolist(), v, omega, team.tick)
         self.behaviour.changed(u)
+        self.references = decision.references
         self.figures, self.t = decision.figures, self.t + team.tick
 
     def until(self, seconds: float) -> bool:
@@ -145,6 +149,42 @@ def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:
     assert not floor.until(15.0)
     assert np.array_equal(floor.poses[0], stood)
     assert floor.gap() > 0.15
+    floor.driving[0] = True
+    assert floor.until(30.0)
+
+
+@pytest.mark.parametrize(
+    ("along", "beside", "turned"),
+    [
+        (0.013, 0.0, 0.0),
+        (0.0, 0.013, 0.0),
+        (-0.008, -0.01, -0.14),
+        (0.002, -0.016, 0.2),
+    ],  # the last: its point is there
+)
+def test_a_robot_that_is_not_quite_where_it_waits_comes_there_though_its_wheels_stick(
+    along: float, beside: float, turned: float
+) -> None:
+    """Else it would count as late, and who waits for it would wait until there is another plan."""
+    floor = Floor(made(OPPOSITE), CROSSING)
+    floor.starts_rad_s = 0.7
+    floor.driving[0] = False
+    for _ in range(300):
+        floor.tick()
+    waiting = floor.poses[1].copy()
+    floor.tick()
+    assert np.array_equal(floor.poses[1], waiting)
+    assert floor.references is not None
+    psi = float(waiting[2])
+    c, s = math.cos(psi), math.sin(psi)
+    x, y = floor.references[1] - floor.behaviour.team.point_ahead * np.array([c, s])
+    floor.poses[1] = x + c * along - s * beside, y + s * along + c * beside, psi + turned
+    for _ in range(150):
+        floor.tick()
+    assert math.dist(floor.poses[1, :2], (x, y)) < 0.009
+    stands = floor.poses[1].copy()
+    floor.tick()
+    assert np.array_equal(floor.poses[1], stands)
     floor.driving[0] = True
     assert floor.until(30.0)
 

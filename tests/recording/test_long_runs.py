@@ -9,10 +9,12 @@ import pytest
 
 from robofleet.clock import S
 from robofleet.config.load import load_config
+from robofleet.processes import lockstep
 from robofleet.processes.lockstep import Lockstep
+from robofleet.processes.run import in_lockstep
 from robofleet.recording import metrics, reading, sampled
 from robofleet.recording.columns import write_csv
-from robofleet.recording.run import Run
+from robofleet.recording.run import SHOWN, Run
 from robofleet.recording.sampled import look, looks
 from robofleet.recording.series import series
 from robofleet.recording.timeline import Timeline
@@ -74,6 +76,7 @@ def test_of_a_sampled_run_what_is_largest_and_what_is_counted_is_of_every_tick(m
             assert told[name] == pytest.approx(value, rel=0.25), name
 
 
+@pytest.mark.slow
 def test_a_run_that_is_kept_in_a_file_keeps_nothing_of_it_in_memory() -> None:
     run = Lockstep(load_config(PLATOON, ["tracker.source=truth"]))
     run.request(b"start")
@@ -94,3 +97,22 @@ def test_a_run_that_is_kept_in_a_file_keeps_nothing_of_it_in_memory() -> None:
         tracemalloc.stop()
         run.close()
     assert after - before < 10 * PER_SECOND
+
+
+def test_a_run_in_lockstep_keeps_no_more_in_memory_than_a_live_view_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = []
+
+    class Seen(Lockstep):
+        def __init__(self, *args: Any, **keys: Any) -> None:
+            super().__init__(*args, **keys)
+            runs.append(self)
+
+    monkeypatch.setattr(lockstep, "Lockstep", Seen)
+    config = load_config(PLATOON, ["tracker.source=truth", "run.duration_s=30"])
+    result = in_lockstep(config, "n", tmp_path, quiet=True)
+    assert result.summary["outcome"] == "completed"
+    in_memory, in_file = (max(map(len, of.messages.values())) for of in (runs[0].recording, result.columns.recording))
+    assert in_file > 3 * SHOWN
+    assert in_memory < 2.5 * SHOWN

@@ -261,6 +261,7 @@ def test_a_check_that_is_missing_is_found(
 
 
 RUNS = {"kind": "motor_runs", "robot": "r2", "wheel": "left", "speed_rad_s": 6.1, "at_s": 1.0, "duration_s": 3.0}
+STUCK = {"kind": "motor_stuck", "robot": "r2", "at_s": 1.0, "duration_s": 3.0}
 FULL = {"kind": "disk_full", "at_s": 0.5, "duration_s": 4.0}
 KILLED = {"kind": "killed", "process": "driver-r1", "at_s": 2.0, "duration_s": 0.3}
 
@@ -278,6 +279,12 @@ def test_a_wheel_that_turns_by_itself_must_be_named(fleet: Config, monkeypatch: 
     assert played(fleet, monkeypatch, (RUNS,), hold) == []
     _runaways_unnamed(monkeypatch)
     assert "a wheel turns by itself and is not named" in played(fleet, monkeypatch, (RUNS,), hold)
+
+
+def test_a_wheel_that_stands_must_hold_the_run(fleet: Config, monkeypatch: Patch) -> None:
+    assert played(fleet, monkeypatch, (STUCK,)) == []
+    _unseen(Event.WHEEL_STALLED)(monkeypatch)
+    assert "a wheel stands and the run goes on" in played(fleet, monkeypatch, (STUCK,))
 
 
 def test_an_emergency_stop_on_a_full_disk_must_outlive_a_kill(fleet: Config, monkeypatch: Patch) -> None:

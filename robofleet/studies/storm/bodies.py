@@ -23,6 +23,8 @@ _GRID_NS = 10_000_000  # a robot goes 2 mm in it
 _REST_RAD_S = 0.02  # of a wheel; friction holds it soon after
 _STANDING_M_S = 1e-3
 _NAMED_WITHIN_NS = 1_200_000_000  # of a wheel that turns by itself: 0.8 s, and its lag up and down
+_COMMANDED_RAD_S = 2.0  # no wheel stays at rest then
+_HELD_WITHIN_NS = 1_500_000_000  # of a wheel that stands: 1 s, and the hold's way to the gate and down the ramp
 
 Array = NDArray[np.float64]
 
@@ -84,6 +86,28 @@ def unnamed(
             if newest.state.latch is not Latch.RUNAWAY:
                 numbers = f"{newest.state.latch.name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
                 found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
+    return found
+
+
+def unheld(
+    robot: str, decisions: Sequence[GateDecision], stuck: Sequence[Outage], outages: Sequence[Outage]
+) -> list[Violation]:
+    """Find wheels that stood though their output was to turn, for so long that the run should have been held.
+
+    ``stuck``: when the motors stood whatever was commanded; ``outages``: when nobody heard of it, or who did was not
+    heard.
+    """
+    at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
+    outputs = np.array([decision.output.output for decision in decisions], dtype=np.float64)
+    found = []
+    for first, last in (span for wheel in outputs.T for span in intervals(abs(wheel) >= _COMMANDED_RAD_S)):
+        until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else at_ns[last]
+        for stands in stuck:
+            start_ns, end_ns = max(at_ns[first], stands.start_ns), min(until_ns, stands.end_ns)
+            heard = all(out.end_ns < start_ns or out.start_ns > end_ns for out in outages)
+            if end_ns - start_ns > _HELD_WITHIN_NS and heard:
+                numbers = f"its output was to turn for {(end_ns - start_ns) / 1e6:.0f} ms"
+                found.append(Violation("a wheel stands and the run goes on", end_ns / S, robot, numbers))
     return found
 
 

@@ -22,7 +22,7 @@ from robofleet.processes.log_lines import Unfailing
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faulty_disk import FaultyLog
-from robofleet.studies.storm.bodies import apart, at_goals, rolling_on, unnamed
+from robofleet.studies.storm.bodies import apart, at_goals, rolling_on, unheld, unnamed
 from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, without_cause
 from robofleet.studies.storm.forger import Forger
 from robofleet.studies.storm.gates import GateAudit
@@ -39,7 +39,7 @@ _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most 
 _MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
 _POLL_S = 0.002  # of whoever stops the fleet
 _LOOK_S = 0.05  # the operator's eye
-_WAITING_S, _PAUSE_S = 30.0, 3.0  # of a robot that lets others by, and of all of them for another plan
+_WAITING_S, _PAUSE_S = 30.0, 0.1  # of a robot that lets others by, and of all of them together
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
 _NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
 
@@ -253,8 +253,10 @@ class _Player:
             runaways = self._acting("motor_runs", robot=robot.id)
             if row < len(config.members):  # a hand moves bystanders
                 self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
-            unwatched = outages + self._acting("motor_stuck", robot=robot.id)
-            self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, unwatched)
+            stuck = self._acting("motor_stuck", robot=robot.id)
+            self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, outages + stuck)
+            unseen = outages + unreached + self._outages("supervisor")
+            self._found += unheld(robot.id, ledger.decisions[robot.id], stuck, unseen)
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
         if self._longest_queue > _MOST_QUEUED:

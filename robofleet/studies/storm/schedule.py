@@ -15,6 +15,7 @@ from robofleet.studies.storm.parking import Parking
 
 WINDOW_S = 10.0  # of faults, from the first moment of running; with the checks before and the new start after it, 20 s
 _SHORTEST_S, _LONGEST_S = 0.05, 5.0
+_LONGER_S = {"motor_stuck": 1.0}  # than others: what is named only after so long
 _MOST = 6  # faults of one seed
 _CALM = 0.5  # share of seeds with gentle faults only, inside the envelope
 _TOPICS = ("cmd", "enable", "status", "poses", "state", "tick")
@@ -160,7 +161,7 @@ def plan(config: Config, seed: int) -> Plan:
     for _ in range(1 + int(dice.rng.integers(_MOST))):
         kind, make, rough = dice.one(pool)
         at_s = dice.between(0.0, WINDOW_S - _SHORTEST_S)
-        duration_s = round(min(dice.duration(), WINDOW_S - at_s), 3)
+        duration_s = round(min(dice.duration() + _LONGER_S.get(kind, 0.0), WINDOW_S - at_s), 3)
         faults.append(_FAULTS.validate_python({"kind": kind, "at_s": at_s, "duration_s": duration_s, **make(dice)}))
         outside_s = min(outside_s, at_s if rough and kind in _OUTSIDE else math.inf)
         healed_s = max(healed_s, at_s + duration_s)
