@@ -163,7 +163,7 @@ def changed(  # noqa: PLR0912 - a branch for each kind of mistake
         places = [*_places(tree, ())]
         for _ in range(int(rng.integers(1, 3))):
             place, value = pick(places), pick(_ABSURD)
-            with suppress(KeyError, IndexError, TypeError):  # it was changed already
+            with suppress(AttributeError, KeyError, IndexError, TypeError):  # it was changed already
                 holder: Any = tree
                 for part in place[:-1]:
                     holder = holder[part]
