@@ -5,6 +5,7 @@ real time, the ROS 2 graph. Each hears every message of a lockstep run, and is a
 """
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -34,6 +35,7 @@ from robofleet.processes.web.hearing import Hearing
 from robofleet.recording.after import report
 from robofleet.recording.drawn import Channel
 from robofleet.recording.log import FILE, RunLog
+from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
 from robofleet.recording.sampled import look
 
@@ -59,8 +61,8 @@ class Stream:
 class Recorded:
     """A recording of real time, with what viewers draw."""
 
-    def __init__(self, config: Config, stream: Stream, folder: Path) -> None:
-        self._stream, self._folder = stream, folder
+    def __init__(self, config: Config, stream: Stream, folder: Path, *, whole: bool) -> None:
+        self._stream, self._folder, self._whole = stream, folder, whole
         self._log = RunLog(folder / FILE, config, epoch_ns=EPOCH_NS)
 
     def step(self, now_ns: int) -> None:
@@ -72,8 +74,11 @@ class Recorded:
         """End the file, and make what its user looks at."""
         self._log.end(b"")
         assert self._log.failed is None and not self._log.dropped
-        report(self._folder)
-        report(self._folder, columns=look(self._folder, together=_PART_BYTES))
+        parted = look(self._folder, together=_PART_BYTES)
+        if self._whole:
+            report(self._folder, columns=parted)
+        else:
+            summary(parted.recording, name="hostile", mode="realtime", outcome="fault", cause=None, run=parted)
 
 
 class Keeping:
@@ -142,19 +147,23 @@ class _Publisher:
         return 1
 
     def publish(self, message: Any) -> None:
-        self._serialize(message)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of ROS's own packages, which are loaded now
+            self._serialize(message)
 
 
 class Ros:
     """All that the ROS 2 gateway says."""
 
     def __init__(self, config: Config, bus: Bus, clock: Clock) -> None:
-        from robofleet.gateways.ros2 import topics
-        from robofleet.gateways.ros2.camera import Camera
-        from robofleet.gateways.ros2.graph import stamped
-        from robofleet.gateways.ros2.robots import Robots
-        from robofleet.gateways.ros2.run import Run
-        from robofleet.gateways.ros2.sensing import Sensing
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of ROS's own packages
+            from robofleet.gateways.ros2 import topics
+            from robofleet.gateways.ros2.camera import Camera
+            from robofleet.gateways.ros2.graph import stamped
+            from robofleet.gateways.ros2.robots import Robots
+            from robofleet.gateways.ros2.run import Run
+            from robofleet.gateways.ros2.sensing import Sensing
 
         class Graph:
             frames, clock_ = topics.Frames(), clock
@@ -171,7 +180,11 @@ class Ros:
         args = graph, config, names, bus
         robots = Robots(*args, self._ticks, lambda _: None)
         served = Served(lambda: False, clock.now_ns())
-        self._parts: list[Any] = [robots, Sensing(*args, lambda _: None), Run(graph, config, bus, served, lambda _: None)]
+        self._parts: list[Any] = [
+            robots,
+            Sensing(*args, lambda _: None),
+            Run(graph, config, bus, served, lambda _: None),
+        ]
         self._parts += [Camera(graph, n, view, robots, bus, lambda _: None) for n, view in config.trackers.items()]
 
     def step(self, now_ns: int) -> None:
@@ -222,14 +235,14 @@ class Shown:
         self._viewers.close()
 
 
-def listeners(run: Lockstep, config: Config, folder: Path) -> list[Listener]:
-    """Return all of them, of a run that goes on; the recording's folder is empty."""
+def listeners(run: Lockstep, config: Config, folder: Path, *, whole: bool) -> list[Listener]:
+    """Return all of them, of a run that goes on; ``whole``: with the report in a folder, and rerun, which take long."""
     bus, clock = run.bus, run.clock
     found: list[Listener] = [
-        Watched(run, config), Recorded(config, Stream(bus, clock), folder),
+        Watched(run, config), Recorded(config, Stream(bus, clock), folder, whole=whole),
         Shown(config, Stream(bus, clock), lambda _: Opened(Keeping(), "")),
     ]  # fmt: skip
-    if find_spec("rerun"):
+    if whole and find_spec("rerun"):
         found.append(Shown(config, Stream(bus, clock), partial(_rerun, config)))
     if find_spec("rclpy"):
         found.append(Ros(config, bus, clock))
