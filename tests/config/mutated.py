@@ -59,11 +59,11 @@ set: {run.duration_s: 6, tracker.source: truth}
 grid:
   controller.alpha: [15, 30]
 random:
-  samples: 2
+  count: 2
   keys:
     controller.horizon_s: {uniform: [0.4, 0.8]}
     camera.rate_hz: {choice: [20, 30]}
-seeds: [1, 2]
+seeds: {first: 1, count: 2}
 faults: [null, ../faults/lossy.yaml]
 """
 _ROBOT = """arena: lab

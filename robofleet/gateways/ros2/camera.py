@@ -60,7 +60,7 @@ class Camera:
             said.header.stamp, said.header.frame_id = stamp, self._frame
             self._compressed.publish(said)
         if wanted(self._image):
-            pixels = _decoded(jpeg)
+            pixels = decoded(jpeg)
             if pixels is not None:
                 height, width = pixels.shape
                 plain = Image(height=height, width=width, encoding="mono8", step=width, data=pixels.tobytes())
@@ -68,7 +68,7 @@ class Camera:
                 self._image.publish(plain)
 
 
-def _decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
+def decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
     """Return a picture's pixels; None where it is none."""
     try:
         return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)  # type: ignore[return-value]
