@@ -1,4 +1,7 @@
-"""The command line: ``robofleet``, and ``python -m robofleet``, for which no module of the current folder is taken."""
+"""The command line: ``robofleet``, and ``python -m robofleet``, which takes no library from the current folder.
+
+Python's own modules it may: Python looks there before anything here runs. ``python -P -m robofleet`` forbids it.
+"""
 
 import sys
 

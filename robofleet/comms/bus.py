@@ -52,8 +52,8 @@ class BySender:
             sessions = [one for one in self._queues if one.rpartition("/")[0] == owner]
             superseded = sessions[0] if len(sessions) >= _SESSIONS else None
             queue = self._queue()
-            others = {one: its for one, its in self._queues.items() if one != superseded}
-            self._queues = {**others, sender: queue}  # another one: ``take`` may be reading it
+            kept = {one: self._queues[one] for one in self._queues if one != superseded}
+            self._queues = kept | {sender: queue}  # another one: ``take`` may be reading it
         queue.put(arrival_ns, payload)
 
     def take(self) -> list[tuple[str, bytes]]:

@@ -227,8 +227,16 @@ class ZenohBus:
         return senders
 
     def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
-        """Call ``put`` of every message, from Zenoh's own thread; the router vouches for who sent it."""
-        self._listen(topic, name, lambda full, at_ns, payload: put(split(full)[1], at_ns, payload))
+        """Call ``put`` of every message, from Zenoh's own thread; the router vouches for who sent it.
+
+        What is published on an expression of many keys names no sender, and is dropped.
+        """
+
+        def arrived(full: str, at_ns: int, payload: bytes) -> None:
+            if sender := split(full)[1]:
+                put(sender, at_ns, payload)
+
+        self._listen(topic, name, arrived)
 
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
         """Call ``put`` of every message, from Zenoh's own thread."""
@@ -395,7 +403,11 @@ class _Stream:
     def drain(self) -> list[Arrival]:
         with self._lock:
             samples, self._samples = self._samples, deque(maxlen=self._capacity)
-        return [Arrival(at_ns, str(sample.key_expr), bytes(sample.payload)) for at_ns, sample in samples]
+        return [
+            Arrival(at_ns, full, bytes(sample.payload))
+            for at_ns, sample in samples
+            if "*" not in (full := str(sample.key_expr))  # Zenoh also lets publish on an expression of many keys
+        ]
 
 
 class _ZenohAnswer:

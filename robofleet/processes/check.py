@@ -31,9 +31,7 @@ class Study(NamedTuple):
     """What many configurations of one study share, so that each file is read once, and each robot opened once."""
 
     files: Files
-    opened: dict[
-        str, list[Complaint]
-    ]  # what was wrong with robots and sources of poses, by the settings they depend on
+    opened: dict[str, list[Complaint]]  # what was wrong when something was opened, by the settings it depends on
 
     def unreachable(self, config: Config, opens: Callable[[Config], list[Complaint]], *keys: str) -> list[Complaint]:
         """Return what is wrong with what ``opens`` opens; it is opened again only if one of the keys has changed."""

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
@@ -103,11 +103,10 @@ def _complaints_of(news: Connection, process: BaseProcess, robots: Sequence[Robo
     warned, deadline_ns = False, clock.now_ns() + round(_WARN_AFTER_S * S)
     while waiting:
         if not news.poll(max(0.0, (deadline_ns - clock.now_ns()) / S)):
-            opening = [robot for robot, begun in waiting.items() if begun]
             if warned:
                 slow = f"its driver did not finish opening it within {_AT_MOST_S:.0f} s: mend the driver"
-                return complaints | dict.fromkeys(opening, slow)
-            names = ", ".join(opening)
+                return complaints | dict.fromkeys(_opening(waiting), slow)
+            names = ", ".join(_opening(waiting))
             print(
                 f"waiting for {names} to answer: a board that starts when its port is opened takes seconds",
                 file=sys.stderr,
@@ -119,7 +118,7 @@ def _complaints_of(news: Connection, process: BaseProcess, robots: Sequence[Robo
         except EOFError:  # the process is gone
             process.join()
             crash = f"the process that opened it {ended_by(process.exitcode or 0)}: mend its driver"
-            return complaints | {robot: crash for robot, begun in waiting.items() if begun}
+            return complaints | dict.fromkeys(_opening(waiting), crash)
         if complaint is None:
             waiting[robot] = True
         else:
@@ -128,6 +127,11 @@ def _complaints_of(news: Connection, process: BaseProcess, robots: Sequence[Robo
             if warned:
                 deadline_ns = clock.now_ns() + round(_AT_MOST_S * S)
     return complaints
+
+
+def _opening(waiting: Mapping[str, bool]) -> list[str]:
+    """Return the robots that are being opened; where none is, all that are left: none of them has answered."""
+    return [robot for robot, begun in waiting.items() if begun] or [*waiting]
 
 
 def _open_all(config: Config, robots: Sequence[Robot], theirs: Connection, news: Connection) -> None:
@@ -151,11 +155,10 @@ def _open_all(config: Config, robots: Sequence[Robot], theirs: Connection, news:
             else:
                 report(robot, "")
 
-    at_once = [[robot] for robot in robots if is_concurrent(load("robofleet.drivers", robot.driver))]
-    in_order = [robot for robot in robots if [robot] not in at_once]
-    threads = [threading.Thread(target=attempt, args=(group,)) for group in at_once]
+    at_once = {robot.id for robot in robots if is_concurrent(load("robofleet.drivers", robot.driver))}
+    threads = [threading.Thread(target=attempt, args=([robot],)) for robot in robots if robot.id in at_once]
     for thread in threads:
         thread.start()
-    attempt(in_order)
+    attempt([robot for robot in robots if robot.id not in at_once])
     for thread in threads:
         thread.join()

@@ -244,9 +244,13 @@ def revoke(arena: ArenaName, name: Who) -> None:
     $ robofleet keys revoke lab r1
     """
     with _authority(arena) as authority:
+        from robofleet.comms.credentials import ROUTER  # noqa: PLC0415
+
         authority.revoke(name)
+        is_router = authority.entries()[name].kind == ROUTER
+    resume = f", and cut off; if a run is held by that, go on: robofleet resume {arena}"
     print(
-        f"{name} is revoked, and cut off; if a run is held by that, go on: robofleet resume {arena}\n"
+        f"{name} is revoked{'; a router that is on keeps it until it ends' if is_router else resume}\n"
         f"`robofleet keys add {arena} {name}` lets it in again"
     )
 

@@ -61,9 +61,9 @@ class Keys:
         state = self._state()
         if state == self._seen:
             return False
-        if state != self._read:
+        if state != self._read and (revoked := self._revoked(permitted)) is not None:
             self._read = state
-            if self._revoked(permitted):
+            if revoked:
                 self._seen = state
                 return True
         now_ns = self._clock.now_ns()
@@ -75,15 +75,15 @@ class Keys:
         self._seen = state
         return True
 
-    def _revoked(self, permitted: Mapping[str, Any]) -> bool:
-        """Return whether somebody is let in whose certificate is revoked."""
+    def _revoked(self, permitted: Mapping[str, Any]) -> bool | None:
+        """Return whether somebody is let in whose certificate is revoked; None where the keys cannot be read now."""
         from robofleet.comms.authority import Authority, identities  # noqa: PLC0415
 
         arena = self._config.arena.name
         try:
             valid = {who.common_name for who in identities(Authority(arena, keys_folder(arena)))}
-        except KeysError:  # a folder that is away says nothing new
-            return False
+        except KeysError:
+            return None
         return any(not valid.issuperset(subject.get("cert_common_names", ())) for subject in permitted["subjects"])
 
     def _state(self) -> int:

@@ -33,7 +33,8 @@ def keys(config: Config) -> Iterator[str]:
     yield from (key(arena, topic) for topic in _ABOUT_ALL)
     yield from (key(arena, topic, camera) for camera in config.camera_names for topic in _ABOUT_CAMERA)
     yield from (key(arena, topic, unit) for unit in config.units for topic in OF_UNITS)
-    yield from (key(arena, its, group) for group, topic in setpoint_topics(config).items() for its in (topic, NOTE))
+    for group, setpoints in setpoint_topics(config).items():
+        yield from (key(arena, topic, group) for topic in (setpoints, NOTE))
     yield from (key(arena, SENSORS, unit) for unit in config.sensing)
 
 

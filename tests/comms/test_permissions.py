@@ -274,6 +274,7 @@ def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> No
     """Whatever it sends, and however much: its messages have its own name, and a place beside the others'."""
     with closing(ZenohBus(ARENA, net.local, "controller", CLOCK)) as controller, ExitStack() as stack:
         programs, persons = (controller.newest_by_sender(topic, "left") for topic in (WISH, TELEOP))
+        recorded = controller.stream(key(ARENA, WISH, "left"), capacity=10_000)
         first, second = (stack.enter_context(closing(net.joined(name))) for name in ("script", MALLORY))
         sends, floods = (bus.publisher(WISH, "left") for bus in (first, second))
         found: dict[str, bytes] = {}
@@ -287,6 +288,7 @@ def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> No
         forged = [key(ARENA, topic, "left") for topic in (WISH, TELEOP)]
         forged += [sender_key(ARENA, topic, "left", sender) for topic in (WISH, TELEOP) for sender in (own, *SENDERS)]
         forged = [full for full in forged if f"/script/{MALLORY}/" not in full]
+        forged += [sender_key(ARENA, WISH, name, f"script/{MALLORY}/*") for name in ("left", "*")]  # of many keys
         sends(b"newest")
         for k in range(2000):
             second._session.put(forged[k % len(forged)], b"forged")
@@ -296,6 +298,7 @@ def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> No
         assert found.pop(own) == b"newest"
         assert [sender.rpartition("/")[0] for sender in found] == [f"script/{MALLORY}"]
         assert not persons.take()
+        assert not [full for _, full, _ in recorded.drain() if split(full)[1] not in (own, *found)]
 
 
 def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:

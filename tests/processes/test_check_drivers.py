@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.processes import check_drivers
@@ -163,6 +164,13 @@ def test_a_driver_that_crashes_is_named_and_the_command_goes_on(tmp_path: Path) 
     ((path, why),) = told(*robots(*settings, driver=f"{__name__}:Crowded"))
     assert path == "robots.1.driver"
     assert why == "the process that opened it was killed by SIGKILL: mend its driver"
+
+
+def test_robots_that_nobody_came_to_open_are_refused(port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slices, "world", lambda _: os._exit(3))
+    complaints = told(*robots({"port": port}, {"port": port + "2"}))
+    assert [path for path, _ in complaints] == ["robots.0.settings.port", "robots.1.settings.port"]
+    assert {why for _, why in complaints} == {"the process that opened it ended with exit code 3: mend its driver"}
 
 
 @pytest.mark.parametrize(

@@ -270,6 +270,11 @@ def test_a_router_without_an_address_adds_nobody_of_a_roster(desk: Path) -> None
     assert names() == {}
 
 
+def test_who_is_revoked_is_cut_off_but_not_a_router_that_is_on(lab: Path) -> None:
+    assert said("keys", "revoke", "lab", "r1")[0].startswith("r1 is revoked, and cut off")
+    assert said("keys", "revoke", "lab", "router")[0].startswith("router is revoked; a router that is on keeps it")
+
+
 def test_all_are_renewed_but_who_is_revoked(lab: Path) -> None:
     said("keys", "revoke", "lab", "alice")
     before = names()

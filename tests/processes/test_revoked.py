@@ -9,15 +9,17 @@ from tempfile import mkdtemp
 
 import pytest
 
-from robofleet.comms.authority import ROUTER, Authority
+from robofleet.comms.authority import ROUTER, Authority, identities
 from robofleet.comms.bus import Subscription
-from robofleet.comms.credentials import Credentials, keys_folder
+from robofleet.comms.credentials import AUTHORITY, Credentials, keys_folder
 from robofleet.comms.joining import joined
 from robofleet.comms.keys import SAFE_REQUEST, STATE
-from robofleet.comms.permissions import VIEWER
+from robofleet.comms.permissions import VIEWER, access_control
 from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.config.load import load_config
+from robofleet.processes.network import Keys
 from tests.endpoints import free_port
-from tests.processes.realrun import ALONE, CLOCK, RealRun, wait
+from tests.processes.realrun import ALONE, CLOCK, PLATOON, RealRun, wait
 
 ARENA = "platoon"
 
@@ -55,6 +57,17 @@ class Viewer:
 def stack() -> Iterator[ExitStack]:
     with ExitStack() as stack:
         yield stack
+
+
+def test_a_revocation_is_not_missed_where_the_keys_could_not_be_read_at_first(authority: Authority) -> None:
+    keys, permitted = Keys(load_config(PLATOON)), access_control(ARENA, identities(authority))
+    authority.revoke("eve")
+    certificate = authority.folder / AUTHORITY
+    away = certificate.rename(certificate.with_suffix(".away"))
+    assert not keys.changed(permitted)
+    away.rename(certificate)
+    assert keys.changed(permitted)
+    assert not keys.changed(permitted), "once"
 
 
 def test_who_is_revoked_in_a_run_hears_and_says_nothing_more_and_the_others_come_back(
