@@ -271,7 +271,8 @@ class Fleet:
             payload = self._running.unit_sensors(unit)
             said = None if payload is None else sensors.decoded(payload)
             if said is not None:
-                found |= {self._config.units[unit][place]: reading for place, reading in said[1].items()}
+                members = self._config.units[unit]
+                found |= {members[place]: reading for place, reading in said[1].items() if place < len(members)}
         return tuple(found.get(robot) for robot in self.robots)
 
     # What the robots do

@@ -219,6 +219,8 @@ class ListLayout(Generic[M]):
         if not self._fits(len(payload), count):
             return None
         dtype, at = self._item_fields[field][:2]
+        if not count:  # its place would be behind the payload
+            return self._reader.array(0, dtype)
         column: NDArray[Any] = self._reader.array(count, dtype, payload, size + at, self._strides[:1])
         return column
 

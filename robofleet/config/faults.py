@@ -18,6 +18,7 @@ from robofleet.patterns import (
     ENDPOINT_PATTERN,
     LONGEST_SOCKET_PATH,
     NAME_PATTERN,
+    NETWORK_PATTERN,
     PRIVATE,
     SOCKET,
     TCP,
@@ -46,6 +47,7 @@ _WORDS = {
 }
 _PATTERNS = {
     NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
+    NETWORK_PATTERN: "must look like tls/192.168.1.5:7447",
     ENDPOINT_PATTERN: "must be private, or look like unixsock-stream//run/lab/bus.sock or tcp/127.0.0.1:7447",
 }
 
@@ -63,7 +65,8 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
     if kind == "missing" or (given is None and loc):
         few = isinstance(loc[-1], int) and given is not None
         return "has too few values: add one" if few else "is missing: add it; configs/README.md describes it"
-    rule = _PATTERNS.get(context.get("pattern", "")) or _WORDS.get(kind, error["msg"]).format(**context)
+    words = _WORDS.get(kind)  # pydantic's own have braces that are none of ours, of patterns
+    rule = _PATTERNS.get(context.get("pattern", "")) or (words.format(**context) if words else error["msg"])
     if isinstance(given, dict | list | tuple):
         return rule
     hint = ""

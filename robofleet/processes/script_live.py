@@ -166,7 +166,7 @@ class LiveLink:
         self._clock.sleep_until(self._clock.now_ns() + round(_POLL_S * S))
 
     def _heard_tick(self, _at_ns: int, payload: bytes) -> None:
-        if TICK_RECORD.decode_head(payload) is not None and len(payload) == len(self._tick or payload):
+        if TICK_RECORD.view(payload) is not None and len(payload) == len(self._tick or payload):
             with self._came:
                 self._tick = payload
                 self._ticks += 1

@@ -298,6 +298,9 @@ def test_items_as_arrays_say_what_the_message_says(
     assert arrays is not None
     assert viewed is not None
     (head, items), (without, same) = arrays, viewed
+    for name in layout.item_dtype.names or ():
+        column = layout.column(payload, name)
+        assert column is not None and column.tobytes() == items[name].tobytes()
     assert head[0].item()[1:-1] == tuple(message[:count]) == without[:count]
     assert items.tolist() == same.tolist() == [tuple(item) for item in message[count]]
     floats = [[value for value in item if isinstance(value, float)] for item in message[count]]

@@ -11,6 +11,7 @@ import pytest
 from robofleet.comms.endpoint import check_free, settled
 from robofleet.comms.private_folder import PlaceError, private_folder
 from robofleet.config.load import ConfigError, load_config
+from robofleet.config.robot_file import load_robot_file
 from robofleet.config.tree import Config
 from tests.endpoints import short_folder
 
@@ -55,6 +56,15 @@ def test_a_port_is_at_most_65535() -> None:
 def test_what_is_no_endpoint_is_refused(endpoint: str) -> None:
     with pytest.raises(ConfigError, match="must be private, or look like"):
         of(endpoint)
+
+
+@pytest.mark.parametrize("address", ["192.168.1.10:7447", "tls/lab", "tcp/192.168.1.10:7447", "{}", ""])
+def test_what_is_no_address_for_other_hosts_is_refused(address: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"arena: lab\nunit: r1\nrouter: ['{address}']\n")
+    for load in lambda: load_config(PLATOON, [f"bus.listen=['{address}']"]), lambda: load_robot_file(file):
+        with pytest.raises(ConfigError, match="must look like tls/192"):
+            load()
 
 
 @pytest.mark.parametrize(("length", "taken"), [(107, True), (108, False)])

@@ -6,6 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from robofleet.clock import S
@@ -59,12 +60,20 @@ class Camera:
             said.header.stamp, said.header.frame_id = stamp, self._frame
             self._compressed.publish(said)
         if wanted(self._image):
-            pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+            pixels = decoded(jpeg)
             if pixels is not None:
                 height, width = pixels.shape
                 plain = Image(height=height, width=width, encoding="mono8", step=width, data=pixels.tobytes())
                 plain.header.stamp, plain.header.frame_id = stamp, self._frame
                 self._image.publish(plain)
+
+
+def decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
+    """Return a picture's pixels; None where it is none."""
+    try:
+        return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)  # type: ignore[return-value]
+    except cv2.error:  # of no bytes, and of more pixels than it takes
+        return None
 
 
 def camera_info(model: CameraModel, frame: str) -> CameraInfo:

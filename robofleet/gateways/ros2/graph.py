@@ -1,5 +1,6 @@
 """The node, and what it says: the table's rows made real."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,8 @@ from robofleet.clock import Clock, S, WallClock
 from robofleet.gateways.ros2.topics import Frames, Quality, Topic, load
 
 _WALL = WallClock()
+_ENDS_S = -(2**31), 2**31 - 1  # of ROS's time
+_LARGEST = 3.4028234e38  # of ROS's float32
 
 
 class Graph:
@@ -41,8 +44,14 @@ class Graph:
 
 
 def stamped(ros_ns: int) -> Time:
-    """Return a time of ROS [ns] as messages have it."""
-    return Time(sec=ros_ns // S, nanosec=ros_ns % S)
+    """Return a time of ROS [ns] as messages have it; beyond their ends, the nearer one."""
+    first_s, last_s = _ENDS_S
+    return Time(sec=min(max(first_s, ros_ns // S), last_s), nanosec=ros_ns % S)
+
+
+def single(value: float) -> float:
+    """Return a number as a float32 of a message can have it: beyond its ends, infinite."""
+    return math.copysign(math.inf, value) if abs(value) > _LARGEST else value
 
 
 def profile(quality: Quality) -> QoSProfile:

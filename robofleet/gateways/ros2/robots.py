@@ -18,7 +18,7 @@ from robofleet.comms.ticks import TickFollower
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
-from robofleet.gateways.ros2.graph import Graph, wanted
+from robofleet.gateways.ros2.graph import Graph, single, wanted
 from robofleet.gateways.ros2.odometry import Odometry
 from robofleet.gateways.ros2.transforms import Transforms
 from robofleet.gateways.urdf import WHEELS
@@ -180,7 +180,7 @@ class _Robot:
     def say_battery(self, stamp: Any, charge: float) -> None:
         said = self._charged
         said.header.stamp = stamp
-        said.percentage = math.nan if charge < 0.0 else charge
+        said.percentage = math.nan if charge < 0.0 else single(charge)
         self._battery.publish(said)
 
     def transforms(

@@ -14,7 +14,7 @@ from robofleet.config.robots import Robot
 from robofleet.config.sensors import SensorSettings
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
-from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.graph import Graph, single
 from robofleet.gateways.ros2.robots import heading
 from robofleet.gateways.ros2.topics import Frames
 from robofleet.vehicles.interface import SensorReading
@@ -78,7 +78,7 @@ class _Sensors:
             self._magnetic.publish(self._field)
         for (publisher, said), distance in zip(self._ranges, reading.distances or (), strict=False):
             said.header.stamp = stamp
-            said.range = math.inf if math.isnan(distance) else distance  # REP 117: it sees nothing
+            said.range = math.inf if math.isnan(distance) else single(distance)  # REP 117: it sees nothing
             publisher.publish(said)
 
 

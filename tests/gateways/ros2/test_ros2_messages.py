@@ -267,6 +267,16 @@ def test_an_imu_says_what_its_reading_has_and_nothing_of_an_older_one() -> None:
     assert not told([silent]).topics["r1/imu/data_raw"].said
 
 
+def test_what_no_message_can_have_is_said_as_the_end_of_its_field(graph: Paper) -> None:
+    """Older releases of ROS 2 raise at what is beyond; and a picture of no bytes is none."""
+    for far_ns, end_s in ((2**62, 2**31 - 1), (-(2**62), -(2**31))):
+        assert stamped(far_ns).sec == end_s
+    far = told([SensorReading(distances=(1e300, -1e300, 0.2, math.nan, 0.2, 0.2, 0.2))])
+    ranges = [far.topics[f"r1/range_{number}"].said[0].range for number in range(4)]
+    assert ranges == [math.inf, -math.inf, 0.2, math.inf]
+    assert camera.decoded(b"") is None and camera.decoded(b"none") is None
+
+
 @pytest.mark.parametrize(
     ("size", "small_size"),
     [
