@@ -17,7 +17,20 @@ import zenoh
 
 from robofleet.clock import MS, S, WallClock
 from robofleet.comms.bus import Request
-from robofleet.comms.keys import ASKED, ESTOP, LEASE, PICTURE, REQUEST, SAFE_REQUEST, STATE, STATUS, TOPICS, Topic, key
+from robofleet.comms.keys import (
+    ASKED,
+    ESTOP,
+    LEASE,
+    PICTURE,
+    REQUEST,
+    SAFE_REQUEST,
+    STATE,
+    STATUS,
+    TOPICS,
+    Topic,
+    key,
+    sender_key,
+)
 from robofleet.comms.living import RoleTakenError, alive_key
 from robofleet.comms.requests import asked, on
 from robofleet.comms.zenoh_bus import ZenohBus, open_router
@@ -25,6 +38,7 @@ from tests.comms.test_zenoh_bus import answering, until
 from tests.endpoints import free_port, own_endpoint, short_folder
 
 CLOCK = WallClock()
+SENDER = "operator/anna/1"
 
 
 def session(endpoint: str, mode: str = "client") -> zenoh.Session:
@@ -181,7 +195,30 @@ def about(topic: Topic) -> str:
     return {REQUEST: "supervisor", PICTURE: "overhead"}.get(topic, "r1")
 
 
-@pytest.mark.parametrize("topic", [t for t in TOPICS if t.largest and t not in ASKED], ids=lambda t: t.key)
+def full_key(topic: Topic) -> str:
+    return sender_key("lab", topic, about(topic), SENDER) if topic.by_sender else key("lab", topic, about(topic))
+
+
+BOUNDED = [topic for topic in TOPICS if topic.largest and topic not in ASKED]
+
+
+@pytest.mark.parametrize("topic", [topic for topic in BOUNDED if topic.by_sender], ids=lambda t: t.key)
+def test_a_setpoint_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding: Bus, topic: Topic) -> None:
+    bus, full, came = bounding, full_key(topic), list[bytes]()
+    newest = bus.operator.newest_by_sender(topic, about(topic))
+    stream = bus.operator.stream(key("lab", topic, about(topic)), capacity=10_000)
+    bus.operator.listen_by_sender(topic, about(topic), lambda _sender, _at_ns, payload: came.append(payload))
+    allowed, too_large = bytes(topic.largest), bytes(topic.largest + 1)
+    until(newest.take, lambda: bus.stranger.put(full, allowed))
+    for payload in (too_large, bytes(20_000_000), too_large, b"end"):
+        bus.stranger.put(full, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+    until(lambda: b"end" in came or None)
+    assert set(came) == {allowed, b"end"}
+    assert {payload for _, _, payload in stream.drain()} == {allowed, b"end"}
+    assert newest.take() in ([], [(SENDER, allowed)], [(SENDER, b"end")])
+
+
+@pytest.mark.parametrize("topic", [topic for topic in BOUNDED if not topic.by_sender], ids=lambda t: t.key)
 def test_a_message_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding: Bus, topic: Topic) -> None:
     bus = bounding
     full = key("lab", topic, about(topic))
@@ -211,8 +248,8 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
     mark = key("lab", STATE)
     until(lambda: heard, lambda: bus.stranger.put(mark, b"x"))
     expected = set()
-    for topic in (t for t in TOPICS if t.largest and t not in ASKED):
-        full = key("lab", topic, about(topic))
+    for topic in BOUNDED:
+        full = full_key(topic)
         for size in (topic.largest + 1, topic.largest):
             bus.stranger.put(full, bytes(size), congestion_control=zenoh.CongestionControl.BLOCK)
         expected.add((full, topic.largest))

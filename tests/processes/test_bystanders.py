@@ -114,7 +114,7 @@ def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_
     [
         ((1.0, 0.0), "{kind: pose_dropout, robot: p1}", "p1: the tracker lost the robot"),
         ((1.0, 0.0), "{kind: wired_stop, robot: p1}", "p1: the robot's own e-stop"),
-        ((-1.408, -0.36), "", "r4: it is too close to p1"),
+        ((-1.408, -0.348), "", "r4: it is too close to p1"),
         ((1.0, 0.0), "{kind: pushed, robot: p1, velocity_m_s: [0.1, 0.0]}", "p1: it is not at rest"),
     ],
 )

@@ -28,7 +28,9 @@ def told(story: Make, add_status: Make, add_state: Make) -> Recording:
         add_status(recording, "r1", story_.stamp(0) + round(t * 1e9))
         if round(t, 2) in said:
             add_state(recording, *said[round(t, 2)])
-    recording.messages.update(story_.recording().messages)
+    for full, payloads in story_.recording().messages.items():
+        for payload in payloads:
+            recording.add(full, payload)
     return recording
 
 
