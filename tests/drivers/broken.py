@@ -45,6 +45,7 @@ class DegreesPerSecond(Sparrow):
 
 
 class SharesItsBoard(Sparrow):
+    concurrent = True  # which it cannot be
     board = threading.Lock()
 
     def __init__(self, context: DriverContext) -> None:

@@ -49,7 +49,8 @@ def until(node: Node, true: Callable[[], Any], within_s: float = WITHIN_S) -> No
 def listen(node: Node, seconds: float) -> dict[str, Any]:
     """Return the graph's topics with type, frames and quality, and how many messages of each came."""
     own = {name for name, _ in node.get_topic_names_and_types()}
-    until(node, lambda: any(name.endswith("/odom") for name, _ in node.get_topic_names_and_types()))
+    gateway = "robofleet"  # whose node's name is known later than its topics
+    until(node, lambda: any(one.node_name == gateway for one in node.get_publishers_info_by_topic("/r1/odom")))
     found: dict[str, Any] = {}
     heard: dict[str, list[Any]] = {}
     kept = []
