@@ -99,7 +99,12 @@ def _hand(folder: Path) -> None:
 
 
 def _handed() -> list[str]:
-    folders: list[str] = json.loads(os.environ.get(_HANDED, "[]"))
+    try:
+        folders = json.loads(os.environ.get(_HANDED, "[]"))
+    except ValueError:
+        folders = None
+    if not isinstance(folders, list) or not all(isinstance(folder, str) for folder in folders):
+        raise PluginError(f"{_HANDED} of the environment is no list of folders, as robofleet writes it: unset it")
     return folders
 
 
