@@ -6,7 +6,7 @@ import secrets
 import socket
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, chdir, contextmanager
 from typing import Any, TypeVar
 
 from robofleet.processes.refusal import RefusedError, need_extra
@@ -81,11 +81,10 @@ def _own(cores: int) -> Iterator[Any]:
     os.environ[_ALL_INTERFACES] = "0"
     os.environ["RAY_AUTH_MODE"] = "token"
     os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
-    with (
-        tempfile.TemporaryDirectory(prefix="rf-ray-", ignore_cleanup_errors=True) as folder,
-        _started("ray", "try --on local", address="local", num_cpus=cores, include_dashboard=False, _temp_dir=folder)
-        as ray,
-    ):  # fmt: skip
+    options: dict[str, Any] = {"address": "local", "num_cpus": cores, "include_dashboard": False}
+    with tempfile.TemporaryDirectory(prefix="rf-ray-", ignore_cleanup_errors=True) as folder, ExitStack() as held:
+        with chdir(folder):  # Ray lets its workers import modules of the folder in which it starts
+            ray = held.enter_context(_started("ray", "try --on local", **options, _temp_dir=folder))
         yield ray
 
 

@@ -54,6 +54,25 @@ def test_ray_gives_the_same_on_loopback_alone_to_whoever_has_its_token() -> None
     assert seen["answers"] == {"its own": "OK", "another": "UNAUTHENTICATED", "none": "UNAUTHENTICATED"}
 
 
+@pytest.mark.slow
+def test_a_module_of_the_current_folder_runs_in_no_worker_of_ray(tmp_path: Path) -> None:
+    if find_spec("ray") is None:
+        pytest.skip("NO RAY")
+    (tmp_path / "colorsys.py").write_text("open('imported', 'w').close()\nraise SystemExit\n")
+    script = tmp_path / "elsewhere" / "try_it.py"
+    script.parent.mkdir()
+    script.write_text(
+        "from robofleet.studies import engine\nfrom colorsys import rgb_to_hsv\n"
+        "def hue(red):\n    import colorsys\n    return colorsys.rgb_to_hsv(red, 0, 0)[2]\n"
+        "with engine.opened('ray', 1) as opened:\n    print([one.result for one in opened.each(hue, [1.0])])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", str(script)], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert "[1.0]" in done.stdout, (done.stdout, done.stderr)
+    assert not (tmp_path / "imported").exists()
+
+
 def test_ray_that_does_not_start_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     folder = tmp_path / ("x" * 90)  # a socket's name has 107 bytes at most
