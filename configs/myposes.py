@@ -8,7 +8,7 @@ import math
 import socket
 import threading
 
-from robofleet.comms.messages import TagPose
+from robofleet.bus.messages import TagPose
 from robofleet.tracking.sources import CameraError, Observation, PoseContext
 
 PORT = 5601

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.control.flow import FlowSettings, MemorylessFlow, NewtonRaphsonFlow
     from robofleet.control.prediction import Plant
-    from robofleet.fleet import Fleet, FleetError
+    from robofleet.scripts.fleet import Fleet, FleetError
     from robofleet.tracking.sources import Camera
     from robofleet.vehicles.interface import Driver, DriverContext, DriverError, DriverReading, WheelSpeeds
 
@@ -42,7 +42,7 @@ _ROOMS = {
     "robofleet.config.tree": ("Config",),
     "robofleet.control.flow": ("FlowSettings", "MemorylessFlow", "NewtonRaphsonFlow"),
     "robofleet.control.prediction": ("Plant",),
-    "robofleet.fleet": ("Fleet", "FleetError"),
+    "robofleet.scripts.fleet": ("Fleet", "FleetError"),
     "robofleet.tracking.sources": ("Camera",),
     "robofleet.vehicles.interface": ("Driver", "DriverContext", "DriverError", "DriverReading", "WheelSpeeds"),
 }

@@ -8,7 +8,7 @@ import sys
 if __name__ == "__main__" and not sys.flags.safe_path:
     del sys.path[0]  # the current folder, which Python puts before all others
 
-from robofleet.processes import direct
+from robofleet.operator import direct
 
 
 def main() -> None:

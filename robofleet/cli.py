@@ -14,21 +14,9 @@ import typer
 from typer.core import TyperCommand
 
 from robofleet.calibration.commands import entry as laboratory
-from robofleet.clock import utc_now
-from robofleet.doctor import command as doctoring
-from robofleet.experiments import trials
-from robofleet.gateways.gamepad import command as gamepad
-from robofleet.gateways.robotarium import command as gateway
-from robofleet.gateways.ros2 import command as ros2
-from robofleet.gateways.viewers import address as viewers
-from robofleet.gateways.viewers import command as viewers_command
-from robofleet.processes import commands, going, join_command, keys_commands, run_commands, usage
-from robofleet.processes.ending import Ending
-from robofleet.processes.log_lines import never_raise
-from robofleet.processes.outlet import unhindered
-from robofleet.processes.page_address import LOOPBACK, listening
-from robofleet.processes.plain_terminal import as_shown, silence_libraries, speak_its_language
-from robofleet.processes.refusal import (
+from robofleet.core.clock import utc_now
+from robofleet.core.log_lines import never_raise
+from robofleet.core.refusal import (
     LAB_MODULES,
     WEB_PACKAGES,
     RefusedError,
@@ -39,15 +27,28 @@ from robofleet.processes.refusal import (
     new_folder,
     unkept,
 )
-from robofleet.processes.web.certificate import page_keys
+from robofleet.doctor import command as doctoring
+from robofleet.experiments import trials
+from robofleet.gateways.gamepad import command as gamepad
+from robofleet.gateways.robotarium import command as gateway
+from robofleet.gateways.ros2 import command as ros2
+from robofleet.gateways.viewers import address as viewers
+from robofleet.gateways.viewers import command as viewers_command
+from robofleet.hosts import join_command, keys_commands
+from robofleet.operator import commands, going, run_commands, usage
+from robofleet.operator.ending import Ending
+from robofleet.operator.page.certificate import page_keys
+from robofleet.operator.page.page_address import LOOPBACK, listening
+from robofleet.operator.terminal.outlet import unhindered
+from robofleet.operator.terminal.plain_terminal import as_shown, silence_libraries, speak_its_language
 from robofleet.studies import commands as studies
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robofleet.config.tree import Config
-    from robofleet.processes.page_process import PageWanted
-    from robofleet.processes.run import Result
+    from robofleet.operator.run import Result
+    from robofleet.runs.page_process import PageWanted
 
 _COLLECT_AFTER = 50_000  # objects: loading libraries makes hundreds of thousands, and hardly any garbage
 
@@ -215,9 +216,9 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     from rich.console import Console  # noqa: PLC0415
 
     from robofleet.config.yamlfile import printable  # noqa: PLC0415
-    from robofleet.processes.check import proofs  # noqa: PLC0415
-    from robofleet.processes.check_starts import warnings  # noqa: PLC0415
-    from robofleet.recording.tables import proofs_table  # noqa: PLC0415
+    from robofleet.reports.tables import proofs_table  # noqa: PLC0415
+    from robofleet.runs.check import proofs  # noqa: PLC0415
+    from robofleet.runs.check_starts import warnings  # noqa: PLC0415
 
     console = Console()
     rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
@@ -317,14 +318,14 @@ def _first_comment(file: Path) -> str:
 
 
 def _checked(config: Path, overrides: list[str], faults: Path | None, *, lockstep: bool) -> "Config":
-    from robofleet.processes.check import load_checked  # noqa: PLC0415
+    from robofleet.runs.check import load_checked  # noqa: PLC0415
 
     return load_checked(config, overrides, faults, lockstep=lockstep)
 
 
 def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> "PageWanted | None":
     """Return how the operator wants the page; None: not at all."""
-    from robofleet.processes.page_process import PageWanted  # noqa: PLC0415
+    from robofleet.runs.page_process import PageWanted  # noqa: PLC0415
 
     if not web and host is None:
         return None
@@ -354,7 +355,7 @@ def _refuse_unattended(tree: "Config") -> None:
 
 def _refuse_forgetful(tree: "Config") -> None:
     """Refuse a run whose drivers could not keep what they must remember."""
-    from robofleet.processes.keeping import FileKeeping  # noqa: PLC0415
+    from robofleet.nodes.unit.keeping import FileKeeping  # noqa: PLC0415
 
     here = tuple(robot for robot in tree.ids if tree.unit_of[robot] not in tree.daemons)
     if tree.drivers.started_by != "systemd":
@@ -367,9 +368,9 @@ def _refuse_forgetful(tree: "Config") -> None:
 @contextmanager
 def _claimed(tree: "Config", folder: Path) -> "Iterator[None]":
     """Let the run be reached by others, and refuse a second one on the same arena."""
-    from robofleet.comms.endpoint import check_router  # noqa: PLC0415
-    from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
-    from robofleet.processes.arena_file import ArenaBusyError, claimed  # noqa: PLC0415
+    from robofleet.bus.arena_file import ArenaBusyError, claimed  # noqa: PLC0415
+    from robofleet.bus.endpoint import check_router  # noqa: PLC0415
+    from robofleet.bus.private_folder import PlaceError  # noqa: PLC0415
 
     with ExitStack() as held:
         try:
@@ -382,9 +383,9 @@ def _claimed(tree: "Config", folder: Path) -> "Iterator[None]":
 
 def _settled(tree: "Config") -> "Config":
     """Choose where the processes meet; what is in use is refused."""
-    from robofleet.comms.endpoint import settled  # noqa: PLC0415
-    from robofleet.comms.private_folder import PlaceError  # noqa: PLC0415
-    from robofleet.processes.network import network  # noqa: PLC0415
+    from robofleet.bus.endpoint import settled  # noqa: PLC0415
+    from robofleet.bus.private_folder import PlaceError  # noqa: PLC0415
+    from robofleet.hosts.network import network  # noqa: PLC0415
 
     network(tree)  # refuses keys that are missing, before anything starts
     try:
@@ -394,7 +395,7 @@ def _settled(tree: "Config") -> "Config":
 
 
 def _result(tree: "Config", name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> "Result":
-    from robofleet.processes import run as runs  # noqa: PLC0415
+    from robofleet.operator import run as runs  # noqa: PLC0415
 
     try:
         if lockstep:

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.kernels.store import Kept
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.core.kernels.store import Kept
 
 _PATIENCE_NS = 120 * S  # a compilation that failed keeps its lock
 

@@ -97,7 +97,7 @@ def _own_modules() -> Iterator[None]:
 @pytest.fixture
 def unplotted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the plots out of reports: they take longer than a run, and who uses this looks at something else."""
-    monkeypatch.setattr("robofleet.recording.report._plots", lambda *_: None)
+    monkeypatch.setattr("robofleet.reports.report._plots", lambda *_: None)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S, SimulatedClock, TickGrid, WallClock, stopwatch_ns, utc_now
+from robofleet.core.clock import MS, S, SimulatedClock, TickGrid, WallClock, stopwatch_ns, utc_now
 
 EXACT = settings(deadline=None, derandomize=True)
 

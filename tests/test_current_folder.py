@@ -116,9 +116,9 @@ def test_a_module_beside_a_script_is_found_by_its_run(tmp_path: Path) -> None:
     """As Python finds it for the script."""
     (tmp_path / "beside.py").write_text("class Mine: ...\n")
     (tmp_path / "script.py").write_text(
-        "import os, subprocess, sys\nfrom pathlib import Path\nfrom robofleet.plugins import reach\n"
+        "import os, subprocess, sys\nfrom pathlib import Path\nfrom robofleet.core.plugins import reach\n"
         "assert not reach(Path('configs'), 'beside:Mine')\n"
-        'load = \'from robofleet.plugins import load; load("robofleet.drivers", "beside:Mine")\'\n'
+        'load = \'from robofleet.core.plugins import load; load("robofleet.drivers", "beside:Mine")\'\n'
         "sys.exit(subprocess.run([sys.executable, '-P', '-c', load], cwd='/').returncode)\n"
     )
     subprocess.run([sys.executable, str(tmp_path / "script.py")], cwd="/", check=True)

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.processes import node, table
+from robofleet.nodes import node
+from robofleet.runs import table
 
 ROOT = Path(__file__).parent.parent
 DEPLOY = ROOT / "tools" / "deploy"

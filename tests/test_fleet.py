@@ -15,12 +15,12 @@ from typer.testing import CliRunner
 
 import robofleet
 from robofleet import Fleet, FleetError
+from robofleet.bus.messages import SCRIPT_WISH, TICK_RECORD, RobotWish, ScriptWish
 from robofleet.cli import app
-from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD, RobotWish, ScriptWish
 from robofleet.recording import notes
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
-from robofleet.recording.timeline import Timeline
+from robofleet.reports.timeline import Timeline
 from robofleet.safety.supervisor import Event
 
 pytestmark = pytest.mark.usefixtures("unplotted")

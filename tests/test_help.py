@@ -12,8 +12,8 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from robofleet import cli
+from robofleet.bus.arena_file import claimed
 from robofleet.config.load import load_config
-from robofleet.processes.arena_file import claimed
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = sorted(get_command(cli.app).commands)  # type: ignore[attr-defined]

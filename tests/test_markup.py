@@ -9,7 +9,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.recording.tables import status_table
+from robofleet.reports.tables import status_table
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 NAMES = ["a[/b]", "[bold]a", "a[/]", "[link=x]y", "a\\[b]"]

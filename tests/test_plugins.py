@@ -2,7 +2,7 @@
 
 import pytest
 
-from robofleet.plugins import PluginError, load
+from robofleet.core.plugins import PluginError, load
 
 
 @pytest.mark.parametrize("folders", ["/lab", "{}", "[1]", ""])

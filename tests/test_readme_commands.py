@@ -25,8 +25,8 @@ from typer.testing import CliRunner
 from robofleet import Fleet, cli
 from robofleet.config.load import load_config
 from robofleet.experiments.paper import EXPERIMENTS
-from robofleet.processes.check import load_checked
-from robofleet.processes.ending import Ending
+from robofleet.operator.ending import Ending
+from robofleet.runs.check import load_checked
 from robofleet.studies.progress import bar
 from robofleet.studies.sweep.load import load as load_sweep
 

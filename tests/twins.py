@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from robofleet.clock import Clock, WallClock
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import Clock, WallClock
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 from robofleet.vehicles.interface import DriverContext

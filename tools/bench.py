@@ -24,19 +24,19 @@ with needing("bench", "lab"):
     from numpy.typing import NDArray
 
     from robofleet.behaviours.platoon import Platoon
-    from robofleet.clock import S, stopwatch_ns
     from robofleet.config.load import load_config
     from robofleet.config.slices import drive as drive_of
     from robofleet.config.tree import Config
     from robofleet.control.bicycle import bicycle_plant
     from robofleet.control.flow import NewtonRaphsonFlow, Plant
     from robofleet.control.path import nearest
+    from robofleet.core.clock import S, stopwatch_ns
     from robofleet.experiments import closed_curve as track
     from robofleet.experiments import comparison, simulate
     from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
     from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
     from robofleet.experiments.paper import parameters_of
-    from robofleet.processes.lockstep import Lockstep
+    from robofleet.runs.lockstep import Lockstep
     from robofleet.safety import gate
     from robofleet.vehicles.bicycle import ZHOU_2017, BicycleParameters
     from robofleet.vehicles.interface import WheelSpeeds

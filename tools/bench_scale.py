@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from robofleet import Fleet
 from robofleet.behaviours.platoon import Platoon
-from robofleet.clock import MS, S, SimulatedClock, processor_ns
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import CAMERA, POSES, STATE, TICK
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, FleetPoses, RobotState, RunState, TagPose
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import CAMERA, POSES, STATE, TICK
+from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, FleetPoses, RobotState, RunState, TagPose
 from robofleet.config.groups import starts_of
 from robofleet.config.load import load_config
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config, Group
-from robofleet.processes.controller import Controller, compile_kernels
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import MS, S, SimulatedClock, processor_ns
+from robofleet.nodes.controller import Controller, compile_kernels
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import NOBODY, Phase
 
 Array = NDArray[np.float64]

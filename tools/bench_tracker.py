@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S, stopwatch_ns
+from robofleet.core.clock import S, stopwatch_ns
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.photometric import PhotometricFit

@@ -18,7 +18,7 @@ with needing():
     from robofleet.config import groups
     from robofleet.config.schema import NAME_OR_FILE, TABLE_FILE, behaviours, schema
     from robofleet.config.troubles import Timed
-    from robofleet.patterns import ENDPOINT_PATTERN, NAME_PATTERN
+    from robofleet.core.patterns import ENDPOINT_PATTERN, NAME_PATTERN
 
 KEYS = Path(__file__).resolve().parents[1] / "configs" / "keys"
 COMMAND = "python tools/config_reference.py"

@@ -17,8 +17,8 @@ with needing("lab"):
     from robofleet.behaviours.interface import Line
     from robofleet.config.load import load_config
     from robofleet.config.tree import Config
-    from robofleet.processes.lockstep import Lockstep
     from robofleet.recording.run import Run
+    from robofleet.runs.lockstep import Lockstep
     from robofleet.simulation.camera import SceneRenderer
     from robofleet.tracking.camera import CameraGeometry
     from robofleet.tracking.targets import robot_targets

@@ -18,7 +18,7 @@ from robofleet.behaviours.interface import (
     Wish,
     WishKind,
 )
-from robofleet.settings import Model as Settings
+from robofleet.core.settings import Model as Settings
 
 __all__ = [
     "Behaviour",

@@ -13,7 +13,7 @@ import numpy as np
 from robofleet.behaviours import Behaviour, Bound, Decision, Figure, Refusal, Situation, Team
 from robofleet.behaviours.graphs import GraphSettings
 from robofleet.behaviours.limits import point_speeds, slowed
-from robofleet.settings import within
+from robofleet.core.settings import within
 
 
 class Consensus(Behaviour):

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from robofleet.behaviours import Behaviour, Bound, Decision, Dots, Figure, Situation, Team
 from robofleet.behaviours.limits import point_speeds, slowed
-from robofleet.settings import Coordinate, Length, within
+from robofleet.core.settings import Coordinate, Length, within
 
 
 class Coverage(Behaviour):

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from robofleet.behaviours import Behaviour, Bound, Decision, Figure, Line, Refusal, Situation
 from robofleet.behaviours.limits import on_a_circle, point_speeds
-from robofleet.settings import Coordinate, Length, within
+from robofleet.core.settings import Coordinate, Length, within
 
 
 class CyclicPursuit(Behaviour):

@@ -32,7 +32,7 @@ from robofleet.behaviours.limits import clear_of_each_other, inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.point import PointFlow
 from robofleet.control.trajectory import Trajectory, demanded
-from robofleet.settings import ROBOTS, Coordinate, Degrees, within
+from robofleet.core.settings import ROBOTS, Coordinate, Degrees, within
 
 _STEP = 0.01  # between the instants that are looked at before a run [s]
 _SIDE_SAMPLES = 256  # of a side of the path, to turn it into ways of the robots

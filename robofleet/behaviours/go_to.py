@@ -34,9 +34,9 @@ from robofleet.control.flow import integrator_gain
 from robofleet.control.following import PATIENCE_S, Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
+from robofleet.core.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
-from robofleet.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.vehicles.solids import distances
 
 _PARTS = 5  # of the search in a tick

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.behaviours.interface import Array, Refusal
-from robofleet.settings import MANY, Model, Name
+from robofleet.core.settings import MANY, Model, Name
 
 Edge = Annotated[tuple[Name, Name], Field(strict=False)]
 

@@ -18,10 +18,10 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.settings import Model
 from robofleet.safety.distances import Body, Keepout
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import Event
-from robofleet.settings import Model
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]

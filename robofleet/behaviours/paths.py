@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.control.path import Path
-from robofleet.settings import MANY, Coordinate, Model, within
+from robofleet.core.settings import MANY, Coordinate, Model, within
 
 Derivative = Annotated[float, within(-1e4, 1e4)]
 

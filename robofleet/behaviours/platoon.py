@@ -33,10 +33,10 @@ from robofleet.behaviours.interface import (
 from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings
+from robofleet.core.settings import Model, within
 from robofleet.safety import starts
 from robofleet.safety.distances import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
-from robofleet.settings import Model, within
 
 Array = NDArray[np.float64]
 

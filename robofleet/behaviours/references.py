@@ -12,7 +12,7 @@ from robofleet.behaviours.interface import Array, Refusal
 from robofleet.behaviours.laps import rounded_down
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.trajectory import Trajectory, spline
-from robofleet.settings import MANY, Coordinate, Instant, Model, within
+from robofleet.core.settings import MANY, Coordinate, Instant, Model, within
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Place = Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]

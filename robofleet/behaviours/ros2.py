@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from robofleet.behaviours.interface import Behaviour, Decision, Figure, Situation, Team, WishKind
-from robofleet.settings import Model, within
+from robofleet.core.settings import Model, within
 
 _ROUNDING = 1e-9
 

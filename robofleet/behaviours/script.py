@@ -25,8 +25,8 @@ from robofleet.behaviours.interface import (
     Wish,
     WishKind,
 )
+from robofleet.core.settings import Model, within
 from robofleet.safety.supervisor import Event
-from robofleet.settings import Model, within
 
 _INNER = "wish_epoch", "wish", "arrived"  # figures for the script, not for people
 _ROUNDING = 1e-9

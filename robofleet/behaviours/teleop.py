@@ -27,8 +27,8 @@ from robofleet.behaviours.interface import (
     Team,
     WishKind,
 )
+from robofleet.core.settings import Model, within
 from robofleet.safety.distances import apart
-from robofleet.settings import Model, within
 
 _ROUNDING = 1e-9
 _INNER = "wish_epoch", "wish"  # figures for replays, not for people

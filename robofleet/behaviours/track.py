@@ -34,7 +34,7 @@ from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow
 from robofleet.control.point import PointFlow
 from robofleet.control.trajectory import demanded
 from robofleet.control.unicycle import unicycle_plant
-from robofleet.settings import ROBOTS, Model, Name
+from robofleet.core.settings import ROBOTS, Model, Name
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_point
 
 _STEP = 0.01  # between the instants of a reference that are looked at before a run [s]

@@ -17,7 +17,7 @@ from robofleet.calibration.fiducials import Marks
 from robofleet.calibration.region import COLUMNS, ROWS, Region
 from robofleet.calibration.report import Report
 from robofleet.config.calibrated import CameraModel
-from robofleet.figures import COLOURS, INK, STYLE
+from robofleet.core.figures import COLOURS, INK, STYLE
 
 Array = NDArray[np.float64]
 

@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 
 from robofleet.behaviours import described
 from robofleet.behaviours.excitation import Excitation
+from robofleet.bus.arena_file import ArenaBusyError, claimed
+from robofleet.bus.endpoint import check_router, settled
+from robofleet.bus.keys import POSES, STATE, STATUS, TICK, key
+from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
+from robofleet.bus.private_folder import PlaceError
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
-from robofleet.clock import S
-from robofleet.comms.endpoint import check_router, settled
-from robofleet.comms.keys import POSES, STATE, STATUS, TICK, key
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
-from robofleet.comms.private_folder import PlaceError
 from robofleet.config import groups
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config, Group
-from robofleet.processes.arena_file import ArenaBusyError, claimed
-from robofleet.processes.check import load_checked
-from robofleet.processes.launcher import Launcher
-from robofleet.processes.live_state import WAITING
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.terminal import Terminal
+from robofleet.core.clock import S
+from robofleet.operator.terminal.live_state import WAITING
+from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.causes import run_cause
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording, Watch
+from robofleet.runs.check import load_checked
+from robofleet.runs.launcher import Launcher
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.advice import advised
 from robofleet.tracking.offset import tag_from_centre
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from robofleet.calibration.frames import MIRRORED, Named
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import Survey
-from robofleet.settings import FAMILIES, FamilyName
+from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.tracking.families import finder, pattern
 
 Array = NDArray[np.float64]

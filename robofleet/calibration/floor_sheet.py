@@ -14,8 +14,8 @@ from robofleet.calibration.survey import LEAST
 from robofleet.config import groups
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.tree import Config
-from robofleet.figures import QUIET
-from robofleet.settings import FAMILIES, FamilyName
+from robofleet.core.figures import QUIET
+from robofleet.core.settings import FAMILIES, FamilyName
 
 MOST = 8
 _CORNERS = (-1, -1), (1, -1), (1, 1), (-1, 1)

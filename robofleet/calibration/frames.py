@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.ticks import TickFollower
 from robofleet.calibration.store import CalibrationError
-from robofleet.clock import S, WallClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.ticks import TickFollower
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.faults import did_you_mean
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.plugins import PluginError, load
+from robofleet.core.clock import S, WallClock
+from robofleet.core.plugins import PluginError, load
 from robofleet.tracking import files
 from robofleet.tracking.sources import Camera, CameraContext, CameraError
 

@@ -15,8 +15,8 @@ from robofleet.calibration.gathering import Gathering
 from robofleet.calibration.intrinsics import Measured
 from robofleet.calibration.report import Report, in_words
 from robofleet.calibration.views import Lean, cell_counts, tilt
-from robofleet.figures import COLOURS, QUIET, STYLE
-from robofleet.pages import Marked, Picture
+from robofleet.core.figures import COLOURS, QUIET, STYLE
+from robofleet.reports.pages import Marked, Picture
 
 _HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", COLOURS[0], "#0b2f4a"])
 _LEANS = dict(zip(Lean, (QUIET, *COLOURS[:4]), strict=True))

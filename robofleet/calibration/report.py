@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from robofleet.calibration.store import CalibrationError
-from robofleet.clock import utc_now
-from robofleet.pages import Page
+from robofleet.core.clock import utc_now
+from robofleet.reports.pages import Page
 
 _WORDS = {  # of figures and parameters, as a calibration's file names them
     "views": "views that were used",

@@ -15,7 +15,7 @@ from robofleet.calibration.report import Report
 from robofleet.calibration.store import CalibrationError, load, provenance
 from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.robots import Vehicle
-from robofleet.figures import COLOURS, QUIET, STYLE
+from robofleet.core.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive
 

@@ -17,8 +17,8 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from robofleet.calibration.store import CalibrationError
-from robofleet.figures import INK, QUIET
-from robofleet.settings import FAMILIES, FamilyName
+from robofleet.core.figures import INK, QUIET
+from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.tracking.families import pattern
 
 # Width and height, upright [mm].

@@ -9,18 +9,19 @@ from typing import TypeVar
 import yaml
 from pydantic import ValidationError
 
-from robofleet.clock import utc_now
 from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
 from robofleet.config.yamlfile import Source, read_yaml
-from robofleet.settings import Model
+from robofleet.core.clock import utc_now
+from robofleet.core.errors import RobofleetError
+from robofleet.core.settings import Model
 
 KEPT = "earlier"  # folder beside a calibration, of those that it replaced
 
 M = TypeVar("M", bound=Model)
 
 
-class CalibrationError(Exception):
+class CalibrationError(RobofleetError):
     """A measurement or a file that cannot be used: one line for each fault, and how to mend it."""
 
     def __init__(self, faults: Iterable[str] | str) -> None:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from robofleet.calibration.store import CalibrationError, load
 from robofleet.config.calibrated import FloorTag
-from robofleet.settings import FAMILIES, Coordinate, FamilyName, Model, NonNegative, within
+from robofleet.core.settings import FAMILIES, Coordinate, FamilyName, Model, NonNegative, within
 
 LEAST = 4  # marks that determine where a camera hangs
 _LINE = 0.02  # marks whose spread to the side is less than this, of that along them, lie on one line

@@ -3,10 +3,10 @@
 The controller keeps it; checks and pictures show it.
 """
 
-from robofleet.clock import S
 from robofleet.config import obstacles, slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.safety.distances import Body, Keepout
 
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.settings import (
+from robofleet.core.settings import (
     LAST_TAG,
     MANY,
     Coordinate,

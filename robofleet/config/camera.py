@@ -10,8 +10,8 @@ from robofleet.config.calibrated import (
     Pixel,
     TagOffset,
 )
-from robofleet.patterns import OVERHEAD
-from robofleet.settings import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
+from robofleet.core.patterns import OVERHEAD
+from robofleet.core.settings import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
 
 Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
 Gain = Annotated[float, within(-(2**31), 2**31 - 1)]

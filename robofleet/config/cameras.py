@@ -10,7 +10,7 @@ from robofleet.config import units
 from robofleet.config.calibrated import CameraModel, FloorTag
 from robofleet.config.camera import CameraSettings
 from robofleet.config.tree import Config
-from robofleet.settings import FAMILIES
+from robofleet.core.settings import FAMILIES
 
 Complaint = tuple[str, str]  # dotted path, what is wrong and how to mend it
 

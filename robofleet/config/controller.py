@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from robofleet.settings import Delay, Fraction, Model, Noise, within
+from robofleet.core.settings import Delay, Fraction, Model, Noise, within
 
 
 class FilterSettings(Model):

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 from robofleet.config.yamlfile import Mistake, Node, Place, Source
-from robofleet.files import read_named
+from robofleet.core.files import read_named
 
 _LARGEST = 1 << 20  # [bytes]
 _LONGEST_NUMBER = 100  # [characters]

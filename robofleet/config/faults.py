@@ -14,7 +14,7 @@ from robofleet.config.numbers import untagged
 from robofleet.config.robots import UNTAGGED
 from robofleet.config.tree import Config
 from robofleet.config.troubles import ClockStep, IdSwap, Late
-from robofleet.patterns import (
+from robofleet.core.patterns import (
     ENDPOINT_PATTERN,
     LONGEST_SOCKET_PATH,
     NAME_PATTERN,

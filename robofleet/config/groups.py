@@ -10,12 +10,12 @@ from pydantic import JsonValue
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Behaviour, Flow, Pose, Team
-from robofleet.clock import S
 from robofleet.config import barrier, slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config, Group
-from robofleet.patterns import NAME_PATTERN
-from robofleet.plugins import PluginError, load
+from robofleet.core.clock import S
+from robofleet.core.patterns import NAME_PATTERN
+from robofleet.core.plugins import PluginError, load
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import Phase
 

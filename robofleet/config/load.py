@@ -33,7 +33,8 @@ from robofleet.config.names import SHIPPED, missing, nearest
 from robofleet.config.numbers import numbered
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Place, Source, parse_yaml, read_yaml
-from robofleet.plugins import PluginError, reach
+from robofleet.core.errors import BadInputError
+from robofleet.core.plugins import PluginError, reach
 
 FOLDERS: dict[tuple[str, ...], str] = {
     ("robots", "*", "vehicle"): "robots",
@@ -53,7 +54,7 @@ Files = dict[Path, tuple[Node | None, list[Mistake]]]  # each file that was read
 Kept = TypeVar("Kept")
 
 
-class ConfigError(Exception):
+class ConfigError(BadInputError):
     """A configuration that cannot be used: one line for each fault, in the order of the files."""
 
     def __init__(self, faults: Iterable[str]) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.settings import MANY, Coordinate, Degrees, Model, Text, within
+from robofleet.core.settings import MANY, Coordinate, Degrees, Model, Text, within
 
 System = Literal["optitrack", "vicon", "qualisys", "vrpn", "nokov", "mock", "simulated"]
 Name = Annotated[str, Field(min_length=1, max_length=100)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 from robofleet.config.robots import StartPose
-from robofleet.settings import Coordinate, Height, Length, Model, Name, within
+from robofleet.core.settings import Coordinate, Height, Length, Model, Name, within
 from robofleet.vehicles import solids
 from robofleet.vehicles.solids import Solid
 

@@ -12,7 +12,7 @@ from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.load import ConfigError
 from robofleet.config.names import missing
 from robofleet.config.yamlfile import Mistake, Node, Place, Source, read_yaml
-from robofleet.settings import Model
+from robofleet.core.settings import Model
 
 Loc = tuple[str | int, ...]
 M = TypeVar("M", bound="Parameters")

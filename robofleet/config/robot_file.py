@@ -7,12 +7,12 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from robofleet import folders
 from robofleet.config.faults import plain_words
 from robofleet.config.load import ConfigError
 from robofleet.config.yamlfile import Mistake, Node, Place, Source, read_yaml
-from robofleet.patterns import NETWORK_PATTERN
-from robofleet.settings import Model, Name
+from robofleet.core import folders
+from robofleet.core.patterns import NETWORK_PATTERN
+from robofleet.core.settings import Model, Name
 
 FILE = "robot.yaml"
 

@@ -7,7 +7,7 @@ from pydantic import Field, JsonValue
 
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.sensors import SensorSettings
-from robofleet.settings import (
+from robofleet.core.settings import (
     MANY,
     Coordinate,
     Degrees,

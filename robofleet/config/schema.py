@@ -8,7 +8,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from robofleet.config import groups
 from robofleet.config.load import FOLDERS, TABLES
 from robofleet.config.tree import Config
-from robofleet.plugins import PluginError, known
+from robofleet.core.plugins import PluginError, known
 
 NAME_OR_FILE = r"^[\w-]+$|\.yaml$"
 TABLE_FILE = r"\.csv$"

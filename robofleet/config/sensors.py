@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from robofleet.settings import Coordinate, Degrees, Fraction, Length, Model, NonNegative, within
+from robofleet.core.settings import Coordinate, Degrees, Fraction, Length, Model, NonNegative, within
 from robofleet.vehicles.sensors import MOST_DISTANCES
 
 Microtesla = Annotated[float, within(-1e6, 1e6)]

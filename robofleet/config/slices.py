@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.clock import S
 from robofleet.config import obstacles
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.sensors import Distances
 from robofleet.config.tree import Arena, Config
-from robofleet.patterns import OVERHEAD
+from robofleet.core.clock import S
+from robofleet.core.patterns import OVERHEAD
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation, World, WorldObstacle, WorldRobot
 from robofleet.vehicles.sensors import DistanceSensors, Errors, Sensing, SensorKind

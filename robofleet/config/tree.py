@@ -16,9 +16,8 @@ from robofleet.config.mocap import MocapSettings
 from robofleet.config.obstacles import Corners, Moving, Obstacle
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
-from robofleet.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, TRACKER, driver_role, tracker_role
-from robofleet.safety.supervisor import Roster
-from robofleet.settings import (
+from robofleet.core.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, TRACKER, driver_role, tracker_role
+from robofleet.core.settings import (
     CAMERAS,
     MANY,
     ROBOTS,
@@ -36,6 +35,7 @@ from robofleet.settings import (
     Text,
     within,
 )
+from robofleet.safety.supervisor import Roster
 
 Side = Annotated[float, within(0.1, 1000)]
 Wall = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], Field(strict=False)]

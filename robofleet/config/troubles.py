@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.settings import MANY, Instant, Lasting, Lateness, Model, Name, Text, within
+from robofleet.core.settings import MANY, Instant, Lasting, Lateness, Model, Name, Text, within
 
 MessageTopic = Literal["cmd", "enable", "status", "poses", "state", "tick"]
 Share = Annotated[float, within(1e-9, 1)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from robofleet.config import names
-from robofleet.files import read_named
+from robofleet.core.files import read_named
 
 Value = dict[str, "Node"] | list["Node"] | str | int | float | bool | None
 

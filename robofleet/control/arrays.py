@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import INFINITE, infinite_kernel
+from robofleet.core.kernels import INFINITE, infinite_kernel
 
 Array = NDArray[np.float64]
 cached = infinite_kernel

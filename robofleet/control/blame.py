@@ -6,7 +6,7 @@ from typing import Any
 
 from robofleet.control.flow_settings import FlowError
 from robofleet.control.prediction import Plant
-from robofleet.kernels import INFINITE, snapshot
+from robofleet.core.kernels import INFINITE, snapshot
 
 _OF_STATE_AND_INPUT = ("f", "f_x", "f_u", "fastest_rate")
 
@@ -23,7 +23,7 @@ def blame(error: Exception, functions: Iterable[Suspect]) -> FlowError:
     """Return what to say of a model that failed with ``error``: the first of its functions that fails alone."""
     import numba  # noqa: PLC0415 - it takes a second to load, and most who import the law compile no model
 
-    from robofleet.kernels.complaint import complaint  # noqa: PLC0415
+    from robofleet.core.kernels.complaint import complaint  # noqa: PLC0415
 
     vector, omitted, returned = numba.float64[::1], numba.types.Omitted, []
     for name, function, count in functions:

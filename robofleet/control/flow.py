@@ -39,7 +39,7 @@ from robofleet.control.flow_settings import (
 from robofleet.control.flow_step import Slot, Status, compile_step, layout
 from robofleet.control.prediction import MAX_STEPS, Plant
 from robofleet.control.sensitivity import difference_jacobian
-from robofleet.kernels import UnknownMeaningError, kernel
+from robofleet.core.kernels import UnknownMeaningError, kernel
 
 __all__ = [
     "FlowError", "FlowSettings", "Integrator", "MemorylessFlow", "NewtonRaphsonFlow", "Plant",

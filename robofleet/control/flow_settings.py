@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robofleet.control.prediction import Plant
+from robofleet.core.errors import RobofleetError
 
 Array = NDArray[np.float64]
 Integrator = Literal["exact", "euler"]
@@ -19,7 +20,7 @@ WISE_ALPHA_T = 3.0  # the double integrator needs alpha T > 1, the bicycle about
 UNSTABLE_EULER = 2.0  # alpha * step
 
 
-class FlowError(ValueError):
+class FlowError(RobofleetError, ValueError):
     """A setting, a plant, a state or a prediction that the flow cannot use; the message names it."""
 
 

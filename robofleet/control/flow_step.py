@@ -21,7 +21,7 @@ from robofleet.control.prediction import (
     compile_plant,
     needed_steps,
 )
-from robofleet.kernels import model
+from robofleet.core.kernels import model
 
 Array = NDArray[np.float64]
 

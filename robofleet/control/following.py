@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robofleet.control import planning, precedence
 from robofleet.control.flow import point_update
 from robofleet.control.precedence import Plan
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 

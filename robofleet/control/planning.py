@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from robofleet.control import solid_ways
 from robofleet.control.solid_ways import Kept
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.vehicles.solids import Solid
 
 Array = NDArray[np.float64]

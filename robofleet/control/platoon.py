@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from robofleet.control import path as paths
 from robofleet.control.flow import integrator_gain, point_update
 from robofleet.control.path import Path
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robofleet.control import planning, solid_ways
 from robofleet.control.planning import Problem
 from robofleet.control.solid_ways import Kept
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

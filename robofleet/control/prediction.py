@@ -24,7 +24,7 @@ from robofleet.control.sensitivity import (
     difference_slopes,
     forward_jacobian,
 )
-from robofleet.kernels import model
+from robofleet.core.kernels import model
 
 __all__ = ["MAX_STEPS", "Compiled", "Plant", "compile_plant", "compiled"]
 

@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from os.path import realpath
 from typing import Any
 
-from robofleet.clock import WallClock
+from robofleet.core.clock import WallClock
+from robofleet.core.plugins import load
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.serial_ports import devices, holders
-from robofleet.plugins import load
-from robofleet.processes import driver_settings
-from robofleet.processes.attached import in_words
+from robofleet.nodes.unit import driver_settings
+from robofleet.nodes.unit.attached import in_words
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.processes.refusal import RefusedError, bad_input
-from robofleet.valid_json import dumps
+from robofleet.core.refusal import RefusedError, bad_input
+from robofleet.core.valid_json import dumps
 
 if TYPE_CHECKING:
     from robofleet.doctor.needs import Needs
@@ -78,7 +78,7 @@ def doctor(
 def _needs(config: Path | None, overrides: list[str], robots: str) -> "Needs":
     from robofleet.config.load import ConfigFile  # noqa: PLC0415
     from robofleet.doctor.needs import Needs  # noqa: PLC0415
-    from robofleet.processes import check_drivers  # noqa: PLC0415
+    from robofleet.runs import check_drivers  # noqa: PLC0415
 
     if config is None:
         if overrides or robots:

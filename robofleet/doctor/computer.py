@@ -5,11 +5,11 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from robofleet.clock import clock_name, date_is_synchronised
+from robofleet.core.clock import clock_name, date_is_synchronised
 from robofleet.doctor.findings import Finding, Mark, Paste, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.permission import user_name
-from robofleet.processes.node import HIGHEST_PRIORITY, NICE
+from robofleet.nodes.node import HIGHEST_PRIORITY, NICE
 
 _LIMITS = "/etc/security/limits.d/robofleet.conf"
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")

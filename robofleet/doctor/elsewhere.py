@@ -5,12 +5,13 @@ import subprocess
 import sys
 from typing import Any
 
-from robofleet.processes.children import ended_by
+from robofleet.core.errors import RobofleetError
+from robofleet.runs.children import ended_by
 
 _AT_MOST_S = 20.0  # a busy machine loads numba in ten
 
 
-class NoAnswerError(Exception):
+class NoAnswerError(RobofleetError):
     """The other process gave no answer; the message says why."""
 
 

@@ -4,7 +4,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from robofleet.clock import Clock, S, WallClock
+from robofleet.core.clock import Clock, S, WallClock
 from robofleet.doctor import cameras, computer, network, places, serial_ports, software
 from robofleet.doctor.findings import Finding, Mark
 from robofleet.doctor.needs import Needs

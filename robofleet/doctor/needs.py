@@ -7,8 +7,8 @@ from typing import NamedTuple
 from robofleet.config.camera import CameraSettings
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.plugins import PluginError
-from robofleet.processes import driver_settings
+from robofleet.core.plugins import PluginError
+from robofleet.nodes.unit import driver_settings
 
 _NO_CONFIG_S = 88.0  # of the first run that the README shows
 

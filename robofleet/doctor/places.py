@@ -5,12 +5,12 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from robofleet.comms.endpoint import check_router, settled
-from robofleet.comms.private_folder import PlaceError, private_folder
+from robofleet.bus import arena_file
+from robofleet.bus.endpoint import check_router, settled
+from robofleet.bus.private_folder import PlaceError, private_folder
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
-from robofleet.processes import arena_file
-from robofleet.processes.keeping import state_folder
+from robofleet.nodes.unit.keeping import state_folder
 from robofleet.safety.monitor import LEAST_FREE_BYTES
 
 _BYTES_A_MINUTE = 11_000_000  # of a recording with pictures

@@ -8,15 +8,15 @@ from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from importlib.util import find_spec
 from pathlib import Path
 
+from robofleet.core.plugins import PluginError, load
+from robofleet.core.refusal import how_to_install
 from robofleet.doctor.elsewhere import NoAnswerError, asked_elsewhere
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
-from robofleet.plugins import PluginError, load
-from robofleet.processes.refusal import how_to_install
 
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*\])?([^;]*)(?:;.*extra == ['\"]([\w-]+)['\"].*)?")
 _FOR_DEVELOPERS = {"bench", "dev"}
-_KERNELS = "import json, robofleet.kernels.store as store; print(json.dumps(str(store.folder())))"
+_KERNELS = "import json, robofleet.core.kernels.store as store; print(json.dumps(str(store.folder())))"
 _WITHOUT = {  # an extra that the configuration does not need, and what is not there without it
     "basler": "only Basler's cameras need it",
     "web": "only the operator's page (`--web`, `robofleet web`) needs it",

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from robofleet.config.faults import Complaint
 from robofleet.control.bicycle import bicycle_plant
+from robofleet.core.settings import Model, Positive
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.driving import (
     OTHER_MODELS,
@@ -26,7 +27,6 @@ from robofleet.experiments.driving import (
 )
 from robofleet.experiments.results import Cell, Figure, Result, Table
 from robofleet.experiments.simulate import Drive, drive
-from robofleet.settings import Model, Positive
 from robofleet.vehicles.bicycle import ZHOU_2017
 
 # Table 1, by speed [km/h]: peak lateral error [cm] and heading error [deg], the paper's and its source's

@@ -8,16 +8,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from robofleet.clock import stopwatch_ns
 from robofleet.config.faults import Complaint
 from robofleet.config.parameters import Parameters
+from robofleet.core.clock import stopwatch_ns
+from robofleet.core.settings import Model, Positive
 from robofleet.experiments.baselines.choice import Key, Laws, MissingLibraryError, build
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
 from robofleet.experiments.closed_curve import Track
 from robofleet.experiments.curves import lane_change
 from robofleet.experiments.driving import Speeds
 from robofleet.experiments.results import Array, Result
-from robofleet.settings import Model, Positive
 from robofleet.vehicles.bicycle import FALCONE_2007, ZHOU_2017
 
 KNOWS_NO_DELAY: Key = "flow-paper"  # its law, as printed, has no roll-forward: nominally it drives without

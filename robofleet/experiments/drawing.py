@@ -9,8 +9,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from robofleet.core.figures import COLOURS, INK, QUIET, STYLE
 from robofleet.experiments.results import Array, Curve, Figure, Panel
-from robofleet.figures import COLOURS, INK, QUIET, STYLE
 
 _LINES = {"solid": "-", "dashed": (0, (4, 3)), "dots": "none"}
 _WIDTH, _HEIGHT = 5.0, 2.9  # of a panel [inch]

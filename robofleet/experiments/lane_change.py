@@ -13,12 +13,12 @@ from pydantic import Field
 
 from robofleet.config.faults import Complaint
 from robofleet.control.bicycle import bicycle_plant
+from robofleet.core.settings import Model, Positive
 from robofleet.experiments import driving
 from robofleet.experiments.curves import Reference, lane_change
 from robofleet.experiments.driving import DriveParameters, FlowParameters, Peaks, Speeds, peaks, speed_table
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Result, Table
 from robofleet.experiments.simulate import DivergedError, Drive, drive
-from robofleet.settings import Model, Positive
 from robofleet.vehicles.bicycle import FALCONE_2007
 
 # Table 2, by speed [m/s]: peak lateral error [cm] and heading error [deg], the paper's and its source's

@@ -16,8 +16,8 @@ from pydantic import Field
 from robofleet.config.faults import Complaint
 from robofleet.config.parameters import Parameters
 from robofleet.control.flow import Integrator, MemorylessFlow
+from robofleet.core.settings import Positive
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Result, Table
-from robofleet.settings import Positive
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,11 @@ from rich.text import Text
 from robofleet.config.faults import did_you_mean
 from robofleet.config.parameters import load_parameters
 from robofleet.control.flow import FlowError
+from robofleet.core.errors import RobofleetError
+from robofleet.core.valid_json import dumps
 from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.results import Result, Table
 from robofleet.experiments.simulate import DivergedError
-from robofleet.valid_json import dumps
 
 # the module, whose ``run(parameters) -> Result`` does it, and its class of parameters: configs/paper/<name>.yaml
 EXPERIMENTS = {
@@ -28,7 +29,7 @@ EXPERIMENTS = {
 }
 
 
-class ExperimentError(Exception):
+class ExperimentError(RobofleetError):
     """An experiment ended without a result; the message says which, and why."""
 
 

@@ -14,6 +14,7 @@ from robofleet.behaviours.platoon import Platoon
 from robofleet.config.load import load_config
 from robofleet.config.parameters import Parameters
 from robofleet.config.tree import Config
+from robofleet.core.settings import NonNegative, Positive
 from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains, settings_of
 from robofleet.experiments.platoon_views import (
@@ -25,9 +26,8 @@ from robofleet.experiments.platoon_views import (
     travel_table,
 )
 from robofleet.experiments.results import Result
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.run import Run
-from robofleet.settings import NonNegative, Positive
+from robofleet.runs.lockstep import Lockstep
 
 
 class PlatoonParameters(Parameters):

@@ -16,7 +16,7 @@ from robofleet.config.tree import Config
 from robofleet.control import wheels
 from robofleet.control.path import Path
 from robofleet.control.platoon import INPUTS, PlatoonLaw, PlatoonSettings
-from robofleet.settings import Model, Positive
+from robofleet.core.settings import Model, Positive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]

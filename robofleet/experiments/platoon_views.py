@@ -9,7 +9,7 @@ from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.experiments.platoon_gain import INTEGRATORS, Integrator, settings_of
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
-from robofleet.recording.paper import CONTROL_ERROR_MM
+from robofleet.reports.paper import CONTROL_ERROR_MM
 
 Array = NDArray[np.float64]
 Key = tuple[int, Integrator]  # robots, integrator

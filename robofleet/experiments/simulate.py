@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow, Plant
 from robofleet.control.flow_step import Slot, Status, layout
 from robofleet.control.prediction import compiled
+from robofleet.core.errors import RobofleetError
+from robofleet.core.kernels import model
 from robofleet.experiments.curves import Reference
-from robofleet.kernels import model
 
 Array = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ _LOST_M = 100.0  # a control error that is never made good
 _LOST = -1
 
 
-class DivergedError(ValueError):
+class DivergedError(RobofleetError, ValueError):
     """The loop met a state, a prediction or a dg/du that cannot be used; the message says when, and which."""
 
 

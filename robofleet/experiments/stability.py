@@ -19,8 +19,8 @@ from robofleet.config.parameters import Parameters
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import FlowError, FlowSettings, Integrator, NewtonRaphsonFlow, Plant
 from robofleet.control.prediction import compile_plant
+from robofleet.core.settings import Positive
 from robofleet.experiments.results import Cell, Curve, Figure, Map, Panel, Result, Table
-from robofleet.settings import Positive
 from robofleet.vehicles.bicycle import FALCONE_2007
 
 Array = NDArray[np.float64]

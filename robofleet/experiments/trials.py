@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from robofleet.clock import utc_now
-from robofleet.processes.refusal import RefusedError, bad_input, new_folder
-from robofleet.valid_json import dumps
+from robofleet.core.clock import utc_now
+from robofleet.core.refusal import RefusedError, bad_input, new_folder
+from robofleet.core.valid_json import dumps
 
 app = typer.Typer()
 

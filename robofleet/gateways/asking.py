@@ -4,12 +4,12 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 
-from robofleet.clock import Clock
-from robofleet.comms.bus import Bus
-from robofleet.comms.permissions import OPERATOR
-from robofleet.comms.requests import asked
+from robofleet.bus.bus import Bus
+from robofleet.bus.permissions import OPERATOR
+from robofleet.bus.requests import asked
 from robofleet.config.tree import Config
-from robofleet.processes.estop import emergency_stop
+from robofleet.core.clock import Clock
+from robofleet.operator.estop import emergency_stop
 
 SERVICES = "hold", "resume", "stop", "reset"
 Asked = tuple[bool, str]  # whether it is done, and what was answered

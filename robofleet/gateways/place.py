@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from robofleet.processes.refusal import RefusedError
+from robofleet.core.refusal import RefusedError
 
 if TYPE_CHECKING:
-    from robofleet.comms.credentials import Credentials
+    from robofleet.bus.credentials import Credentials
     from robofleet.config.tree import Config
 
 
@@ -21,10 +21,10 @@ class Place(NamedTuple):
 
 def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
     """Return the run that is meant; ``copy``: of its configuration, where it is elsewhere. RefusedError."""
-    from robofleet.comms.permissions import OPERATOR  # noqa: PLC0415
+    from robofleet.bus.permissions import OPERATOR  # noqa: PLC0415
     from robofleet.config.load import load_config  # noqa: PLC0415
-    from robofleet.processes.elsewhere import joined_arena  # noqa: PLC0415
-    from robofleet.processes.operator import NoArenaError, chosen  # noqa: PLC0415
+    from robofleet.operator.elsewhere import joined_arena  # noqa: PLC0415
+    from robofleet.operator.requests import NoArenaError, chosen  # noqa: PLC0415
 
     try:
         there = joined_arena(arena)
@@ -52,7 +52,7 @@ def joined_otherwise(config: "Config", place: Place, role: str) -> str | None:
 
 def is_over(config: "Config", place: Place) -> bool:
     """Return whether a run has ended whose supervisor is silent."""
-    from robofleet.processes.arena_file import running  # noqa: PLC0415
+    from robofleet.bus.arena_file import running  # noqa: PLC0415
 
     mine = config.arena.name, str(place.folder)
     return place.credentials is not None or all((run.arena, run.folder) != mine for run in running(config.arena.name))

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from robofleet.clock import S
-from robofleet.comms.messages import RUN_STATE
+from robofleet.bus.messages import RUN_STATE
+from robofleet.core.clock import S
 
 _SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from robofleet.comms.messages import BUSY_MACHINE, BusyMachine, RunState
+from robofleet.bus.messages import BUSY_MACHINE, BusyMachine, RunState
 from robofleet.recording.causes import run_cause
 from robofleet.safety import busy
 from robofleet.safety.advice import advised

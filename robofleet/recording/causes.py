@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from robofleet.comms.messages import RobotTick, RunState
+from robofleet.bus.messages import RobotTick, RunState
 from robofleet.safety.supervisor import DRIVEN_OUT, NOBODY, Event, Happening, describe
 
 

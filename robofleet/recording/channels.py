@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from robofleet.comms.keys import (
+from robofleet.bus.keys import (
     BUSY,
     NEWS,
     NOTE,
@@ -16,10 +16,10 @@ from robofleet.comms.keys import (
     key,
     named,
 )
-from robofleet.comms.layouts import VERSION
-from robofleet.comms.setpoints import setpoint_topics
+from robofleet.bus.layouts import VERSION
+from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config.tree import Config
-from robofleet.valid_json import dumps
+from robofleet.core.valid_json import dumps
 
 ENCODING = f"robofleet-{VERSION}"  # of this project's own messages
 SCHEMA_ENCODING = "numpy"  # a JSON object of dtypes

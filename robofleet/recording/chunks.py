@@ -14,6 +14,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema
 from zstandard import ZstdCompressor, ZstdDecompressor, ZstdError, frame_content_size
 
+from robofleet.core.errors import RobofleetError
+
 RECORD = Struct("<BQ")  # opcode, bytes that follow
 MESSAGE_OVERHEAD = 31  # [bytes] of a message beside its payload
 _MESSAGE = Struct("<HIQQ")  # channel, sequence, log time and publish time [ns]; the payload follows
@@ -40,7 +42,7 @@ class Message(NamedTuple):
 Content = Schema | Channel | Message
 
 
-class DamageError(Exception):
+class DamageError(RobofleetError):
     """Bytes that are not what was written."""
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from robofleet.files import replaced
+from robofleet.core.files import replaced
 from robofleet.recording.gauge import Gauge
 from robofleet.recording.measures import exposure_to_tick_ms, exposure_to_wheel_ms, told_at_ticks
 from robofleet.recording.run import Array, Part

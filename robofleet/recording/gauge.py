@@ -16,7 +16,7 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Array, Behaviour, Measure, Past, Team, scale, with_unit
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.valid_json import dumps
+from robofleet.core.valid_json import dumps
 
 Figures = dict[str, Any]
 T = TypeVar("T")

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from enum import IntEnum
 from typing import NamedTuple
 
-from robofleet.comms.messages import BusyMachine, RunState, TrackerNews
+from robofleet.bus.messages import BusyMachine, RunState, TrackerNews
 from robofleet.recording import busy_machine
 from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
 from robofleet.safety.gate import Latch

@@ -10,19 +10,19 @@ from typing import Self
 
 from mcap.records import Attachment, Metadata
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import NEWS, STATE, STATUS, key
-from robofleet.comms.layouts import VERSION
-from robofleet.comms.messages import RUN_STATE, UNIT_STATUS
+from robofleet.bus.keys import NEWS, STATE, STATUS, key
+from robofleet.bus.layouts import VERSION
+from robofleet.bus.messages import RUN_STATE, UNIT_STATUS
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S
+from robofleet.core.valid_json import dumps
 from robofleet.recording.channels import keys
 from robofleet.recording.container import Container
-from robofleet.recording.drawn import Channel, Drawn, Told, of_key
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.robot_ticks import BATCH, LARGE_BATCH
-from robofleet.valid_json import dumps
+from robofleet.recording.scenes.drawn import Channel, Drawn, Told, of_key
+from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH
 
 FILE = "run.mcap"
 PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: robofleet's version, the messages'

@@ -7,9 +7,9 @@ from pydantic import Field, JsonValue, TypeAdapter, ValidationError
 
 from robofleet.behaviours.described import shape_from_plain
 from robofleet.behaviours.interface import Shape
-from robofleet.comms.keys import NOTE, key
-from robofleet.comms.messages import NOTE as LAYOUT
-from robofleet.comms.messages import NoteKind
+from robofleet.bus.keys import NOTE, key
+from robofleet.bus.messages import NOTE as LAYOUT
+from robofleet.bus.messages import NoteKind
 from robofleet.config.yamlfile import printable
 from robofleet.recording.groups_said import ShapeSaid
 from robofleet.recording.run import Own, Recording

@@ -6,11 +6,11 @@ from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from robofleet.comms.layouts import VERSION
+from robofleet.bus.layouts import VERSION
 from robofleet.config.load import resolved_yaml
 from robofleet.config.slices import build
 from robofleet.config.tree import Config
-from robofleet.settings import Model
+from robofleet.core.settings import Model
 
 _PACKAGES = {
     "robofleet": "robofleet",

@@ -15,13 +15,14 @@ from typing import BinaryIO, NamedTuple
 from mcap.records import Attachment, Channel, Header, Metadata
 from pydantic import ValidationError
 
-from robofleet.clock import S
-from robofleet.comms.layouts import VERSION
+from robofleet.bus.layouts import VERSION
 from robofleet.config.faults import cross_checks
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Source, parse_bytes
-from robofleet.files import open_plain
-from robofleet.plugins import PluginError
+from robofleet.core.clock import S
+from robofleet.core.errors import RobofleetError
+from robofleet.core.files import open_plain
+from robofleet.core.plugins import PluginError
 from robofleet.recording.channels import ENCODING
 from robofleet.recording.chunks import Content, Message
 from robofleet.recording.groups_said import said
@@ -50,7 +51,7 @@ class _Instant(NamedTuple):
     size: int
 
 
-class RecordingError(Exception):
+class RecordingError(RobofleetError):
     """A file that holds no run, or not one of this version; the message is a line."""
 
 

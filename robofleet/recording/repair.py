@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-from robofleet.files import replaced
+from robofleet.core.files import replaced
 from robofleet.recording.chunks import Content, Message
 from robofleet.recording.container import Container
 from robofleet.recording.reading import RecordingError, check_maker, file_of, nothing, opened, own, scanned

@@ -14,9 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Past
-from robofleet.comms.keys import NEWS, POSES, STATE, STATUS, TICK, TRUTH, Topic, key
-from robofleet.comms.layouts import VERSION, Layout, ListLayout
-from robofleet.comms.messages import (
+from robofleet.bus.keys import NEWS, POSES, STATE, STATUS, TICK, TRUTH, Topic, key
+from robofleet.bus.layouts import VERSION, Layout, ListLayout
+from robofleet.bus.messages import (
     FLEET_POSES,
     RUN_STATE,
     TICK_RECORD,
@@ -27,11 +27,11 @@ from robofleet.comms.messages import (
 )
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.plugins import PluginError
+from robofleet.core.plugins import PluginError
+from robofleet.core.valid_json import dumps
 from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reduced import Reduced
-from robofleet.valid_json import dumps
 
 Array = NDArray[np.float64]
 

@@ -37,7 +37,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.safety import deadlock, solid_rows
 from robofleet.safety.distances import Body, Keepout, believed_for, from_edge
 from robofleet.safety.neighbours import around, sorted_into_cells

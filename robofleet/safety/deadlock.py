@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.safety import nearest as projection
 
 Array = NDArray[np.float64]

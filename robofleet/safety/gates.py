@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.safety import gate
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
 from robofleet.vehicles.differential_drive import DifferentialDrive

@@ -6,7 +6,7 @@ A row (a, b, c) is a x + b y <= c, with a normal (a, b) of size 1. Two unknowns 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.safety import monitor, runaway
 from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.monitor import Memory, MonitorSettings, Suspects

@@ -7,7 +7,7 @@ convex: the solid's nearest point is among them, and what lies behind a corner d
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.vehicles import solids
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.messages import UNIT_TRUTH
-from robofleet.kernels import kernel
+from robofleet.bus.messages import UNIT_TRUTH
+from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S
-from robofleet.kernels import kernel
+from robofleet.core.clock import S
+from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.interface import BodyTrouble, DriverContext, Imperfections
 from robofleet.vehicles.sensors import SimulatedSensors

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.clock import Clock, S
-from robofleet.comms.bus import Bus
+from robofleet.bus.bus import Bus
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.tree import Config
+from robofleet.core.clock import Clock, S
 from robofleet.simulation.sources import World
 from robofleet.tracking.offset import tag_from_centre
 

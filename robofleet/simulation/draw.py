@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import image_kernel, infinite_kernel
+from robofleet.core.kernels import image_kernel, infinite_kernel
 from robofleet.simulation.floor import BLACK, WHITE
 from robofleet.tracking.families import pattern
 from robofleet.tracking.projection import project

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.clock import Clock, S
-from robofleet.comms.keys import ENABLE, STATE, TICK, Topic
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, Truth
+from robofleet.bus.keys import ENABLE, STATE, TICK, Topic
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, Truth
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
+from robofleet.core.clock import Clock, S
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.bodies import Bodies
 from robofleet.vehicles.interface import BodyTrouble, Driver, SimulatedDriver

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Answer, Arrival, Bus, BySender, Publish, Request, Stream, Subscription, Wake
-from robofleet.comms.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named, said_by
-from robofleet.comms.layouts import ListLayout
-from robofleet.comms.messages import TICK_RECORD, UNIT_TRUTH
+from robofleet.bus.bus import Answer, Arrival, Bus, BySender, Publish, Request, Stream, Subscription, Wake
+from robofleet.bus.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named, said_by
+from robofleet.bus.layouts import ListLayout
+from robofleet.bus.messages import TICK_RECORD, UNIT_TRUTH
+from robofleet.core.clock import MS, Clock, S
 from robofleet.simulation.faults import Injection, Schedule, struck
 
 _TOPICS = {"cmd": COMMAND, "enable": ENABLE, "status": STATUS, "poses": POSES, "state": STATE, "tick": TICK}

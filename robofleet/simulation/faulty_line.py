@@ -5,7 +5,7 @@ from operator import or_
 
 import numpy as np
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.simulation.faults import Injection, Schedule, struck
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.vehicles.interface import STOP, RobotFault, WheelSpeeds

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robofleet.clock import S
-from robofleet.comms.messages import TagPose
+from robofleet.bus.messages import TagPose
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.simulation.faults import Injection, Schedule, struck
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Exposure, ExposureLimits, Feed, Frame, Lost, Observation, PoseSource

@@ -8,7 +8,7 @@ from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 
 _MOST = 65536  # bytes taken at once
 _BITS = 10  # a byte, with its start and its stop bit

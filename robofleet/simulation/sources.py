@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Bus, Stream
-from robofleet.comms.keys import TRUTH, key
-from robofleet.comms.messages import UNIT_TRUTH, TagPose
+from robofleet.bus.bus import Bus, Stream
+from robofleet.bus.keys import TRUTH, key
+from robofleet.bus.messages import UNIT_TRUTH, TagPose
 from robofleet.config.faults import Complaint
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock, S
 from robofleet.simulation.arena import NOBODY, TruthHistory
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer

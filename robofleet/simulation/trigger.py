@@ -2,8 +2,8 @@
 
 from typing import Protocol
 
-from robofleet.clock import Clock, S
 from robofleet.config.tree import Config
+from robofleet.core.clock import Clock, S
 
 
 class Ticks(Protocol):

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from robofleet.clock import MS, S
 from robofleet.config import slices
 from robofleet.config.tree import Config
-from robofleet.plugins import load
+from robofleet.core.clock import MS, S
+from robofleet.core.plugins import load
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware

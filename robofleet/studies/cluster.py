@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
 from typing import Any, TypeVar
 
-from robofleet.processes.refusal import RefusedError, need_extra
+from robofleet.core.refusal import RefusedError, need_extra
 from robofleet.studies.engine import WORKER_DIED, Finished, Results, attempt
 
 _PATIENCE_S = 5.0  # for the address to be reached

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from robofleet.clock import S, WallClock, utc_now
-from robofleet.processes.refusal import bad_input, how_to_install
-from robofleet.valid_json import dumps
+from robofleet.core.clock import S, WallClock, utc_now
+from robofleet.core.refusal import bad_input, how_to_install
+from robofleet.core.valid_json import dumps
 
 app = typer.Typer()
 
@@ -37,8 +37,8 @@ def storm(
 
     A failure is printed with the command that plays its seed again.
     """
-    from robofleet.processes.check import load_checked  # noqa: PLC0415
-    from robofleet.processes.terminal import hangup_interrupts  # noqa: PLC0415
+    from robofleet.operator.terminal.terminal import hangup_interrupts  # noqa: PLC0415
+    from robofleet.runs.check import load_checked  # noqa: PLC0415
     from robofleet.studies import engine  # noqa: PLC0415
 
     source = "camera" if pixels else "truth"
@@ -72,7 +72,7 @@ def sweep(
     Every run is checked before the first one starts. Ctrl-C keeps what is finished; the same command with the same
     --out goes on from there. Exit 1: some run did not complete, and is named with the command that replays it.
     """
-    from robofleet.processes.terminal import hangup_interrupts  # noqa: PLC0415
+    from robofleet.operator.terminal.terminal import hangup_interrupts  # noqa: PLC0415
     from robofleet.studies import engine  # noqa: PLC0415
     from robofleet.studies.progress import bar  # noqa: PLC0415
     from robofleet.studies.sweep import journal, page, report, running, table  # noqa: PLC0415

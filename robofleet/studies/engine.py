@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, connection, get_context, parent_process
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from robofleet.processes.refusal import RefusedError
+from robofleet.core.refusal import RefusedError
 
 LOCAL, RAY = "local", "ray"
 WORKER_DIED = "its worker process died (out of memory, or killed)"

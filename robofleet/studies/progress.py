@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from robofleet.clock import S, stopwatch_ns
 from robofleet.config.yamlfile import printable
+from robofleet.core.clock import S, stopwatch_ns
 
 _LINE_NS = 10 * S
 _WINDOW_S = 600.0  # of the rate that the time left is told by

@@ -10,11 +10,11 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
-from robofleet.clock import MS, Clock, S
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock, S
 from robofleet.tracking.sources import (
     CameraContext,
     CameraError,

@@ -4,11 +4,11 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from robofleet.clock import MS, S
-from robofleet.comms.messages import TagPose
+from robofleet.bus.messages import TagPose
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S
 from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.offset import centre_from_tag
 

@@ -14,9 +14,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import NamedTuple, Protocol
 
-from robofleet.clock import Clock
-from robofleet.comms.bus import Wake
+from robofleet.bus.bus import Wake
 from robofleet.config.mocap import MocapSettings
+from robofleet.core.clock import Clock
 from robofleet.tracking.bodies import Body
 from robofleet.tracking.sources import CameraError
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.settings import FAMILIES
+from robofleet.core.settings import FAMILIES
 from robofleet.tracking.families import Squares, dark_squares, patterns, same
 from robofleet.tracking.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags import CORNERS, Findings, Region

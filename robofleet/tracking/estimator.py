@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.tracking import reckoning
 from robofleet.tracking.correction import (
     copy,

@@ -3,7 +3,7 @@
 from enum import IntEnum
 from typing import NamedTuple
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 
 NO_TAG = 0xFFFF
 _SAY_AGAIN_NS = S

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.settings import FAMILIES, Family
+from robofleet.core.settings import FAMILIES, Family
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

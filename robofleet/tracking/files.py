@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S
 from robofleet.config.camera import FilesSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.tracking.sources import CameraContext, CameraError, Frame
 from robofleet.tracking.stamps import Stamp, read_stamps
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.comms.messages import TagPose
+from robofleet.bus.messages import TagPose
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry

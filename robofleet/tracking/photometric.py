@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.settings import FAMILIES
+from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.covariance import Covariance, covariance
 from robofleet.tracking.families import pattern

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import image_kernel
+from robofleet.core.kernels import image_kernel
 
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import infinite_kernel
+from robofleet.core.kernels import infinite_kernel
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ along the arcs of the wheel speeds.
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import kernel
+from robofleet.core.kernels import kernel
 from robofleet.tracking.correction import copy
 from robofleet.vehicles import differential_drive
 

@@ -1,6 +1,6 @@
 """Names the silence of a pose source that follows no trigger: poses that do not come say nothing by themselves."""
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.sources import Observation, PoseSource
 

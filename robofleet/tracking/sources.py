@@ -15,13 +15,14 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import Clock, S
-from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.messages import TagPose
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import Bus, Wake
+from robofleet.bus.messages import TagPose
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.clock import Clock, S
+from robofleet.core.errors import RobofleetError
 from robofleet.tracking.events import Notice, TrackerEvent
 
 _FIRST_PAUSE_S = 0.2  # before a camera that failed is opened again; doubled from one failure to the next
@@ -29,7 +30,7 @@ _LONGEST_PAUSE_S = 2.0
 _LAST_IMAGE_S = 0.2  # a reader that ends waits so long for the image that is under way
 
 
-class CameraError(Exception):
+class CameraError(RobofleetError):
     """A camera that cannot be used as it is asked to; the message says what is wrong and how to mend it."""
 
 

@@ -9,7 +9,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import NamedTuple
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.tracking.sources import CameraError
 
 _UNITS = {"exposure_ns": 1, "exposure_s": S}

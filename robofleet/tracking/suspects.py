@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.tracking.photometric import Found
 from robofleet.tracking.targets import Target
 

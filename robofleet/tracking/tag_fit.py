@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import image_kernel
+from robofleet.core.kernels import image_kernel
 from robofleet.tracking.pixels import CHUNK, PARAMETERS, SLOTS, accumulate, likeness
 from robofleet.tracking.tag_map import map_pixels, on_level, shift_map, sight_slope
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.kernels import image_kernel
+from robofleet.core.kernels import image_kernel
 from robofleet.tracking.projection import project
 
 _NODE = 0.6  # half the square whose nodes are projected [sides]

@@ -8,7 +8,7 @@ import numpy as np
 
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.tree import Config
-from robofleet.settings import FAMILIES
+from robofleet.core.settings import FAMILIES
 
 _ANY_S = 1e9
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S
-from robofleet.settings import FAMILIES
+from robofleet.core.clock import S
+from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.covariance import UNKNOWN, Covariance, covariances
 from robofleet.tracking.deep import DeepSearch

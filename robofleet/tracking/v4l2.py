@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S, from_monotonic
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, from_monotonic
 from robofleet.tracking.sources import (
     CameraContext,
     CameraError,

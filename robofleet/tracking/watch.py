@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.tracking.events import Notice, TrackerEvent
 
 _STALLED_PERIODS = 5

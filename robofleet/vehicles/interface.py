@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
+from robofleet.core.errors import RobofleetError
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 if TYPE_CHECKING:  # the gate's own types stand here, and `robofleet stop` must not wait for numpy
@@ -174,7 +175,7 @@ class DriverContext:
     world: World | None = None  # the other robots and the obstacles; None: the driver is made outside a run
 
 
-class DriverError(Exception):
+class DriverError(RobofleetError):
     """A robot that cannot be driven as it is asked to; the message says what is wrong and how to mend it."""
 
 

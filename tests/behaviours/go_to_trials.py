@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from robofleet.behaviours.go_to import GoTo
 from robofleet.behaviours.interface import Situation
-from robofleet.clock import S
 from robofleet.config import groups, slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control import wheels as commanding
-from robofleet.processes import fleet
+from robofleet.core.clock import S
+from robofleet.nodes import fleet
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
 

@@ -22,9 +22,9 @@ import numpy as np
 
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes.check import load_checked
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
+from robofleet.reports.metrics import summary
+from robofleet.runs.check import load_checked
+from robofleet.runs.lockstep import Lockstep
 
 SHIPPED = Path(__file__).parents[2] / "configs" / "obstacles.yaml"
 LONGEST_S = {"go_to": 90.0, "cyclic_pursuit": 40.0}

@@ -11,7 +11,7 @@ import pytest
 from robofleet.behaviours.interface import statistics
 from robofleet.config import groups
 from robofleet.config.load import ConfigError, load_config
-from robofleet.plugins import PluginError, load, reach
+from robofleet.core.plugins import PluginError, load, reach
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SWIRL = (CONFIGS / "swirl.yaml").read_text()
@@ -49,7 +49,7 @@ def test_it_is_found_beside_its_configuration_here_and_in_processes_started_from
     config = load_config(file)
     assert groups.kind(config.groups[0]).__module__ == "found_lab"
     assert config.groups[0].settings == {"radius_m": 0.5, "speed_m_s": 0.1}
-    found = "from robofleet.plugins import load; print(load('robofleet.behaviours', 'found_lab:Swirl').__module__)"
+    found = "from robofleet.core.plugins import load; print(load('robofleet.behaviours', 'found_lab:Swirl').__module__)"
     child = [sys.executable, "-c", f"{found}; import found_lab; print(found_lab.__file__)"]
     done = subprocess.run(child, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["found_lab", str(tmp_path / "lab" / "found_lab.py")]

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from robofleet.behaviours.interface import Situation, Wish, WishKind
 from robofleet.behaviours.teleop import Teleop
-from robofleet.comms.keys import STATUS, key
-from robofleet.comms.messages import UNIT_STATUS
+from robofleet.bus.keys import STATUS, key
+from robofleet.bus.messages import UNIT_STATUS
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
-from robofleet.processes.lockstep import Lockstep
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 
 CONFIG = load_config(SHIPPED / "teleop.yaml")

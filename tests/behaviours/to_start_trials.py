@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.processes.check import load_checked
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
+from robofleet.reports.metrics import summary
+from robofleet.runs.check import load_checked
+from robofleet.runs.lockstep import Lockstep
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 RADIUS, HALF = 0.055, (1.6, 1.0)  # of a GTernal's body, of the arena [m]

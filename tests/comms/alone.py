@@ -6,8 +6,8 @@ They go through the layouts of the units: what is encoded here, a unit of one ro
 from collections.abc import Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from robofleet.comms import messages
-from robofleet.comms.layouts import ListLayout
+from robofleet.bus import messages
+from robofleet.bus.layouts import ListLayout
 
 M = TypeVar("M", bound=NamedTuple)
 

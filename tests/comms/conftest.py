@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from robofleet.clock import SimulatedClock
-from robofleet.comms import messages
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.layouts import Layout, ListLayout
+from robofleet.bus import messages
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.layouts import Layout, ListLayout
+from robofleet.core.clock import SimulatedClock
 
 LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
     "UnitCommand": (messages.UNIT_COMMAND, messages.UnitCommand),

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import utc_now
-from robofleet.comms import authority as authorities
-from robofleet.comms.authority import Authority, identities
-from robofleet.comms.credentials import KINDS, Credentials, KeysError, session_id
-from robofleet.comms.permissions import ROLES, UNIT
+from robofleet.bus.credentials import KINDS, Credentials, KeysError, session_id
+from robofleet.bus.permissions import ROLES, UNIT
+from robofleet.core.clock import utc_now
+from robofleet.hosts import authority as authorities
+from robofleet.hosts.authority import Authority, identities
 
 ADDRESS = "192.168.1.10"
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from robofleet import folders
-from robofleet.clock import utc_now
-from robofleet.comms import credentials as credentials_of
-from robofleet.comms.authority import Authority
-from robofleet.comms.credentials import KeysError, Passport, credentials, keys_folder, passport, session_id
+from robofleet.bus import credentials as credentials_of
+from robofleet.bus.credentials import KeysError, Passport, credentials, keys_folder, passport, session_id
+from robofleet.core import folders
+from robofleet.core.clock import utc_now
+from robofleet.hosts.authority import Authority
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -109,7 +109,7 @@ import sys
 sys.modules["cryptography"] = sys.modules["pydantic"] = None
 from pathlib import Path
 from robofleet import folders
-from robofleet.comms import credentials
+from robofleet.bus import credentials
 folders.SYSTEM = Path("nowhere")
 print(credentials.credentials("lab", "r1").name)
 """

@@ -15,9 +15,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Request
-from robofleet.comms.keys import (
+from robofleet.bus.bus import Request
+from robofleet.bus.keys import (
     ASKED,
     ESTOP,
     LEASE,
@@ -31,9 +30,10 @@ from robofleet.comms.keys import (
     key,
     sender_key,
 )
-from robofleet.comms.living import RoleTakenError, alive_key
-from robofleet.comms.requests import asked, on
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus.living import RoleTakenError, alive_key
+from robofleet.bus.requests import asked, on
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
+from robofleet.core.clock import MS, S, WallClock
 from tests.comms.test_zenoh_bus import answering, until
 from tests.endpoints import free_port, own_endpoint, short_folder
 
@@ -343,7 +343,7 @@ def test_the_socket_is_its_owners_alone_whatever_the_umask() -> None:
 def test_a_socket_that_a_killed_router_left_is_taken_over_and_one_that_is_served_is_not() -> None:
     path = short_folder() / "bus.sock"
     endpoint = f"unixsock-stream/{path}"
-    opened = f"from robofleet.comms.zenoh_bus import open_router; session = open_router({endpoint!r})"
+    opened = f"from robofleet.bus.zenoh_bus import open_router; session = open_router({endpoint!r})"
     code = f"import os; {opened}; os.kill(os.getpid(), 9)"
     subprocess.run([sys.executable, "-c", code], check=False)
     assert path.exists()

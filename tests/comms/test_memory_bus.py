@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
-from robofleet.clock import SimulatedClock
-from robofleet.comms.bus import Inbox, MemoryBus
-from robofleet.comms.keys import COMMAND, LEASE, REQUEST, STATUS, TICK, key
-from robofleet.comms.messages import RUN_STATE, RobotState, RunState
+from robofleet.bus.bus import Inbox, MemoryBus
+from robofleet.bus.keys import COMMAND, LEASE, REQUEST, STATUS, TICK, key
+from robofleet.bus.messages import RUN_STATE, RobotState, RunState
+from robofleet.core.clock import SimulatedClock
 
 MakeBus = Callable[[int], MemoryBus]
 

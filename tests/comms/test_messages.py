@@ -11,8 +11,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.comms.layouts import VERSION, Layout, ListLayout
-from robofleet.comms.messages import (
+from robofleet.bus.layouts import VERSION, Layout, ListLayout
+from robofleet.bus.messages import (
     FLEET_POSES,
     PICTURE,
     TICK_RECORD,

@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import pytest
 import zenoh
 
-from robofleet.clock import WallClock
-from robofleet.comms.authority import ROUTER, Authority, identities
-from robofleet.comms.credentials import Credentials, session_id
-from robofleet.comms.keys import (
+from robofleet.bus.credentials import Credentials, session_id
+from robofleet.bus.keys import (
     ALIVE,
     ASKED,
     CAMERA,
@@ -30,7 +28,7 @@ from robofleet.comms.keys import (
     sender_key,
     split,
 )  # fmt: skip
-from robofleet.comms.permissions import (
+from robofleet.bus.permissions import (
     ANSWERS,
     ASKS,
     HEARS,
@@ -42,8 +40,10 @@ from robofleet.comms.permissions import (
     access_control,
     permissions,
 )
-from robofleet.comms.zenoh_bus import Network, ZenohBus, open_router
-from robofleet.patterns import driver_role
+from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
+from robofleet.core.clock import WallClock
+from robofleet.core.patterns import driver_role
+from robofleet.hosts.authority import ROUTER, Authority, identities
 from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"

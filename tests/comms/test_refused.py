@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import pytest
 import zenoh
 
-from robofleet.clock import WallClock, utc_now
-from robofleet.comms import authority as authorities
-from robofleet.comms.authority import ROUTER, Authority, identities
-from robofleet.comms.bus import Subscription
-from robofleet.comms.credentials import Credentials, session_id
-from robofleet.comms.keys import STATUS
-from robofleet.comms.permissions import UNIT, access_control
-from robofleet.comms.zenoh_bus import Network, ZenohBus, open_router
+from robofleet.bus.bus import Subscription
+from robofleet.bus.credentials import Credentials, session_id
+from robofleet.bus.keys import STATUS
+from robofleet.bus.permissions import UNIT, access_control
+from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
+from robofleet.core.clock import WallClock, utc_now
+from robofleet.hosts import authority as authorities
+from robofleet.hosts.authority import ROUTER, Authority, identities
 from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TICK
-from robofleet.comms.messages import TICK_RECORD, TickRecord
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TICK
+from robofleet.bus.messages import TICK_RECORD, TickRecord
+from robofleet.bus.ticks import TickFollower
+from robofleet.core.clock import MS, SimulatedClock
 
 PERIOD, ORIGIN, OTHER_CLOCK = 33 * MS, 700 * MS, 10**15
 MakeBus = Callable[[int], MemoryBus]

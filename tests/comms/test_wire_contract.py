@@ -2,8 +2,8 @@
 
 import struct
 
-from robofleet.comms import sensors
-from robofleet.comms.keys import (
+from robofleet.bus import sensors
+from robofleet.bus.keys import (
     ALIVE,
     COMMAND,
     ENABLE,
@@ -17,8 +17,8 @@ from robofleet.comms.keys import (
     TRUTH,
     key,
 )
-from robofleet.comms.layouts import ListLayout
-from robofleet.comms.messages import (
+from robofleet.bus.layouts import ListLayout
+from robofleet.bus.messages import (
     BUSY_MACHINE,
     LEASE_REQUEST,
     RUN_STATE,
@@ -46,8 +46,8 @@ from robofleet.comms.messages import (
     UnitTruth,
     WheelCommand,
 )
+from robofleet.core.settings import ROBOTS
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
-from robofleet.settings import ROBOTS
 from robofleet.vehicles.interface import SensorReading
 
 

@@ -6,11 +6,11 @@ from typing import NamedTuple, TypeVar
 
 import pytest
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Request
-from robofleet.comms.keys import COMMAND, LEASE, REQUEST, STATE, STATUS, TICK, key
-from robofleet.comms.requests import asked as operator_asks
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus.bus import Request
+from robofleet.bus.keys import COMMAND, LEASE, REQUEST, STATE, STATUS, TICK, key
+from robofleet.bus.requests import asked as operator_asks
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
+from robofleet.core.clock import MS, S, WallClock
 from tests.endpoints import own_endpoint
 
 CLOCK = WallClock()

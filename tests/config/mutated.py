@@ -27,18 +27,19 @@ from unittest.mock import Mock
 import numpy as np
 import yaml
 
+from robofleet.bus import credentials
+from robofleet.bus.credentials import KeysError
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.survey import load_survey
-from robofleet.clock import S, processor_ns
-from robofleet.comms import bundle, credentials
-from robofleet.comms.authority import Authority
-from robofleet.comms.credentials import KeysError
 from robofleet.config.load import ConfigError, ConfigFile
 from robofleet.config.parameters import load_parameters, load_placed
 from robofleet.config.robot_file import load_robot_file
+from robofleet.core.clock import S, processor_ns
+from robofleet.core.refusal import RefusedError
 from robofleet.experiments import paper
-from robofleet.processes.check import refusals
-from robofleet.processes.refusal import RefusedError
+from robofleet.hosts import bundle
+from robofleet.hosts.authority import Authority
+from robofleet.runs.check import refusals
 from robofleet.studies.sweep.load import _complaints, load
 from robofleet.studies.sweep.plan import Sweep
 

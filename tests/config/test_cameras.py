@@ -7,8 +7,8 @@ import yaml
 
 from robofleet.config import slices
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
-from robofleet.processes import table
-from robofleet.processes.check import refusals
+from robofleet.runs import table
+from robofleet.runs.check import refusals
 
 EXAMPLE = Path(__file__).parents[2] / "configs" / "two-cameras.yaml"
 PLATOON = EXAMPLE.with_name("platoon.yaml")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Source, parse_yaml
-from robofleet.processes import driver_settings
+from robofleet.nodes.unit import driver_settings
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 TEXT = (CONFIGS / "platoon.yaml").read_text()

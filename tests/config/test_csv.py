@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
-from robofleet.processes.check import load_checked
+from robofleet.runs.check import load_checked
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

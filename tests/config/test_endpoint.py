@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.comms.endpoint import check_free, settled
-from robofleet.comms.private_folder import PlaceError, private_folder
+from robofleet.bus.endpoint import check_free, settled
+from robofleet.bus.private_folder import PlaceError, private_folder
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.robot_file import load_robot_file
 from robofleet.config.tree import Config

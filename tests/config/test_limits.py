@@ -13,7 +13,7 @@ from robofleet.config import groups
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.schema import behaviours
 from robofleet.config.tree import Config
-from robofleet.processes.check import load_checked, proofs
+from robofleet.runs.check import load_checked, proofs
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 SCHEMA = Config.model_json_schema()

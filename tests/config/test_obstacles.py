@@ -6,9 +6,9 @@ import pytest
 
 from robofleet.config import obstacles, slices
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
+from robofleet.core.plugins import load
 from robofleet.drivers.cart import Cart
-from robofleet.plugins import load
-from robofleet.processes.check import load_checked
+from robofleet.runs.check import load_checked
 from robofleet.vehicles.solids import distances
 
 SHIPPED = Path(__file__).parents[2] / "configs"

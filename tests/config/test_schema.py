@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.robot_file import RobotFile
 from robofleet.config.schema import schema
-from robofleet.settings import Model
+from robofleet.core.settings import Model
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"

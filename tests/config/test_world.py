@@ -5,8 +5,8 @@ from pathlib import Path
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.drivers import ConfiguredDrivers
-from robofleet.processes.handing import packed, unpacked
+from robofleet.nodes.handing import packed, unpacked
+from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.vehicles.interface import World
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import WallClock
 from robofleet.config.load import load_config
+from robofleet.core.clock import WallClock
 from robofleet.doctor import asking
 from robofleet.doctor.findings import Mark
 from robofleet.doctor.needs import Needs

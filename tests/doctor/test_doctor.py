@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.config.load import load_config
+from robofleet.core.refusal import LAB_MODULES
 from robofleet.doctor import cameras, computer, elsewhere, examination, places, software
 from robofleet.doctor.findings import Finding, Mark, Paste, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.view import pastes, show
-from robofleet.processes.refusal import LAB_MODULES
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 from unittest.mock import patch
 
-from robofleet.clock import MS, S, SimulatedClock
+from robofleet.bus.arena_file import twin_port
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.core.plugins import load
 from robofleet.drivers.dead_man import DeadMan
-from robofleet.plugins import load
-from robofleet.processes import driver_settings
-from robofleet.processes.arena_file import twin_port
+from robofleet.nodes.unit import driver_settings
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 from robofleet.vehicles.differential_drive import DifferentialDrive, wheels_from_body

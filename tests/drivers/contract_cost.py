@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
 from tests.drivers import serial_world
 from tests.drivers.contract_bench import LOOP_NS, Bench, Subject

@@ -10,13 +10,13 @@ from typing import Literal
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATUS
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import STATUS
 from robofleet.config.troubles import LineFault, LinkFault
-from robofleet.processes.driver import DriverProcess
-from robofleet.processes.drivers import ConfiguredDrivers
-from robofleet.processes.keeping import MemoryKeeping
+from robofleet.core.clock import MS, S
+from robofleet.nodes.unit.driver import DriverProcess
+from robofleet.nodes.unit.drivers import ConfiguredDrivers
+from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch
 from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
 from tests.comms.alone import ROBOT_STATUS

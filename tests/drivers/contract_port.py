@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 from pydantic import ValidationError
 
+from robofleet.core.plugins import load
 from robofleet.drivers.serial_port import SerialPort
-from robofleet.plugins import load
-from robofleet.processes import driver_settings
+from robofleet.nodes.unit import driver_settings
 from robofleet.vehicles.interface import STOP, DriverError, is_concurrent
 from tests.drivers.contract_bench import Bench, Subject
 from tests.drivers.contract_motion import cruise, on_the_line, travel

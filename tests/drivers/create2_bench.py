@@ -12,7 +12,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.drivers.create2 import Create2
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.create2 import Create2Firmware

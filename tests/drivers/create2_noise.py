@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.simulation.faulty_line import cut, garbled
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench

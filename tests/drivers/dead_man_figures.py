@@ -5,7 +5,7 @@ import select
 import signal
 import statistics
 
-from robofleet.clock import S, WallClock
+from robofleet.core.clock import S, WallClock
 from tests.drivers.test_dead_man import STOP, Bench
 
 _COST_S = 10.0

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from robofleet.clock import MS, SimulatedClock
+from robofleet.core.clock import MS, SimulatedClock
 from robofleet.drivers.gternal import GTernal
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.gternal import GTernalFirmware

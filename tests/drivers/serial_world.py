@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from robofleet.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S, WallClock
 
 _PTS, _PTMX = 136, os.makedev(5, 2)  # devices, as Linux numbers them
 _NUMBER = 0x80045430  # ioctl TIOCGPTN: which pseudo-terminal

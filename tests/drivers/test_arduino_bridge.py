@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, SimulatedClock, WallClock
+from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.serial_line import SerialLine
@@ -450,7 +450,7 @@ DRIVER = f"""
 import sys, threading
 from types import SimpleNamespace
 from robofleet.drivers.arduino_bridge import ArduinoBridge
-from robofleet.clock import WallClock
+from robofleet.core.clock import WallClock
 from robofleet.vehicles.interface import WheelSpeeds
 settings = ArduinoBridge.Settings(port=sys.argv[1], counts_per_turn={COUNTS_PER_TURN})
 drive = SimpleNamespace(max_wheel_speed=12.0)

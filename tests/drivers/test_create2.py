@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.drivers.create2 import MODE_LOST, MOTORS_OFF, Create2
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, DriverError, RobotFault, WheelSpeeds

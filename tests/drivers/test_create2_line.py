@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.drivers.create2_stream import Stream
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, WheelSpeeds

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import S, WallClock
+from robofleet.core.clock import S, WallClock
 from robofleet.vehicles.interface import STOP
 from tests.twins import TwinStand, config_of
 
@@ -17,7 +17,7 @@ ASKED_S, PATIENCE_S = 0.3, 10.0
 DRIVER = """
 import select, sys
 from robofleet.drivers.create2 import Create2
-from robofleet.clock import WallClock
+from robofleet.core.clock import WallClock
 from robofleet.vehicles.interface import DriverContext, WheelSpeeds
 from tests.robots import CREATE2
 clock = WallClock()

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from robofleet.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.drivers.dead_man import DeadMan
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
 

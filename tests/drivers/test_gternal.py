@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.drivers.gternal import GTernal
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.gternal_desk import Desk

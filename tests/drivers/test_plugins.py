@@ -4,8 +4,8 @@ from collections import OrderedDict
 
 import pytest
 
+from robofleet.core.plugins import PluginError, load
 from robofleet.drivers.simulated import SimulatedRobot
-from robofleet.plugins import PluginError, load
 
 
 def test_an_entry_point_is_found() -> None:

@@ -7,7 +7,7 @@ from robofleet.config.parameters import load_parameters
 from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon import PlatoonParameters, run, scaled
 from robofleet.experiments.platoon_gain import robot_gains
-from robofleet.processes.check import refusals
+from robofleet.runs.check import refusals
 
 PARAMETERS = load_parameters(PlatoonParameters, SHIPPED / "platoon.yaml")
 BASE = load_config(SHIPPED.parent / "platoon.yaml")

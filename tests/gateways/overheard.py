@@ -4,11 +4,11 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from robofleet.comms.bus import Arrival
+from robofleet.bus.bus import Arrival
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.channels import keys
 from robofleet.recording.log import RunLog
+from robofleet.runs.lockstep import Lockstep
 from tests.gateways.foxglove_client import Message
 
 EPOCH_NS = 1_790_000_000 * 10**9

@@ -4,11 +4,11 @@ from threading import Event
 
 import pytest
 
-from robofleet.clock import WallClock
-from robofleet.comms.bus import Answer, MemoryBus
-from robofleet.comms.keys import Topic
+from robofleet.bus.bus import Answer, MemoryBus
+from robofleet.bus.keys import Topic
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
+from robofleet.core.clock import WallClock
 from robofleet.gateways.asking import Asking
 
 CONFIG = load_config(SHIPPED / "ros2.yaml")

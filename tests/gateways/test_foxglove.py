@@ -17,6 +17,8 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.config.load import load_config
+from robofleet.core import refusal
+from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES, Asked
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, Address, completed
@@ -24,9 +26,7 @@ from robofleet.gateways.viewers.foxglove.server import Server, written
 from robofleet.gateways.viewers.foxglove.services import services
 from robofleet.gateways.viewers.kept import Kept
 from robofleet.gateways.viewers.live import Opened, Viewers
-from robofleet.processes import refusal
-from robofleet.processes.refusal import RefusedError
-from robofleet.recording.drawn import Channel
+from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
 from tests.gateways.overheard import EPOCH_NS, Overheard
 

@@ -7,8 +7,8 @@ import evdev
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus.credentials import Credentials
 from robofleet.cli import app
-from robofleet.comms.credentials import Credentials
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import command, pads
@@ -29,7 +29,7 @@ from robofleet.gateways.gamepad.pads import (
     opened,
 )
 from robofleet.gateways.place import Place
-from robofleet.processes.hand import Stick
+from robofleet.operator.hand import Stick
 from tests.gateways.piped_pad import SHOULDERS, STICK, PipedDevice
 
 AT_REST = Stick(0.0, 0.0, False)

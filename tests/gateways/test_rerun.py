@@ -17,17 +17,17 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.clock import S
 from robofleet.config.load import load_config
+from robofleet.core import refusal
+from robofleet.core.clock import S
+from robofleet.core.refusal import RefusedError
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import DEFAULTS, RERUN, Address, completed
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.gateways.viewers.rerun.server import Server
-from robofleet.processes import refusal
-from robofleet.processes.refusal import RefusedError
-from robofleet.recording.drawn import Channel
 from robofleet.recording.run import Recording
-from robofleet.recording.viewers.rerun_blueprint import TIMELINE, blueprint
+from robofleet.recording.scenes.drawn import Channel
+from robofleet.reports.layouts.rerun_blueprint import TIMELINE, blueprint
 from tests.gateways.overheard import EPOCH_NS, Overheard
 from tests.gateways.rerun_client import Rows, Saving, imported
 

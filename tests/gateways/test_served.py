@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import S
-from robofleet.comms.bus import Arrival
-from robofleet.comms.keys import STATE, key
-from robofleet.comms.messages import RUN_STATE, RunState
-from robofleet.comms.permissions import OPERATOR
+from robofleet.bus.arena_file import claimed
+from robofleet.bus.bus import Arrival
+from robofleet.bus.keys import STATE, key
+from robofleet.bus.messages import RUN_STATE, RunState
+from robofleet.bus.permissions import OPERATOR
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
+from robofleet.core.clock import S
 from robofleet.gateways.place import Place, is_over
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.live import Opened, Viewers
-from robofleet.processes.arena_file import claimed
-from robofleet.recording.drawn import Channel
+from robofleet.recording.scenes.drawn import Channel
 from robofleet.safety.supervisor import NOBODY, Phase
 from tests.endpoints import short_folder
 

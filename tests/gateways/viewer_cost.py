@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S
-from robofleet.comms.joining import joined
-from robofleet.comms.keys import TICK, key
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.joining import joined
+from robofleet.bus.keys import TICK, key
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
+from robofleet.core.clock import S
 from tests.processes.realrun import CLOCK, RealRun, wait
 from tests.processes.recorder_cost import heard, print_table
 

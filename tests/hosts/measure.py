@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.keys import STATE, STATUS, key
-from robofleet.comms.messages import RUN_STATE, UNIT_STATUS
+from robofleet.bus.keys import STATE, STATUS, key
+from robofleet.bus.messages import RUN_STATE, UNIT_STATUS
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
-from robofleet.clock import S, WallClock
+from robofleet.core.clock import S, WallClock
 
 _LARGEST = 65535
 _CLIENTS = 64

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from robofleet.comms.keys import STATUS
+from robofleet.bus.keys import STATUS
 from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
 from tests.hosts.fleet import ALONE, Fleet, configuration, ended, join, said

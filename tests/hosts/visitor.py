@@ -13,7 +13,7 @@ import httpx
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from robofleet.clock import S, WallClock
+from robofleet.core.clock import S, WallClock
 
 
 def visit(address: str, authority: str, seconds: str) -> dict[str, int]:

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import pytest
 
-from robofleet.kernels import UnknownMeaningError, model
+from robofleet.core.kernels import UnknownMeaningError, model
 
 
 class Gains(NamedTuple):

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.kernels import store
+from robofleet.core.kernels import store
 
 MODELS = """
 import sys
 from pathlib import Path
-from robofleet.kernels import model, store
+from robofleet.core.kernels import model, store
 
 store.folder = lambda: Path(sys.argv[1])
 

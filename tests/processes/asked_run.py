@@ -15,19 +15,19 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from robofleet.clock import MS, WallClock
-from robofleet.comms.endpoint import settled
-from robofleet.comms.keys import SAFE_REQUEST
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus.arena_file import claimed
+from robofleet.bus.endpoint import settled
+from robofleet.bus.keys import SAFE_REQUEST
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import load_config
-from robofleet.processes.arena_file import claimed
+from robofleet.core.clock import MS, WallClock
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 _UNTIL_ASKED = """
 import json, os, sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
-import robofleet.comms.zenoh_bus as bus
+import robofleet.bus.zenoh_bus as bus
 
 def ask(self, topic, name, payload):
     used = os.times()

@@ -8,21 +8,21 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms import keys, messages
-from robofleet.comms.bus import MemoryBus, Wake
-from robofleet.comms.keys import Topic, key
+from robofleet.bus import keys, messages
+from robofleet.bus.bus import MemoryBus, Wake
+from robofleet.bus.keys import Topic, key
 from robofleet.config.load import load_config
 from robofleet.config.slices import drawn_id
 from robofleet.config.tree import Config
-from robofleet.processes import table
-from robofleet.processes.compiling import on_stderr
-from robofleet.processes.driver import LOOP_NS, DriverProcess
-from robofleet.processes.drivers import ConfiguredDrivers
-from robofleet.processes.keeping import MemoryKeeping
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.node import Node
-from robofleet.recording.metrics import summary
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.core.compiling import on_stderr
+from robofleet.nodes.node import Node
+from robofleet.nodes.unit.driver import LOOP_NS, DriverProcess
+from robofleet.nodes.unit.drivers import ConfiguredDrivers
+from robofleet.nodes.unit.keeping import MemoryKeeping
+from robofleet.reports.metrics import summary
+from robofleet.runs import table
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TRUTH
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TRUTH
 from robofleet.config.load import load_config
-from robofleet.processes.pose_sources import CameraPoses
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.nodes.pose_sources import CameraPoses
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import Notice
 from robofleet.tracking.light import Place, TagLight

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.safety.gate import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.processes.serialstand import CLOCK, MOTION, commanded, ticks

@@ -23,15 +23,15 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.keys import REQUEST, STATE, STATUS, key
-from robofleet.comms.messages import RUN_STATE
-from robofleet.comms.requests import asked
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.keys import REQUEST, STATE, STATUS, key
+from robofleet.bus.messages import RUN_STATE
+from robofleet.bus.requests import asked
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.children import Children
-from robofleet.processes.estop import emergency_stop, urgent
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.operator.estop import emergency_stop, urgent
+from robofleet.runs.children import Children
 from robofleet.safety.supervisor import Phase
 from tests.comms.alone import ROBOT_STATUS
 from tests.endpoints import own_endpoint

@@ -13,8 +13,8 @@ import tempfile
 import threading
 from pathlib import Path
 
-from robofleet.clock import S, WallClock
-from robofleet.kernels import store
+from robofleet.core.clock import S, WallClock
+from robofleet.core.kernels import store
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 SHOWN = ("starting", "compiling", "arming", "running")  # of the lines that a run says

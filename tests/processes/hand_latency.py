@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.clock import MS, S, epoch_ns
-from robofleet.comms.bus import Stream
-from robofleet.comms.joining import joined
-from robofleet.comms.keys import STATUS, key
-from robofleet.comms.messages import UNIT_STATUS
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.bus import Stream
+from robofleet.bus.joining import joined
+from robofleet.bus.keys import STATUS, key
+from robofleet.bus.messages import UNIT_STATUS
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, epoch_ns
 from robofleet.gateways.gamepad import driving
 from robofleet.gateways.gamepad.pads import ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from tests.gateways.piped_pad import PipedDevice

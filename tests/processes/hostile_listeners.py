@@ -17,27 +17,27 @@ import pytest
 from rich.console import Console
 
 from robofleet.behaviours.script import Script
-from robofleet.clock import Clock, S
-from robofleet.comms.bus import Bus
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import Bus
+from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.fleet import Fleet, FleetError
+from robofleet.core.clock import Clock, S
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.kept import Kept
 from robofleet.gateways.viewers.live import Opened, Viewers
-from robofleet.processes import script_live
-from robofleet.processes.live import LiveView
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.script_live import LiveLink
-from robofleet.processes.terminal import Terminal
-from robofleet.processes.web.hearing import Hearing
-from robofleet.recording.after import report
-from robofleet.recording.drawn import Channel
+from robofleet.operator.page.hearing import Hearing
+from robofleet.operator.terminal.live import LiveView
+from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
-from robofleet.recording.sampled import look
+from robofleet.recording.scenes.drawn import Channel
+from robofleet.reports.after import report
+from robofleet.reports.metrics import summary
+from robofleet.reports.sampled import look
+from robofleet.runs.lockstep import Lockstep
+from robofleet.scripts import script_live
+from robofleet.scripts.fleet import Fleet, FleetError
+from robofleet.scripts.script_live import LiveLink
 
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # read where messages are imported: as older ROS 2 always does
 EPOCH_NS = 1_700_000_000 * S
@@ -102,7 +102,7 @@ class Keeping:
 def _rerun(config: Config, channels: Sequence[Channel]) -> Opened:
     from robofleet.gateways.viewers.address import Address
     from robofleet.gateways.viewers.rerun.server import Server
-    from robofleet.recording.viewers.rerun_blueprint import blueprint
+    from robofleet.reports.layouts.rerun_blueprint import blueprint
 
     return Opened(Server("hostile", Address("127.0.0.1", 0), blueprint(Recording(config)), channels, "1MB"), "")
 

@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.clock import S
-from robofleet.comms.keys import ASKED, RECORDER, TOPICS, Topic, key
-from robofleet.comms.layouts import VERSION, BlobLayout, Layout
-from robofleet.comms.messages import RECORDER_STATUS, RecorderStatus
+from robofleet.bus.keys import ASKED, RECORDER, TOPICS, Topic, key
+from robofleet.bus.layouts import VERSION, BlobLayout, Layout
+from robofleet.bus.messages import RECORDER_STATUS, RecorderStatus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.estop import EmergencyStop
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import S
+from robofleet.operator.estop import EmergencyStop
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.processes.hostile_listeners import listeners
 

@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Inbox
-from robofleet.comms.keys import STATE, STATUS
-from robofleet.comms.messages import RUN_STATE, RunState
-from robofleet.comms.requests import asked
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.bus import Inbox
+from robofleet.bus.keys import STATE, STATUS
+from robofleet.bus.messages import RUN_STATE, RunState
+from robofleet.bus.requests import asked
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.safety.supervisor import Phase
 from tests.comms.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint

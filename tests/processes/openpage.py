@@ -8,7 +8,7 @@ from typing import Any
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
-from robofleet.comms.messages import RobotTick
+from robofleet.bus.messages import RobotTick
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from tests.processes.browser import DESKTOP, show_as

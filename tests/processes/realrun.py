@@ -18,7 +18,7 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from robofleet.cli import app
-from robofleet.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S, WallClock
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 GONE_WITHIN_S = 5.0  # a second, and what a busy machine takes

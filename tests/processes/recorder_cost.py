@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
-from robofleet.comms.bus import Stream
-from robofleet.comms.keys import TICK, key
-from robofleet.comms.messages import TICK_RECORD
+from robofleet.bus.bus import Stream
+from robofleet.bus.keys import TICK, key
+from robofleet.bus.messages import TICK_RECORD
+from robofleet.core.clock import MS, S
 from robofleet.recording.log import FILE
 from tests.processes.kills import CLOCK, Fleet
 

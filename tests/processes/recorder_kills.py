@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from mcap.reader import make_reader
 
-from robofleet.clock import MS, S
-from robofleet.comms.bus import Arrival, Stream
+from robofleet.bus.bus import Arrival, Stream
+from robofleet.core.clock import MS, S
 from robofleet.recording.channels import keys as recorded_keys
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import read

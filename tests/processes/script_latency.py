@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet import Fleet
-from robofleet.clock import MS, WallClock
+from robofleet.core.clock import MS, WallClock
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
 

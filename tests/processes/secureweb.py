@@ -8,9 +8,9 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from robofleet.comms.authority import Authority
-from robofleet.comms.permissions import PAGE
-from robofleet.processes.web.certificate import PageKeys, opened
+from robofleet.bus.permissions import PAGE
+from robofleet.hosts.authority import Authority
+from robofleet.operator.page.certificate import PageKeys, opened
 from tests.processes.webstand import OpenPage, WebStand
 
 HOST = "127.0.0.2"  # of this computer, but not the one that needs no keys

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.safety.gate import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.processes.serialstand import MOTION, commanded, ticks

@@ -15,16 +15,16 @@ from unittest.mock import patch
 
 import yaml
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS
-from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.keys import COMMAND, ENABLE, LEASE, STATUS
+from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config import slices
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.plugins import load
-from robofleet.processes.children import Children
-from robofleet.processes.node import ahead_of_others
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.core.plugins import load
+from robofleet.nodes.node import ahead_of_others
+from robofleet.runs.children import Children
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.firmware import Hardware

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.clock import MS, S
-from robofleet.comms.bus import Answer, Inbox
-from robofleet.comms.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
-from robofleet.comms.messages import FleetPoses, RobotTick, RunState, TagPose, TickRecord, TrackerNews
+from robofleet.bus.bus import Answer, Inbox
+from robofleet.bus.keys import CAMERA, ENABLE, NEWS, POSES, REQUEST, STATE, STATUS, TICK
+from robofleet.bus.messages import FleetPoses, RobotTick, RunState, TagPose, TickRecord, TrackerNews
 from robofleet.config import slices
-from robofleet.processes.supervisor import Supervisor
+from robofleet.core.clock import MS, S
+from robofleet.nodes.supervisor import Supervisor
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch

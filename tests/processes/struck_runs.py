@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Inbox
-from robofleet.comms.keys import STATUS
-from robofleet.comms.messages import UNIT_STATUS, RobotStatus, UnitStatus
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.bus import Inbox
+from robofleet.bus.keys import STATUS
+from robofleet.bus.messages import UNIT_STATUS, RobotStatus, UnitStatus
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
-from robofleet.processes import table
-from robofleet.processes.table import Process
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.recording.reading import RecordingError, read
+from robofleet.runs import table
+from robofleet.runs.table import Process
 from tests.endpoints import own_endpoint, short_folder
 from tests.processes.realrun import RealRun, wait
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from robofleet.behaviours.interface import Behaviour, Decision, Dots, Figure, Line, Shape, Situation
-from robofleet.settings import Model, within
+from robofleet.core.settings import Model, within
 
 
 class Swirl(Behaviour):

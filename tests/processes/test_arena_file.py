@@ -15,14 +15,14 @@ from struct import Struct
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus.arena_file import ArenaBusyError, ArenaFile, Search, claimed, found, running
+from robofleet.bus.endpoint import settled
+from robofleet.bus.private_folder import PlaceError
 from robofleet.cli import app
-from robofleet.comms.endpoint import settled
-from robofleet.comms.private_folder import PlaceError
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.fleet import Fleet, FleetError
-from robofleet.processes import operator
-from robofleet.processes.arena_file import ArenaBusyError, ArenaFile, Search, claimed, found, running
+from robofleet.operator import requests as operator
+from robofleet.scripts.fleet import Fleet, FleetError
 from tests.endpoints import short_folder
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"

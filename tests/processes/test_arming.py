@@ -10,11 +10,11 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.comms.keys import STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD
+from robofleet.bus.keys import STATE, STATUS, TICK, TRUTH, key
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.load import load_config
 from robofleet.drivers.simulated import SimulatedRobot
-from robofleet.processes.lockstep import Lockstep
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.safety.wiggle import BACK, FORTH, STAND

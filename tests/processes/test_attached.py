@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.processes.attached import Attached
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.nodes.unit.attached import Attached
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, DriverError, DriverReading, RobotFault, WheelSpeeds
 from tests.processes.realrun import wait

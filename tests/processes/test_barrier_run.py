@@ -8,9 +8,9 @@ import pytest
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Run
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.robots import stalls
 

@@ -10,14 +10,14 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.clock import MS
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
-from robofleet.processes.deciding import Deciding, timed_by
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.replay import replay
+from robofleet.core.clock import MS
+from robofleet.nodes.deciding import Deciding, timed_by
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
+from robofleet.runs.lockstep import Lockstep
+from robofleet.runs.replay import replay
 from robofleet.safety.supervisor import Event, Phase
 from tests.processes.broken_behaviours import AT_S, Broken
 from tests.processes.realrun import RealRun

@@ -10,14 +10,14 @@ import pytest
 import yaml
 
 from robofleet.behaviours.platoon import Platoon
-from robofleet.comms.keys import STATUS, key
-from robofleet.comms.messages import TICK_RECORD
+from robofleet.bus.keys import STATUS, key
+from robofleet.bus.messages import TICK_RECORD
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes.check import load_checked, refusals
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Run
+from robofleet.reports.metrics import summary
+from robofleet.runs.check import load_checked, refusals
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
 from tests.comms.alone import ROBOT_STATUS

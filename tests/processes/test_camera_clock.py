@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.simulation.sources import SimulatedCamera
 from robofleet.tracking.sources import Frame
 

@@ -14,8 +14,8 @@ from robofleet.behaviours.platoon import Platoon
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.processes.check import load_checked, proofs, refusals
-from robofleet.processes.check_starts import warnings
+from robofleet.runs.check import load_checked, proofs, refusals
+from robofleet.runs.check_starts import warnings
 
 PLATOON = FilePath(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 

@@ -19,8 +19,8 @@ from robofleet.cli import app
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.drivers.serial_port import SerialPort
-from robofleet.processes import check_drivers
-from robofleet.processes.drivers import ConfiguredDrivers
+from robofleet.nodes.unit.drivers import ConfiguredDrivers
+from robofleet.runs import check_drivers
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.processes.realrun import CLOCK, PLATOON

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.processes.check import refusals
+from robofleet.runs.check import refusals
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 KNOTS = "[{at_m: [0.5, 0], derivative_m: [0, 0.8]}, {at_m: [0, 0.5], derivative_m: [-0.8, 0]}, \

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from robofleet.config.load import ConfigError
-from robofleet.processes.check import load_checked
+from robofleet.runs.check import load_checked
 from tests.processes.realrun import PLATOON, RealRun, of_robots
 
 pytestmark = pytest.mark.slow

@@ -1,7 +1,7 @@
 """What is said while kernels are compiled."""
 
-from robofleet.kernels import Kernel, kernel, reached
-from robofleet.processes.compiling import Progress, decoded
+from robofleet.core.compiling import Progress, decoded
+from robofleet.core.kernels import Kernel, kernel, reached
 
 
 @kernel

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
-from robofleet.comms.messages import FleetPoses, RobotState, RunState, TagPose
+from robofleet.bus.keys import CAMERA, COMMAND, POSES, STATE, STATUS, TICK
+from robofleet.bus.messages import FleetPoses, RobotState, RunState, TagPose
 from robofleet.config import slices
-from robofleet.processes.controller import Controller
+from robofleet.core.clock import MS, S
+from robofleet.nodes.controller import Controller
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.comms.alone import RobotStatus
 

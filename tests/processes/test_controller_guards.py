@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, POSES, STATE, TICK
-from robofleet.comms.messages import FleetPoses, RobotState, RunState, TagPose
-from robofleet.processes.controller import Controller
+from robofleet.bus.keys import CAMERA, POSES, STATE, TICK
+from robofleet.bus.messages import FleetPoses, RobotState, RunState, TagPose
+from robofleet.core.clock import MS, S
+from robofleet.nodes.controller import Controller
 from robofleet.safety.supervisor import NOBODY, Phase
 
 Make = Callable[..., Any]

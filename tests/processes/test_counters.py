@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms import keys
-from robofleet.comms.keys import key
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
-from robofleet.processes.keeping import Kept, MemoryKeeping
-from robofleet.processes.lockstep import Lockstep
+from robofleet.bus import keys
+from robofleet.bus.keys import key
+from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
+from robofleet.core.clock import MS, S
+from robofleet.nodes.unit.keeping import Kept, MemoryKeeping
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import STOP

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robofleet.doctor.elsewhere import NoAnswerError, asked_elsewhere
-from robofleet.processes.children import Child, Children, RunError
+from robofleet.runs.children import Child, Children, RunError
 
 SWIRL = Path(__file__).parents[2] / "configs" / "swirl.yaml"
 CRASHES = """\

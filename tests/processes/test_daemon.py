@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.keys import CONFIG
-from robofleet.comms.messages import HANDED
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus.keys import CONFIG
+from robofleet.bus.messages import HANDED
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import load_config
 from robofleet.config.robot_file import Allowed, RobotFile
 from robofleet.config.tree import Config
-from robofleet.patterns import driver_role
-from robofleet.processes.daemon import Daemon
-from robofleet.processes.handing import packed
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.core.patterns import driver_role
+from robofleet.nodes.handing import packed
+from robofleet.runs.daemon import Daemon
 from tests.endpoints import own_endpoint
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.tracking.events import TrackerEvent
 from tests.processes.daylight import MINUTE, TICK_NS, Day
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
+from robofleet.bus.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
+from robofleet.core.clock import MS, S
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WIRED_STOP, WheelSpeeds
 from tests.comms.alone import Enable, WheelCommand

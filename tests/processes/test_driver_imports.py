@@ -10,8 +10,8 @@ import pytest
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PROCESS = (
-    "robofleet.cli", "robofleet.comms.zenoh_bus", "robofleet.processes.check_drivers", "robofleet.processes.child",
-    "robofleet.processes.driver", "robofleet.processes.drivers", "robofleet.processes.keeping",
+    "robofleet.cli", "robofleet.bus.zenoh_bus", "robofleet.runs.check_drivers", "robofleet.runs.child",
+    "robofleet.nodes.unit.driver", "robofleet.nodes.unit.drivers", "robofleet.nodes.unit.keeping",
     "robofleet.simulation.faulty_bus", "robofleet.simulation.faulty_disk", "robofleet.simulation.faulty_driver",
 )  # fmt: skip
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import LEASE, STATUS
-from robofleet.comms.layouts import VERSION
-from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
-from robofleet.processes.health import Health
-from robofleet.processes.keeping import FileKeeping, Kept, MemoryKeeping
-from robofleet.processes.log_lines import Unfailing
+from robofleet.bus.keys import LEASE, STATUS
+from robofleet.bus.layouts import VERSION
+from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
+from robofleet.core.clock import MS, S
+from robofleet.core.log_lines import Unfailing
+from robofleet.nodes.unit.health import Health
+from robofleet.nodes.unit.keeping import FileKeeping, Kept, MemoryKeeping
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 

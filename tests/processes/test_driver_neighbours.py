@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import STATUS
+from robofleet.bus.keys import STATUS
+from robofleet.core.clock import MS, S
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, RobotFault, WheelSpeeds
 from tests.processes.realrun import wait

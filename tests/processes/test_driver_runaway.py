@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import STATUS
+from robofleet.bus.keys import STATUS
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import MS, S
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import STOP, DriverReading

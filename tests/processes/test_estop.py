@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.bus import Answer
-from robofleet.comms.keys import ENABLE, REQUEST, SAFE_REQUEST, STATUS
+from robofleet.bus.bus import Answer
+from robofleet.bus.keys import ENABLE, REQUEST, SAFE_REQUEST, STATUS
 from robofleet.config.load import load_config
-from robofleet.processes.estop import EmergencyStop, Stopped
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import MS, S
+from robofleet.operator.estop import EmergencyStop, Stopped
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 from tests.processes.conftest import PLATOON, Stand

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.replay import replay
 from robofleet.recording.run import Recording
+from robofleet.runs.lockstep import Lockstep
+from robofleet.runs.replay import replay
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 OF_A_LABORATORY = {"lab", "mixed", "platoon-serial"}  # robots, or twins of them on serial lines, that are there or not

@@ -9,17 +9,17 @@ import pytest
 from selenium.webdriver import Chrome
 
 from robofleet.behaviours.interface import WishKind
-from robofleet.comms import keys
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATE, STATUS, TICK, key, split
-from robofleet.comms.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
-from robofleet.comms.permissions import PAGE
+from robofleet.bus import keys
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import STATE, STATUS, TICK, key, split
+from robofleet.bus.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
+from robofleet.bus.permissions import PAGE
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import driving
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
-from robofleet.processes.hand import Hand, Hands, Stick
-from robofleet.processes.lockstep import Lockstep
+from robofleet.operator.hand import Hand, Hands, Stick
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.gateways.piped_pad import PipedDevice
 from tests.processes.browser import chromium

@@ -18,13 +18,13 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from robofleet import folders
+from robofleet.bus.credentials import KINDS, KeysError, Passport, joined, passport
 from robofleet.cli import app
-from robofleet.clock import utc_now
-from robofleet.comms.authority import Authority, _private
-from robofleet.comms.credentials import KINDS, KeysError, Passport, joined, passport
-from robofleet.patterns import NAME_PATTERN
-from robofleet.processes import join_command
+from robofleet.core import folders
+from robofleet.core.clock import utc_now
+from robofleet.core.patterns import NAME_PATTERN
+from robofleet.hosts import join_command
+from robofleet.hosts.authority import Authority, _private
 
 HOSTILE = (
     "..", ".", "", "../..", "../../victim", "../victim/authority", "/etc", "/", "lab/../../victim", "lab\0", "\0",

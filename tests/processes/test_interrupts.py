@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from robofleet.processes.terminal import interrupts
+from robofleet.operator.terminal.terminal import interrupts
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP"])

@@ -13,8 +13,8 @@ FIRST_CALLED = """
 import gc, json, sys
 from pathlib import Path
 from robofleet.config.load import load_config
-from robofleet.kernels import Kernel
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.kernels import Kernel
+from robofleet.runs.lockstep import Lockstep
 
 def compiled():
     kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and "compiled" in vars(one)]

@@ -17,13 +17,16 @@ import yaml
 from click.testing import Result
 from typer.testing import CliRunner
 
-from robofleet import cli, folders
-from robofleet.clock import utc_now
-from robofleet.comms import authority as authorities
-from robofleet.comms import bundle as bundles
-from robofleet.comms import credentials as credentials_of
+from robofleet import cli
+from robofleet.bus import credentials as credentials_of
 from robofleet.config.robot_file import RobotFile, load_robot_file, robot_file
-from robofleet.processes import daemon, join_command, node
+from robofleet.core import folders
+from robofleet.core.clock import utc_now
+from robofleet.hosts import authority as authorities
+from robofleet.hosts import bundle as bundles
+from robofleet.hosts import join_command
+from robofleet.nodes import node
+from robofleet.runs import daemon
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 DEPLOY = Path(__file__).parents[2] / "tools" / "deploy"
@@ -85,7 +88,7 @@ def bundle(lab: Path) -> Path:
 def clock_says(monkeypatch: pytest.MonkeyPatch, at: Callable[[], datetime]) -> None:
     for module in (authorities, bundles, credentials_of):
         monkeypatch.setattr(module, "utc_now", at)
-    monkeypatch.setattr("robofleet.clock.utc_now", at)
+    monkeypatch.setattr("robofleet.core.clock.utc_now", at)
 
 
 def later(monkeypatch: pytest.MonkeyPatch, days: float) -> None:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.config.load import ConfigError, ConfigFile
-from robofleet.processes.check import load_checked
+from robofleet.runs.check import load_checked
 from tests.processes.realrun import RealRun
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"

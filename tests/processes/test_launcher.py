@@ -6,7 +6,7 @@ from collections.abc import Callable
 import psutil
 import pytest
 
-from robofleet.comms.keys import STATUS
+from robofleet.bus.keys import STATUS
 from robofleet.config.load import load_config
 from robofleet.recording.reading import read
 from robofleet.safety.gate import GateStatus

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.authority import ROUTER, Authority, identities
-from robofleet.comms.credentials import Credentials, session_id
-from robofleet.comms.permissions import UNIT, access_control
-from robofleet.comms.zenoh_bus import Network, ZenohBus, open_router
-from robofleet.processes.link_log import FewLines, say_linked, say_refused
+from robofleet.bus.credentials import Credentials, session_id
+from robofleet.bus.permissions import UNIT, access_control
+from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.hosts.authority import ROUTER, Authority, identities
+from robofleet.hosts.link_log import FewLines, say_linked, say_refused
 from tests.endpoints import free_port, own_endpoint
 
 ANSI = "\x1b[2m2026-11-23T13:15:28.536023Z\x1b[0m \x1b[33m WARN\x1b[0m acc-0 ThreadId(04) \x1b[2m"

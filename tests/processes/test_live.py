@@ -10,9 +10,8 @@ import pytest
 from rich.console import Console
 
 from robofleet.behaviours import described
-from robofleet.clock import MS, SimulatedClock
-from robofleet.comms.keys import BUSY, STATE, STATUS, TICK, key
-from robofleet.comms.messages import (
+from robofleet.bus.keys import BUSY, STATE, STATUS, TICK, key
+from robofleet.bus.messages import (
     BUSY_MACHINE,
     RUN_STATE,
     TICK_RECORD,
@@ -25,9 +24,10 @@ from robofleet.comms.messages import (
 )
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.live import LiveView
-from robofleet.processes.on_the_way import OnTheWay
-from robofleet.processes.terminal import Terminal
+from robofleet.core.clock import MS, SimulatedClock
+from robofleet.operator.terminal.live import LiveView
+from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.run import Recording
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import TRACKER

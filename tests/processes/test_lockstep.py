@@ -134,8 +134,8 @@ def test_robots_that_are_never_seen_never_move(truth: RunOf) -> None:
 def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
     platoon_of: Callable[..., Any], bench_of: Callable[..., Any]
 ) -> None:
-    from robofleet.comms.keys import COMMAND, STATUS
-    from robofleet.processes.lockstep import Lockstep
+    from robofleet.bus.keys import COMMAND, STATUS
+    from robofleet.runs.lockstep import Lockstep
 
     run = Lockstep(platoon_of("tracker.source=truth", "tracker.truth.dropout=1.0"))
     run.run()

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 
 
 def test_ctrl_c_in_lockstep_leaves_a_summary(platoon_of: Callable[..., Any]) -> None:

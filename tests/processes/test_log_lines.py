@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.processes.log_lines import Unfailing, never_raise
+from robofleet.core.log_lines import Unfailing, never_raise
 
 
 class Broken(io.StringIO):
@@ -70,7 +70,7 @@ def test_it_is_installed_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 SAYS = """
 import sys, threading, warnings, logging
-from robofleet.processes.log_lines import never_raise
+from robofleet.core.log_lines import never_raise
 never_raise(stdout=True)
 print("a line", file=sys.stderr, flush=True)
 print("a line")

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.processes import machine
-from robofleet.processes.machine import MachineProbe, Siblings, Silence
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.nodes import machine
+from robofleet.nodes.machine import MachineProbe, Siblings, Silence
 from robofleet.safety import busy
 from robofleet.safety.busy import CONTROLLER
 from robofleet.safety.view import Turns

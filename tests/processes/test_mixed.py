@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import yaml
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
-from robofleet.comms.messages import TickRecord
+from robofleet.bus.keys import CAMERA, POSES, TICK, TRUTH
+from robofleet.bus.messages import TickRecord
 from robofleet.config.load import ConfigError
-from robofleet.processes import table
-from robofleet.processes.check import refusals
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
+from robofleet.core.clock import MS, S
+from robofleet.reports.metrics import summary
+from robofleet.runs import table
+from robofleet.runs.check import refusals
+from robofleet.runs.lockstep import Lockstep
 from tests.comms.alone import Truth
 from tests.robots import stalls
 

@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, NEWS, POSES, STATE, key
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TRACKER_NEWS
+from robofleet.bus.keys import CAMERA, NEWS, POSES, STATE, key
+from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TRACKER_NEWS
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
+from robofleet.core.clock import MS, S
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.events import TrackerEvent, describe
 from tests.processes.realrun import RealRun

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from tests.robots import stalls
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"

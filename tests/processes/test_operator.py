@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus.keys import TICK, key
 from robofleet.cli import app
-from robofleet.clock import S
-from robofleet.comms.keys import TICK, key
-from robofleet.processes.keeping import FileKeeping, Kept
-from robofleet.processes.replay import replay
+from robofleet.core.clock import S
+from robofleet.nodes.unit.keeping import FileKeeping, Kept
 from robofleet.recording.reading import read
+from robofleet.runs.replay import replay
 from robofleet.safety.gate import Latch
 from tests.processes.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, own_folders, wait
 
@@ -187,6 +187,6 @@ def test_stop_waits_for_no_heavy_library() -> None:
     import sys
 
     heavy = "[n for n in ('numpy', 'numba', 'cv2', 'matplotlib', 'pydantic') if n in sys.modules]"
-    code = f"import sys, robofleet.cli, robofleet.processes.operator; print({heavy})"
+    code = f"import sys, robofleet.cli, robofleet.operator.requests; print({heavy})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

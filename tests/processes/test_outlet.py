@@ -153,7 +153,7 @@ def test_a_lockstep_run_whose_terminal_hangs_up_ends_as_by_ctrl_c(
 
 SAYS = """
 import sys
-from robofleet.processes.outlet import unhindered
+from robofleet.operator.terminal.outlet import unhindered
 with unhindered():
     for line in range(4000):
         print("out", line)

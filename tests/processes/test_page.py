@@ -11,8 +11,8 @@ import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 
-from robofleet.clock import MS, S
-from robofleet.comms.messages import TagPose
+from robofleet.bus.messages import TagPose
+from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import Event, Phase
 from tests.processes.browser import DESKTOP, LYING, PHONE, chromium, show_as
 from tests.processes.openpage import Seen, opened

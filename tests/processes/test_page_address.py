@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from robofleet.processes.browser import opener
-from robofleet.processes.page_address import Addresses, address_lines, listening
-from robofleet.processes.qr_code import qr_code
-from robofleet.processes.refusal import RefusedError
+from robofleet.core.refusal import RefusedError
+from robofleet.operator.page.browser import opener
+from robofleet.operator.page.page_address import Addresses, address_lines, listening
+from robofleet.operator.terminal.qr_code import qr_code
 
 SECRET = "0123456789abcdef" * 2
 PAGE = f"http://127.0.0.1:43210/?token={SECRET}"

@@ -16,21 +16,21 @@ import httpx
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus import credentials
+from robofleet.bus.arena_file import claimed
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.credentials import keys_folder
+from robofleet.bus.endpoint import settled
+from robofleet.bus.permissions import PAGE
+from robofleet.bus.zenoh_bus import open_router
 from robofleet.cli import app
-from robofleet.clock import WallClock
-from robofleet.comms import credentials
-from robofleet.comms.authority import Authority
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.credentials import keys_folder
-from robofleet.comms.endpoint import settled
-from robofleet.comms.permissions import PAGE
-from robofleet.comms.zenoh_bus import open_router
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes.arena_file import claimed
-from robofleet.processes.refusal import RefusedError
-from robofleet.processes.web.certificate import page_keys
-from robofleet.processes.web.server import Served, serve
+from robofleet.core.clock import WallClock
+from robofleet.core.refusal import RefusedError
+from robofleet.hosts.authority import Authority
+from robofleet.operator.page.certificate import page_keys
+from robofleet.operator.page.server import Served, serve
 from tests.endpoints import short_folder
 from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders, wait
 from tests.processes.secureweb import HOST, trusting

@@ -15,8 +15,8 @@ from selenium.webdriver.common.by import By
 from robofleet.calibration import offsets
 from robofleet.calibration.robots import offsets_page
 from robofleet.config.load import load_config
-from robofleet.recording import after
 from robofleet.recording.log import FILE
+from robofleet.reports import after
 from robofleet.safety.supervisor import Event, Phase
 from tests.calibration.robots.conftest import drive
 from tests.processes.axe import violations

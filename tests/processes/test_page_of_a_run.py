@@ -9,9 +9,9 @@ import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
-from robofleet.comms import keys
-from robofleet.comms.keys import key
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus import keys
+from robofleet.bus.keys import key
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.safety.gate import Latch
 from tests.comms.alone import ROBOT_STATUS, RobotStatus

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, PICTURE, POSES, SAFE_REQUEST, TICK, TRUTH, key
-from robofleet.comms.messages import TickRecord
-from robofleet.processes import table
+from robofleet.bus.keys import CAMERA, PICTURE, POSES, SAFE_REQUEST, TICK, TRUTH, key
+from robofleet.bus.messages import TickRecord
+from robofleet.core.clock import MS, S
+from robofleet.runs import table
 from robofleet.simulation.faults import Schedule
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, Frame

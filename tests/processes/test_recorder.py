@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 import zenoh
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Arrival
-from robofleet.comms.keys import COMMAND, RECORDER, STATE, STATUS, TICK, key
-from robofleet.comms.messages import RUN_STATE, RecorderStatus
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus.bus import Arrival
+from robofleet.bus.keys import COMMAND, RECORDER, STATE, STATUS, TICK, key
+from robofleet.bus.messages import RUN_STATE, RecorderStatus
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.recorder import Recorder
-from robofleet.processes.run import in_lockstep
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.nodes.recorder import Recorder
+from robofleet.operator.run import in_lockstep
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.metrics import summary
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.endpoints import own_endpoint
 from tests.processes.conftest import Bench

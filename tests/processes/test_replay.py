@@ -9,15 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.behaviours.platoon import Platoon
+from robofleet.bus.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
+from robofleet.bus.messages import TICK_RECORD, TickRecord
 from robofleet.cli import app
-from robofleet.comms.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
-from robofleet.comms.messages import TICK_RECORD, TickRecord
 from robofleet.config.tree import Config, ControllerSettings
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.replay import replay
 from robofleet.recording.log import RunLog
 from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import Recording
+from robofleet.runs.lockstep import Lockstep
+from robofleet.runs.replay import replay
 from robofleet.safety.supervisor import Phase
 from tests.comms.alone import WHEEL_COMMAND, WheelCommand
 from tests.processes.conftest import LAYOUTS

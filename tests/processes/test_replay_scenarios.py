@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from robofleet.processes.replay import Verdict, replay
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Run
+from robofleet.runs.replay import Verdict, replay
 from tests.recordings.make import HERE, SCENARIOS
 
 ANEW = "if the change is meant, make the recordings anew: python -m tests.recordings.make"

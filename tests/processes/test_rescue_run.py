@@ -7,18 +7,18 @@ from random import Random
 import numpy as np
 import pytest
 
-from robofleet.comms.keys import ENABLE, STATE, STATUS, TICK, TRUTH, WISH, key
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, UNIT_STATUS, UNIT_TRUTH
+from robofleet.bus.keys import ENABLE, STATE, STATUS, TICK, TRUTH, WISH, key
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, UNIT_STATUS, UNIT_TRUTH
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
-from robofleet.processes.hand import Hand, Stick
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.replay import replay
+from robofleet.operator.hand import Hand, Stick
 from robofleet.recording.lines import state_lines
 from robofleet.recording.log import RunLog
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
-from robofleet.recording.stops import stops
+from robofleet.reports.stops import stops
+from robofleet.runs.lockstep import Lockstep
+from robofleet.runs.replay import replay
 from robofleet.safety.rescue import WORD_NS
 from robofleet.safety.supervisor import Event, Phase
 

@@ -9,15 +9,15 @@ from tempfile import mkdtemp
 
 import pytest
 
-from robofleet.comms.authority import ROUTER, Authority, identities
-from robofleet.comms.bus import Subscription
-from robofleet.comms.credentials import AUTHORITY, Credentials, keys_folder
-from robofleet.comms.joining import joined
-from robofleet.comms.keys import SAFE_REQUEST, STATE
-from robofleet.comms.permissions import VIEWER, access_control
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.bus import Subscription
+from robofleet.bus.credentials import AUTHORITY, Credentials, keys_folder
+from robofleet.bus.joining import joined
+from robofleet.bus.keys import SAFE_REQUEST, STATE
+from robofleet.bus.permissions import VIEWER, access_control
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
-from robofleet.processes.network import Keys
+from robofleet.hosts.authority import ROUTER, Authority, identities
+from robofleet.hosts.network import Keys
 from tests.endpoints import free_port
 from tests.processes.realrun import ALONE, CLOCK, PLATOON, RealRun, wait
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.processes.table import free_bytes
 from robofleet.recording.reading import read
+from robofleet.runs.table import free_bytes
 from tests.processes.realrun import ALONE, RealRun
 
 

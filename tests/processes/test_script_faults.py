@@ -12,10 +12,10 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus.keys import WISH, key
+from robofleet.bus.messages import SCRIPT_WISH
 from robofleet.cli import app
-from robofleet.clock import MS
-from robofleet.comms.keys import WISH, key
-from robofleet.comms.messages import SCRIPT_WISH
+from robofleet.core.clock import MS
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording, Run
 from robofleet.safety.supervisor import Event

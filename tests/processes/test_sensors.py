@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.comms.keys import SENSORS, STATUS, TRUTH, key
+from robofleet.bus.keys import SENSORS, STATUS, TRUTH, key
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording import sensors
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
+from robofleet.reports import sensors
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.processes.conftest import PLATOON
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.processes.check import load_checked
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.replay import replay
+from robofleet.runs.check import load_checked
+from robofleet.runs.lockstep import Lockstep
+from robofleet.runs.replay import replay
 from tests.tracking.cameras import KNOCK_S, driven, errors, news, overlapping
 
 KNOCK = f"cameras.1.simulated.knocks=[{{at_s: {KNOCK_S}, rotation_deg: [0.3, 0, 0]}}]"

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.processes import drivers
-from robofleet.processes.driver import DriverProcess
-from robofleet.processes.gated_robot import GatedRobots
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.simulated_robots import SimulatedRobots
+from robofleet.nodes.unit import drivers
+from robofleet.nodes.unit.driver import DriverProcess
+from robofleet.nodes.unit.gated_robot import GatedRobots
+from robofleet.nodes.unit.simulated_robots import SimulatedRobots
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.processes.conftest import PLATOON
 

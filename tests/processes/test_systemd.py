@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import MS, WallClock
-from robofleet.processes.node import Lifeline, Waker, run
+from robofleet.core.clock import MS, WallClock
+from robofleet.nodes.node import Lifeline, Waker, run
 
 CLOCK = WallClock()
 

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes import table
-from robofleet.processes.lockstep import Lockstep
+from robofleet.runs import table
+from robofleet.runs.lockstep import Lockstep
 from tests.processes.realrun import PLATOON
 
 MIXED = PLATOON.with_name("mixed.yaml")

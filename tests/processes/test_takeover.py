@@ -1,11 +1,11 @@
 """Who takes robots from another controller does so once; otherwise two of them would take turns."""
 
-from robofleet.clock import SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import LEASE, STATUS
-from robofleet.comms.messages import LEASE_REQUEST
-from robofleet.comms.statuses import Statuses
-from robofleet.processes.leases import Leases
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import LEASE, STATUS
+from robofleet.bus.messages import LEASE_REQUEST
+from robofleet.bus.statuses import Statuses
+from robofleet.core.clock import SimulatedClock
+from robofleet.nodes.leases import Leases
 from robofleet.safety.gate import LeaseAction
 from tests.comms.alone import ROBOT_STATUS, RobotStatus
 

@@ -92,7 +92,7 @@ print(said.decode())
 """
 IN_THE_BACKGROUND = """
 import os, signal, termios
-from robofleet.processes.terminal import Terminal
+from robofleet.operator.terminal.terminal import Terminal
 before = termios.tcgetattr(0)
 child = os.fork()
 if child == 0:
@@ -105,7 +105,7 @@ print("there" if Terminal().__enter__().present else "", os.WIFEXITED(status) an
 """
 FAILING = """
 import termios
-from robofleet.processes.terminal import Terminal
+from robofleet.operator.terminal.terminal import Terminal
 before = termios.tcgetattr(0)
 try:
     with Terminal():
@@ -132,7 +132,7 @@ def test_the_terminal_is_given_back_after_an_exception() -> None:
 
 BLOCKED = """
 import os
-from robofleet.processes.terminal import Terminal
+from robofleet.operator.terminal.terminal import Terminal
 hear, told = os.pipe()
 with Terminal() as terminal:
     terminal.emergency = lambda: os.write(told, b"!")
@@ -144,8 +144,8 @@ import os, sys
 from pathlib import Path
 from robofleet.cli import _settled
 from robofleet.config.load import load_config
-from robofleet.processes.launcher import Launcher
-from robofleet.processes.terminal import Terminal
+from robofleet.runs.launcher import Launcher
+from robofleet.operator.terminal.terminal import Terminal
 
 def watch(recording, phase):
     print(phase, flush=True)

@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH
-from robofleet.comms.messages import TickRecord
-from robofleet.processes import table
+from robofleet.bus.keys import CAMERA, POSES, TICK, TRUTH
+from robofleet.bus.messages import TickRecord
+from robofleet.core.clock import MS, S
+from robofleet.runs import table
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.sources import CameraContext, Frame
 from tests.comms.alone import Truth

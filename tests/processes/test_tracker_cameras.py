@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, NEWS, POSES, TICK, key
-from robofleet.comms.messages import TRACKER_NEWS, TickRecord
-from robofleet.processes import table
-from robofleet.processes.check import refusals
+from robofleet.bus.keys import CAMERA, NEWS, POSES, TICK, key
+from robofleet.bus.messages import TRACKER_NEWS, TickRecord
+from robofleet.core.clock import MS, S
+from robofleet.runs import table
+from robofleet.runs.check import refusals
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.events import TrackerEvent

@@ -6,18 +6,18 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus.arena_file import twin_port
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import STATE, TRUTH
+from robofleet.bus.messages import RUN_STATE, RunState
 from robofleet.cli import app
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import STATE, TRUTH
-from robofleet.comms.messages import RUN_STATE, RunState
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
-from robofleet.processes.arena_file import twin_port
-from robofleet.processes.check import load_checked
-from robofleet.processes.node import LineWaker
-from robofleet.processes.twins import Twins
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.nodes.node import LineWaker
 from robofleet.recording.reading import read
+from robofleet.runs.check import load_checked
+from robofleet.runs.twins import Twins
 from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus

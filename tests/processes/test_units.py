@@ -6,10 +6,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from robofleet.cli import app
-from robofleet.clock import MS, S
-from robofleet.comms.keys import COMMAND, ENABLE, STATUS
-from robofleet.comms.messages import (
+from robofleet.bus.keys import COMMAND, ENABLE, STATUS
+from robofleet.bus.messages import (
     UNIT_COMMAND,
     UNIT_ENABLE,
     UNIT_STATUS,
@@ -18,6 +16,8 @@ from robofleet.comms.messages import (
     UnitEnable,
     WheelCommand,
 )
+from robofleet.cli import app
+from robofleet.core.clock import MS, S
 from robofleet.vehicles.interface import STOP
 from tests.processes.conftest import FORWARD, PLATOON, Bench, Stand
 

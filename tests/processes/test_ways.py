@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.comms.keys import STATE, key
-from robofleet.comms.messages import RUN_STATE
+from robofleet.bus.keys import STATE, key
+from robofleet.bus.messages import RUN_STATE
 from robofleet.config import groups
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.processes import going
-from robofleet.processes.check import load_checked
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.refusal import RefusedError
+from robofleet.core.refusal import RefusedError
+from robofleet.operator import going
 from robofleet.recording.run import Run
+from robofleet.runs.check import load_checked
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"

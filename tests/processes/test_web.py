@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from robofleet.clock import MS, S
-from robofleet.comms import keys, messages
-from robofleet.comms.messages import Note, NoteKind, TagPose
+from robofleet.bus import keys, messages
+from robofleet.bus.messages import Note, NoteKind, TagPose
+from robofleet.core.clock import MS, S
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry

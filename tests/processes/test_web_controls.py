@@ -12,15 +12,15 @@ import httpx
 import pytest
 from typer.testing import CliRunner
 
+from robofleet.bus.arena_file import claimed, found
+from robofleet.bus.endpoint import listens, settled
+from robofleet.bus.zenoh_bus import open_router
 from robofleet.cli import app
-from robofleet.clock import MS, S
-from robofleet.comms.endpoint import listens, settled
-from robofleet.comms.zenoh_bus import open_router
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes.arena_file import claimed, found
-from robofleet.processes.refusal import WEB_PACKAGES, RefusedError, need_extra
-from robofleet.processes.web.command import Over, There
+from robofleet.core.clock import MS, S
+from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
+from robofleet.operator.page.command import Over, There
 from robofleet.safety.gate import GateStatus, Latch
 from tests.endpoints import own_endpoint, short_folder
 from tests.processes.realrun import ALONE, PLATOON, RealRun, own_folders, wait

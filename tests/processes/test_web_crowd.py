@@ -9,8 +9,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from robofleet.clock import MS
-from robofleet.processes.web.places import MOST
+from robofleet.core.clock import MS
+from robofleet.operator.page.places import MOST
 from tests.processes.realrun import wait
 from tests.processes.webstand import CLOCK, WebStand, web_stand
 

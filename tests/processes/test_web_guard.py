@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from robofleet.processes.web import ticket
+from robofleet.operator.page import ticket
 from tests.processes.webstand import WebStand, web_stand
 
 INCOMPLETE = "This address is not complete, or it is an old one"

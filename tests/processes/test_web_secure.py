@@ -12,9 +12,9 @@ import httpx
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from robofleet.processes.web import ticket
-from robofleet.processes.web.certificate import PageKeys
-from robofleet.processes.web.places import MOST
+from robofleet.operator.page import ticket
+from robofleet.operator.page.certificate import PageKeys
+from robofleet.operator.page.places import MOST
 from tests.processes.secureweb import HOST, Visitor, keys_in, trusting
 from tests.processes.webstand import WebStand, web_stand
 

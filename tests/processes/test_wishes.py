@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from robofleet.behaviours import WishKind
-from robofleet.clock import SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import WISH
-from robofleet.comms.messages import SCRIPT_WISH, RobotWish, ScriptWish
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import WISH
+from robofleet.bus.messages import SCRIPT_WISH, RobotWish, ScriptWish
 from robofleet.config.load import load_config
-from robofleet.processes.wishes import Wishes
+from robofleet.core.clock import SimulatedClock
+from robofleet.nodes.wishes import Wishes
 from robofleet.safety.supervisor import Phase
 
 CONFIG = load_config(Path(__file__).parents[2] / "configs" / "script.yaml")

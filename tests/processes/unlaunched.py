@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from robofleet.clock import Clock
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes import table
-from robofleet.processes.children import Children
+from robofleet.core.clock import Clock
+from robofleet.runs import table
+from robofleet.runs.children import Children
 
 
 def started(config: Config, folder: Path, clock: Clock) -> Children:

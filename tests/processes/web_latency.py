@@ -23,17 +23,17 @@ from typing import Any
 import numpy as np
 import psutil
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Inbox
-from robofleet.comms.keys import STATE, TICK, key
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD
-from robofleet.comms.requests import asked
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus.bus import Inbox
+from robofleet.bus.keys import STATE, TICK, key
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD
+from robofleet.bus.requests import asked
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.processes.children import Children
-from robofleet.processes.node import Lifeline
-from robofleet.processes.web import feed, server
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.nodes.node import Lifeline
+from robofleet.operator.page import feed, server
+from robofleet.runs.children import Children
 from robofleet.safety.supervisor import Event, Phase
 from tests.endpoints import own_endpoint
 from tests.processes.longfleet import fleet_of

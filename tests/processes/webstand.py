@@ -14,17 +14,17 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from robofleet.behaviours import described
-from robofleet.clock import S, WallClock
-from robofleet.comms import keys, messages
-from robofleet.comms.bus import Request
-from robofleet.comms.messages import FleetPoses, Picture, RobotState, RobotTick, RunState, TagPose, TickRecord
-from robofleet.comms.zenoh_bus import ZenohBus, open_router
+from robofleet.bus import keys, messages
+from robofleet.bus.bus import Request
+from robofleet.bus.messages import FleetPoses, Picture, RobotState, RobotTick, RunState, TagPose, TickRecord
+from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.page_address import Addresses
-from robofleet.processes.web.certificate import PageKeys
-from robofleet.processes.web.server import Served, serve
+from robofleet.core.clock import S, WallClock
+from robofleet.operator.page.certificate import PageKeys
+from robofleet.operator.page.page_address import Addresses
+from robofleet.operator.page.server import Served, serve
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.comms.alone import ROBOT_STATUS, RobotStatus

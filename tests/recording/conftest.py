@@ -11,9 +11,8 @@ import pytest
 
 from robofleet.behaviours import described
 from robofleet.behaviours.paths import PathFile
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, POSES, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import (
+from robofleet.bus.keys import CAMERA, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.bus.messages import (
     FLEET_POSES,
     RUN_STATE,
     TICK_RECORD,
@@ -28,9 +27,10 @@ from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.core.clock import MS, S
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
+from robofleet.reports.metrics import summary
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.comms.alone import ROBOT_STATUS, RobotStatus, Truth

@@ -9,8 +9,8 @@ import zstandard
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from robofleet.comms.keys import TICK, key
-from robofleet.comms.layouts import VERSION
+from robofleet.bus.keys import TICK, key
+from robofleet.bus.layouts import VERSION
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.recording.channels import ENCODING, SCHEMA_ENCODING, schema

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from robofleet.clock import S, WallClock
+from robofleet.core.clock import S, WallClock
 from robofleet.recording.log import FILE
 
 CONFIG = Path(__file__).parents[2] / "configs" / "platoon.yaml"

@@ -10,7 +10,7 @@ from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.recording.log import FILE
 from robofleet.recording.run import Recording
-from robofleet.recording.viewers import foxglove, plotjuggler
+from robofleet.reports.layouts import foxglove, plotjuggler
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording
+from robofleet.runs.lockstep import Lockstep
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 Said = list[tuple[str, bytes, int]]  # key, payload, instant [ns]

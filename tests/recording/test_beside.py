@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import RecordingError, read

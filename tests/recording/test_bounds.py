@@ -8,10 +8,10 @@ import pytest
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Bounds
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.bounds import JUDGED, complaints, failures, judged
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording
+from robofleet.reports.bounds import JUDGED, complaints, failures, judged
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 
 Make = Callable[..., Any]
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"

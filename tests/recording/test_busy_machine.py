@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from robofleet.clock import MS
-from robofleet.comms.keys import BUSY, key
-from robofleet.comms.messages import BUSY_MACHINE, BusyMachine, Late, RobotState, RunState
+from robofleet.bus.keys import BUSY, key
+from robofleet.bus.messages import BUSY_MACHINE, BusyMachine, Late, RobotState, RunState
+from robofleet.core.clock import MS
 from robofleet.recording import busy_machine
 from robofleet.recording.lines import Level, busy_line
-from robofleet.recording.report import write
 from robofleet.recording.run import Recording
-from robofleet.recording.tables import summary_table
+from robofleet.reports.report import write
+from robofleet.reports.tables import summary_table
 from robofleet.safety.busy import DRIVERS, SUPERVISOR, TRACKER
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 

@@ -10,19 +10,19 @@ import yaml
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from robofleet.clock import SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import CAMERA, POSES, TICK, TRUTH, key, named
-from robofleet.comms.messages import FLEET_POSES, FleetPoses, TagPose
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import CAMERA, POSES, TICK, TRUTH, key, named
+from robofleet.bus.messages import FLEET_POSES, FleetPoses, TagPose
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.web import frames
-from robofleet.processes.web.hearing import Hearing
-from robofleet.recording import report
-from robofleet.recording.metrics import summary
+from robofleet.core.clock import SimulatedClock
+from robofleet.operator.page import frames
+from robofleet.operator.page.hearing import Hearing
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.scene import Scene
+from robofleet.recording.scenes.scene import Scene
 from robofleet.recording.series import series
+from robofleet.reports import report
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from tests.recording import recorded
 from tests.recording.recorded import PLATOON
 

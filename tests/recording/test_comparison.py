@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from robofleet.recording import comparison
-from robofleet.recording.comparison import Side
-from robofleet.recording.report import view_of
 from robofleet.recording.run import Recording
+from robofleet.reports import comparison
+from robofleet.reports.comparison import Side
+from robofleet.reports.report import view_of
 from tests.recording.test_report import kept, plots, robofleet, words
 
 Make = Callable[..., Any]

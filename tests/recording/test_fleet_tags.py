@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 

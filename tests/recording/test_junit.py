@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from robofleet.recording import junit
 from robofleet.recording.run import Recording
+from robofleet.reports import junit
 
 Make = Callable[..., Any]
 BOUNDS = "run.bounds={control_error_mean_mm: 1.0, path_error_mean_mm: 4, overruns: 30}"

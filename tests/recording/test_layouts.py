@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 from robofleet.cli import app
 from robofleet.config import groups
 from robofleet.config.load import load_config
-from robofleet.recording.drawn import Drawn
-from robofleet.recording.robot_ticks import MESSAGE, PACKAGE
 from robofleet.recording.run import Recording
-from robofleet.recording.scene import Scene
-from robofleet.recording.viewers import foxglove
-from robofleet.recording.viewers.layouts import VIEWERS
-from robofleet.recording.viewers.plots import tabs
+from robofleet.recording.scenes.drawn import Drawn
+from robofleet.recording.scenes.robot_ticks import MESSAGE, PACKAGE
+from robofleet.recording.scenes.scene import Scene
+from robofleet.reports.layouts import foxglove
+from robofleet.reports.layouts.layouts import VIEWERS
+from robofleet.reports.layouts.plots import tabs
 from tests.recording import make_layouts, recorded
 
 PLOTTED = {

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RunState, TrackerNews
+from robofleet.bus.keys import CAMERA, NEWS, STATE, STATUS, TICK, TRUTH, key
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RunState, TrackerNews
 from robofleet.config.load import resolved_yaml
+from robofleet.core.clock import MS, S
 from robofleet.recording.channels import ENCODING, keys
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.provenance import Provenance

@@ -7,17 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import S
 from robofleet.config.load import load_config
-from robofleet.processes import lockstep
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.run import in_lockstep
-from robofleet.recording import metrics, reading, sampled
+from robofleet.core.clock import S
+from robofleet.operator.run import in_lockstep
+from robofleet.recording import reading
 from robofleet.recording.columns import write_csv
 from robofleet.recording.run import SHOWN, Run
-from robofleet.recording.sampled import look, looks
 from robofleet.recording.series import series
-from robofleet.recording.timeline import Timeline
+from robofleet.reports import metrics, sampled
+from robofleet.reports.sampled import look, looks
+from robofleet.reports.timeline import Timeline
+from robofleet.runs import lockstep
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 
 RECORDINGS = sorted((Path(__file__).parents[1] / "recordings").glob("*.mcap"))

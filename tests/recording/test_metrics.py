@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, NEWS, TICK, key
-from robofleet.comms.messages import TRACKER_NEWS, TrackerNews
+from robofleet.bus.keys import CAMERA, NEWS, TICK, key
+from robofleet.bus.messages import TRACKER_NEWS, TrackerNews
 from robofleet.config.load import load_config
+from robofleet.core.clock import MS, S
 from robofleet.recording.run import Recording
 from robofleet.safety.gate import GateStatus
 from robofleet.tracking.events import NO_TAG, TrackerEvent

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from robofleet.behaviours import described
-from robofleet.comms.keys import CAMERA, NEWS, STATUS, TICK, TRUTH, key
-from robofleet.comms.layouts import VERSION
-from robofleet.comms.messages import TICK_RECORD, TRACKER_NEWS, RobotTick
-from robofleet.recording import comparison, report
+from robofleet.bus.keys import CAMERA, NEWS, STATUS, TICK, TRUTH, key
+from robofleet.bus.layouts import VERSION
+from robofleet.bus.messages import TICK_RECORD, TRACKER_NEWS, RobotTick
+from robofleet.core.valid_json import dumps, finite
 from robofleet.recording.run import Recording
-from robofleet.valid_json import dumps, finite
+from robofleet.reports import comparison, report
 from tests.comms.alone import ROBOT_STATUS
 from tests.comms.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording.conftest import Story

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, PICTURE, POSES, key
-from robofleet.comms.messages import FLEET_POSES, FleetPoses, Picture, TagPose
-from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.bus.keys import CAMERA, PICTURE, POSES, key
+from robofleet.bus.messages import FLEET_POSES, FleetPoses, Picture, TagPose
+from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.pictures import jpeg
 from tests.recording.viewer import Viewer, instant_ns

@@ -20,17 +20,17 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.config.groups import descriptions
-from robofleet.recording import after
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import about, read
-from robofleet.recording.viewers.layouts import VIEWERS
+from robofleet.reports import after
+from robofleet.reports.layouts.layouts import VIEWERS
 from tests.recording.conftest import PLATOON
 
 SWIRL = """
 import numpy as np
 
 from robofleet.behaviours.interface import Behaviour, Decision, Dots, Figure, Measure
-from robofleet.settings import Model
+from robofleet.core.settings import Model
 
 
 class Swirl(Behaviour):
@@ -241,7 +241,7 @@ def test_what_it_cannot_measure_is_missing_and_nothing_else(
     exec(SWIRL.replace("gap = np", f"{broken}\n        gap = np"), space)
     monkeypatch.setattr(import_module("mylab"), "Swirl", space["Swirl"])
     recording = read(folder, lambda _: True)
-    from robofleet.recording.metrics import summary
+    from robofleet.reports.metrics import summary
 
     told = summary(recording, name="two", mode="lockstep", outcome="completed", cause=None)
     assert told["control_error_mm"] is not None

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.repair import repair

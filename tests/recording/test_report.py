@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from robofleet.config.load import load_config
-from robofleet.figures import robot_colours
-from robofleet.recording import report
+from robofleet.core.figures import robot_colours
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.plot import Plot
 from robofleet.recording.run import Recording
+from robofleet.reports import report
+from robofleet.reports.plot import Plot
 from robofleet.safety.gate import GateStatus
 from tests.recording.conftest import PLATOON, Story
 

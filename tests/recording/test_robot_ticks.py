@@ -12,7 +12,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from robofleet.comms.keys import TICK, key
+from robofleet.bus.keys import TICK, key
 from robofleet.recording.columns import COLUMNS, write_csv
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import read

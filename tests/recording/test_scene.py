@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from robofleet.behaviours import described
-from robofleet.clock import S
-from robofleet.comms.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotTick, TrackerNews
+from robofleet.bus.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD, TRACKER_NEWS, RobotTick, TrackerNews
 from robofleet.config.barrier import body, keepout
+from robofleet.core.clock import S
 from robofleet.recording.run import Recording
 from robofleet.safety.distances import apart
 from robofleet.safety.gate import Latch

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.comms.keys import TICK, key
+from robofleet.bus.keys import TICK, key
 from robofleet.recording.columns import write_csv
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.series import line, series

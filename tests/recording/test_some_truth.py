@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from robofleet.comms.keys import TRUTH, key
-from robofleet.recording import report
+from robofleet.bus.keys import TRUTH, key
 from robofleet.recording.run import Recording
-from robofleet.recording.tables import summary_table
+from robofleet.reports import report
+from robofleet.reports.tables import summary_table
 
 Make = Callable[..., Any]
 TRUE = ("timed_error_mm", "path_error_mm", "centre_error_mm")

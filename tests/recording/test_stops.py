@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from robofleet.recording.bounds import JUDGED
 from robofleet.recording.causes import cause, named
 from robofleet.recording.run import Recording
+from robofleet.reports.bounds import JUDGED
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 

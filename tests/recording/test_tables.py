@@ -11,7 +11,7 @@ from rich.console import Console
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.recording.run import Recording
-from robofleet.recording.tables import proofs_table, status_table, summary_table
+from robofleet.reports.tables import proofs_table, status_table, summary_table
 from robofleet.safety.gate import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 from tests.recording.conftest import PLATOON

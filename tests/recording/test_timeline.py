@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from robofleet.comms.keys import CAMERA, NEWS, key
-from robofleet.comms.messages import TRACKER_NEWS, TrackerNews
+from robofleet.bus.keys import CAMERA, NEWS, key
+from robofleet.bus.messages import TRACKER_NEWS, TrackerNews
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.timeline import CONTROLLER, FAULTS, RUN, TRACKER, Entry, Timeline
+from robofleet.reports.timeline import CONTROLLER, FAULTS, RUN, TRACKER, Entry, Timeline
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 

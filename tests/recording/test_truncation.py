@@ -8,7 +8,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from mcap.writer import Writer
 
-from robofleet.comms.layouts import VERSION
+from robofleet.bus.layouts import VERSION
 from robofleet.recording.chunks import RECORD
 from robofleet.recording.log import FILE, LIBRARY, RunLog
 from robofleet.recording.reading import RecordingError, read

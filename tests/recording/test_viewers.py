@@ -9,8 +9,8 @@ from mcap.reader import McapReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.log import RunLog
+from robofleet.runs.lockstep import Lockstep
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 EPOCH_NS = 1_790_000_000 * 10**9

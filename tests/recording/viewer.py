@@ -8,12 +8,12 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import TICK, key
+from robofleet.bus.keys import TICK, key
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S
 from robofleet.recording.run import Recording
-from robofleet.recording.scene import Scene
+from robofleet.recording.scenes.scene import Scene
 
 EPOCH_NS = 1_790_000_000 * S
 START_NS = S  # of what is played, on the recorder's clock

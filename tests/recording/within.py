@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from robofleet.clock import S, stopwatch_ns
+from robofleet.core.clock import S, stopwatch_ns
 
 ROOM = 768 << 20  # [bytes] beside what the commands' own modules take
 PATIENCE_S = 20  # for one command, on a busy machine
@@ -68,8 +68,8 @@ def _main() -> None:
     from typer.testing import CliRunner
 
     from robofleet.cli import app
-    from robofleet.processes import replay  # noqa: F401
-    from robofleet.recording import after, report
+    from robofleet.reports import after, report
+    from robofleet.runs import replay  # noqa: F401
 
     assert matplotlib.figure and after
     report.sections = lambda view: {}  # type: ignore[assignment]  # plots take their time, and have tests of their own

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.comms.keys import CAMERA, POSES, STATE, TICK, key
+from robofleet.bus.keys import CAMERA, POSES, STATE, TICK, key
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Run
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 
 HERE = Path(__file__).parent

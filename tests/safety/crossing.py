@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import S, WallClock
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.processes import fleet
+from robofleet.core.clock import S, WallClock
+from robofleet.nodes import fleet
 from robofleet.safety.barrier import NO_ANSWER
 from robofleet.vehicles.differential_drive import body_from_point, feasible_ratio, point_from_pose, wheels_from_body
 from robofleet.vehicles.interface import WheelSpeeds

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.safety import gate, gates
 from robofleet.safety.gate import (
     LAPSE_NS,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.vehicles.plant import Plant

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.simulation import bodies as arrays
 from robofleet.simulation.bodies import Bodies

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TRUTH
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TRUTH
 from robofleet.config.load import load_config
+from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.simulation.sources import SimulatedCamera
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.photometric import PhotometricFit

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.create2 import Create2Firmware, Mode
 from robofleet.vehicles.differential_drive import DifferentialDrive

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import COMMAND, ENABLE, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import COMMAND, ENABLE, NEWS, POSES, STATE, STATUS, TICK, TRUTH, key
+from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import GateOutput, GateState, Inputs
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.gternal import GTernalFirmware
 from robofleet.vehicles.interface import STOP, WheelSpeeds

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.run import Run
+from robofleet.runs.lockstep import Lockstep
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 

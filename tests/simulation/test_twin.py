@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import MS, S, SimulatedClock, WallClock
+from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import DriverError
 from tests.twins import TwinStand, config_of

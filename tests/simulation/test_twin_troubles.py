@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import DriverError, RobotFault
 from tests.simulation.test_twin import BAUD, Bench

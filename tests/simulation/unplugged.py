@@ -12,14 +12,14 @@ import os
 import tempfile
 from pathlib import Path
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import Inbox
-from robofleet.comms.keys import STATE, STATUS, TRUTH
-from robofleet.comms.messages import RUN_STATE, RunState
-from robofleet.comms.requests import asked
-from robofleet.comms.zenoh_bus import ZenohBus
+from robofleet.bus.arena_file import twin_port
+from robofleet.bus.bus import Inbox
+from robofleet.bus.keys import STATE, STATUS, TRUTH
+from robofleet.bus.messages import RUN_STATE, RunState
+from robofleet.bus.requests import asked
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
-from robofleet.processes.arena_file import twin_port
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.recording.causes import run_cause
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import RobotFault

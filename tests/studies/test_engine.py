@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.processes.refusal import RefusedError
+from robofleet.core.refusal import RefusedError
 from robofleet.studies import engine
 from robofleet.studies.engine import WORKER_DIED, Finished
 from tests.studies.work import squared
@@ -103,6 +103,6 @@ def test_an_engine_that_is_not_there_is_refused_in_one_line(
 
 
 def test_ray_that_is_not_installed_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robofleet.processes.refusal.find_spec", lambda _: None)
+    monkeypatch.setattr("robofleet.core.refusal.find_spec", lambda _: None)
     with pytest.raises(RefusedError, match=r"this needs ray: .*\[ray\]"), engine.opened("ray", None):
         pass

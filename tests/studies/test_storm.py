@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.comms.messages import UNIT_TRUTH
+from robofleet.bus.messages import UNIT_TRUTH
 from robofleet.config.load import load_config
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.processes.check import refusals
+from robofleet.runs.check import refusals
 from robofleet.studies.engine import Local
 from robofleet.studies.storm import workers
 from robofleet.studies.storm.bodies import apart, at_goals

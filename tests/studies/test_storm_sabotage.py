@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter
 
-from robofleet.clock import MS, S
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
-from robofleet.processes.estop import EmergencyStop
-from robofleet.processes.keeping import MemoryKeeping
+from robofleet.core.clock import MS, S
+from robofleet.nodes.unit.keeping import MemoryKeeping
+from robofleet.operator.estop import EmergencyStop
 from robofleet.safety import gate, monitor, runaway, supervisor
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import stopwatch_ns
-from robofleet.settings import FAMILIES
+from robofleet.core.clock import stopwatch_ns
+from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 from tests.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide

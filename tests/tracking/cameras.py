@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.tree import Config
-from robofleet.processes.check import load_checked
-from robofleet.processes.lockstep import Lockstep
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording, Run
+from robofleet.runs.check import load_checked
+from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import NO_TAG, describe
 

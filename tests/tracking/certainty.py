@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.settings import FAMILIES
+from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.photometric import Fit, PhotometricFit

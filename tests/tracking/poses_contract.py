@@ -22,12 +22,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TRUTH
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TRUTH
 from robofleet.config.load import load_config
-from robofleet.processes.check_poses import complaints
-from robofleet.processes.pose_sources import pose_source
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.nodes.pose_sources import pose_source
+from robofleet.runs.check_poses import complaints
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sources import Observation, PoseContext
 from tests.comms.alone import TRUTH as TRUTH_LAYOUT

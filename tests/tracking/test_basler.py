@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S, WallClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TICK
-from robofleet.comms.messages import TICK_RECORD, TickRecord
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TICK
+from robofleet.bus.messages import TICK_RECORD, TickRecord
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking.basler import BaslerCamera, DeviceClock, SoftwareTrigger
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure
 

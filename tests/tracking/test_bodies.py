@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S
 from robofleet.config.load import load_config
 from robofleet.config.mocap import MocapSettings
+from robofleet.core.clock import MS, S
 from robofleet.tracking.bodies import Body, FleetBodies, planar
 from robofleet.tracking.events import TrackerEvent
 from tests.tracking.poses_contract import MOCAP

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from robofleet.clock import MS, S, WallClock
 from robofleet.config.mocap import MocapSettings
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking import capture
 from robofleet.tracking.bodies import Body
 from robofleet.tracking.capture import CaptureFrame, CaptureReader, bodies_there, open_capture

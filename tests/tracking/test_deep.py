@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.settings import FAMILIES
+from robofleet.core.settings import FAMILIES
 from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.families import Squares
 from robofleet.tracking.photometric import PhotometricFit

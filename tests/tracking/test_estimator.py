@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.tracking.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.tracking.estimator import UNUSED, USED, FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
 from tests.robots import GTERNAL

@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.calibration.fiducials import TagFinder
 from robofleet.config.load import ConfigError, load_config
-from robofleet.settings import FAMILIES, FamilyName
+from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.families import pattern
 from robofleet.tracking.targets import Target

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S, SimulatedClock, WallClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.tracking.files import FileCamera, ImageFileError, images
 from robofleet.tracking.sources import CameraContext, CameraError, ScheduledCamera
 

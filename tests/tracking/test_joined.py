@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.tracking.agreement import Agreement, Verdict
 from robofleet.tracking.estimator import CARRIED, USED, FilterNoise, FleetFilter
 from robofleet.tracking.joined import Joined, Seen

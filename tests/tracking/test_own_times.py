@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
 from robofleet.config.controller import FilterSettings
+from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.tracking.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
 from robofleet.vehicles.interface import DriverContext, Simulation, WheelSpeeds

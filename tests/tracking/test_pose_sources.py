@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from robofleet.plugins import PluginError, load
+from robofleet.core.plugins import PluginError, load
 from tests.tracking.poses_contract import MOCAP, PosesBench, PosesContract
 
 TAGS = tuple(f"robots.{row}.tag={row + 1}" for row in range(4))

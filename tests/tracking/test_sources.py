@@ -6,7 +6,7 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sources import CameraPoller, CameraReader, Frame, Lost, ReopenedCamera
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagSighting, TagTracker

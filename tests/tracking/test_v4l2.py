@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S, WallClock, stopwatch_ns
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, WallClock, stopwatch_ns
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
 from robofleet.tracking.v4l2 import V4L2Camera, device_identity
 from robofleet.tracking.v4l2_controls import EXPOSURE_ABSOLUTE, GAIN, Range, control_range
@@ -197,7 +197,9 @@ def test_images_come_gray_and_whole(name: str) -> None:
 def test_mid_exposure_is_told_from_the_kernels_stamp(
     monkeypatch: pytest.MonkeyPatch, stamp: str, line_time_s: float, after_s: float
 ) -> None:
-    monkeypatch.setattr("robofleet.clock._CLOCK", 0)  # CLOCK_REALTIME: far from the kernel's, as after a long sleep
+    monkeypatch.setattr(
+        "robofleet.core.clock._CLOCK", 0
+    )  # CLOCK_REALTIME: far from the kernel's, as after a long sleep
     capture = Capture()
     overrides = [f"camera.v4l2.stamp={stamp}", f"camera.model.line_time_s={line_time_s:.6f}", "camera.v4l2.format=GREY"]
     frame, stamped_ns = read(capture, camera_of(capture, *overrides), scene())
@@ -205,7 +207,7 @@ def test_mid_exposure_is_told_from_the_kernels_stamp(
 
 
 def test_an_image_has_the_old_exposure_if_it_began_before_the_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robofleet.clock._CLOCK", 0)
+    monkeypatch.setattr("robofleet.core.clock._CLOCK", 0)
     for stamp in ("start", "end"):
         capture = Capture()
         camera = camera_of(capture, f"camera.v4l2.stamp={stamp}", "camera.v4l2.format=GREY")

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.watch import CameraWatch
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.differential_drive import arc
 from robofleet.vehicles.interface import DriverContext, SensorReading, Simulation, TruePose, WheelSpeeds

@@ -18,11 +18,11 @@ from robofleet.calibration import robots as robot_files
 from robofleet.calibration.commands.shared import Overrides, report_file
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError, save
-from robofleet.clock import S
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 
 DriveConfig = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Drive simulated robots on a simulated clock.")]

@@ -10,9 +10,9 @@ import typer
 
 from robofleet.calibration.frames import live_config
 from robofleet.calibration.store import CalibrationError
-from robofleet.clock import utc_now
 from robofleet.config.tree import Config
-from robofleet.patterns import NAME_PATTERN
+from robofleet.core.clock import utc_now
+from robofleet.core.patterns import NAME_PATTERN
 
 ReportFile = Annotated[
     Path | None, typer.Option("--report", metavar="FILE", help="Default: runs/<UTC time>-<command>/report.html.")

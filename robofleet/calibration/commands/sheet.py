@@ -22,7 +22,7 @@ from robofleet.calibration.sheets import PAPERS, board_page, tag_pages, write
 from robofleet.calibration.sizes import count as columns_and_rows
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import load_config
-from robofleet.settings import FAMILIES, LAST_TAG, FamilyName, is_family
+from robofleet.core.settings import FAMILIES, LAST_TAG, FamilyName, is_family
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 

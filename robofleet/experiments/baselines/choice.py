@@ -5,11 +5,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from robofleet.core.errors import RobofleetError
+from robofleet.core.settings import Model, NonNegative, Positive
 from robofleet.experiments.baselines.flow import Flow
 from robofleet.experiments.baselines.geometric import CurvatureLqr, PurePursuit, Stanley
 from robofleet.experiments.baselines.problem import Controller, Problem, RollForward
 from robofleet.experiments.driving import FlowParameters
-from robofleet.settings import Model, NonNegative, Positive
 
 Key = Literal[
     "flow-paper", "flow", "lqr", "osqp", "osqp-sharp", "fatrop", "ipopt", "do-mpc", "pure-pursuit", "stanley"
@@ -17,7 +18,7 @@ Key = Literal[
 _LIBRARIES = {"osqp": "osqp", "scipy": "osqp", "casadi": "casadi", "do_mpc": "do-mpc"}  # module: what to install
 
 
-class MissingLibraryError(RuntimeError):
+class MissingLibraryError(RobofleetError, RuntimeError):
     """A controller's library is not installed, or was built without its solver; the message says what to do."""
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from robofleet.control.arrays import cached
+from robofleet.core.kernels import kernel
 from robofleet.experiments.baselines.problem import Input, Problem
-from robofleet.kernels import kernel
 from robofleet.vehicles import bicycle
 from robofleet.vehicles.bicycle import Numbers
 

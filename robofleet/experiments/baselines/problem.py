@@ -6,10 +6,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import stopwatch_ns
 from robofleet.control.arrays import cached
+from robofleet.core.clock import stopwatch_ns
+from robofleet.core.kernels import kernel
 from robofleet.experiments.curves import Reference
-from robofleet.kernels import kernel
 from robofleet.vehicles import bicycle
 from robofleet.vehicles.bicycle import BicycleParameters, Numbers
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, need_extra
 from robofleet.gateways.place import is_over, joined_otherwise, run_of
-from robofleet.processes.commands import OPERATOR, ArenaName
-from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, need_extra
+from robofleet.operator.commands import OPERATOR, ArenaName
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
@@ -43,9 +43,9 @@ def teleop(
     Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. While the run is held, it
     drives one robot out at a crawl. Ctrl-C ends this, and not the run.
     """
-    from robofleet.clock import WallClock  # noqa: PLC0415
-    from robofleet.comms.joining import joined  # noqa: PLC0415
-    from robofleet.comms.permissions import OPERATOR as PERSON  # noqa: PLC0415
+    from robofleet.bus.joining import joined  # noqa: PLC0415
+    from robofleet.bus.permissions import OPERATOR as PERSON  # noqa: PLC0415
+    from robofleet.core.clock import WallClock  # noqa: PLC0415
     from robofleet.gateways.gamepad import driving, pads  # noqa: PLC0415
 
     with bad_input():
@@ -85,7 +85,7 @@ def teleop(
 
 def _group(config: "Config", named: str | None) -> str:
     """Return the group that is driven; RefusedError where there is none, or several and none was named."""
-    from robofleet.processes.hand import driven  # noqa: PLC0415
+    from robofleet.operator.hand import driven  # noqa: PLC0415
 
     found = driven(config)
     if not found:

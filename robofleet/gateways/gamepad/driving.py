@@ -3,14 +3,14 @@
 import select
 from collections.abc import Callable
 
-from robofleet.clock import MS, Clock, S
-from robofleet.comms.bus import Bus
-from robofleet.comms.keys import STATE
-from robofleet.comms.messages import RUN_STATE
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import Bus
+from robofleet.bus.keys import STATE
+from robofleet.bus.messages import RUN_STATE
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock, S
 from robofleet.gateways.gamepad.pads import Pad
-from robofleet.processes.hand import Hand
+from robofleet.operator.hand import Hand
 from robofleet.safety.supervisor import Phase
 
 _AGAIN_NS = 20 * MS  # a command that stays as it is

@@ -6,7 +6,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from robofleet.processes.hand import Stick
+from robofleet.core.errors import RobofleetError
+from robofleet.operator.hand import Stick
 
 EV_SYN, EV_KEY, EV_ABS = 0x00, 0x01, 0x03  # kinds of events, linux/input-event-codes.h
 SYN_REPORT, SYN_DROPPED = 0, 3
@@ -18,7 +19,7 @@ _DEVICES = "/dev/input"
 _JOIN = "run `sudo usermod -aG input $USER`, then log in again"
 
 
-class PadError(Exception):
+class PadError(RobofleetError):
     """There is no gamepad, or it cannot be read; the message is a line that says how to mend it."""
 
 

@@ -12,9 +12,9 @@ import typer
 
 from robofleet.config.names import SHIPPED
 from robofleet.config.yamlfile import printable
+from robofleet.core.patterns import CONFIGURATIONS
+from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, need_extra, new_folder
 from robofleet.gateways.robotarium import script as scripts
-from robofleet.patterns import CONFIGURATIONS
-from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, need_extra, new_folder
 
 if TYPE_CHECKING:
     from robofleet.gateways.robotarium.runs import Runs
@@ -99,8 +99,8 @@ def _read(script: Path, api: int | None) -> int:
 def _run(script: Path, arguments: list[str], runs: "Runs", version: int) -> int:
     """Run the script as Python does, and end what it has begun; return the exit code."""
     from robofleet.config.load import ConfigError  # noqa: PLC0415
-    from robofleet.fleet import FleetError  # noqa: PLC0415
     from robofleet.gateways.robotarium import old_names, stand_in  # noqa: PLC0415
+    from robofleet.scripts.fleet import FleetError  # noqa: PLC0415
 
     code, failed = 0, None
     if runs.wanted.quiet:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, stopwatch_ns
+from robofleet.core.clock import MS, stopwatch_ns
 
 Array = NDArray[np.float64]
 

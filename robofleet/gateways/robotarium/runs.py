@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import utc_now
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.fleet import Fleet, FleetError
+from robofleet.core.clock import utc_now
 from robofleet.gateways.robotarium.drawing import Drawing
+from robofleet.scripts.fleet import Fleet, FleetError
 from robofleet.vehicles.interface import SensorReading
 
 Array = NDArray[np.float64]

@@ -5,6 +5,8 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import TypeGuard
 
+from robofleet.core.errors import RobofleetError
+
 PACKAGE = "rps"
 VERSIONS = 1, 2
 
@@ -48,7 +50,7 @@ _UTILITIES = {
 _ABSTRACT = {1: "RobotariumABC", 2: "ARobotarium"}  # classes of the installed package's rps/robotarium_abc.py
 
 
-class ScriptError(Exception):
+class ScriptError(RobofleetError):
     """A script that cannot be run; the message says why, and what to do."""
 
 

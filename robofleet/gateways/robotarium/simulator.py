@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robofleet.fleet import FleetError
 from robofleet.gateways.robotarium.drawing import Drawing
 from robofleet.gateways.robotarium.runs import Run, Runs, Walls
+from robofleet.scripts.fleet import FleetError
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """How old a message is whose sender has a clock of its own: without a comparison of two clocks."""
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 
 _DRIFT = 10_000  # two clocks drift apart by less than this part of the time that passes
 _SET_NS = 100 * MS  # who is faster than the fastest by more has set its clock

@@ -9,18 +9,18 @@ from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from robofleet.clock import S
-from robofleet.comms.bus import Bus, Inbox, Wake
-from robofleet.comms.keys import PICTURE, SAFE_REQUEST
-from robofleet.comms.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.bus.bus import Bus, Inbox, Wake
+from robofleet.bus.keys import PICTURE, SAFE_REQUEST
+from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.camera import CameraSettings
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, wanted
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.topics import Frames
-from robofleet.processes.pictures import REQUESTED
+from robofleet.nodes.pictures import REQUESTED
 from robofleet.tracking.pictures import picture_size
 
 _AGAIN_NS = S  # a request holds for two seconds

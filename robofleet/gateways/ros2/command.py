@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.clock import utc_now
+from robofleet.core.clock import utc_now
+from robofleet.core.patterns import CONFIGURATIONS
+from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install, need_extra, new_folder
 from robofleet.gateways.place import run_of
 from robofleet.gateways.ros2 import topics
-from robofleet.patterns import CONFIGURATIONS
-from robofleet.processes.commands import OPERATOR, running_names
-from robofleet.processes.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install, need_extra, new_folder
+from robofleet.operator.commands import OPERATOR, running_names
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
@@ -161,8 +161,8 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
         raise RefusedError(f"--speed {speed:g}: must be {_SLOWEST:g} to {_FASTEST:g}")
     from robofleet.gateways.ros2.live import node  # noqa: PLC0415
     from robofleet.gateways.ros2.simulated import Simulated  # noqa: PLC0415
-    from robofleet.processes.check import load_checked  # noqa: PLC0415
-    from robofleet.processes.script_link import FleetError  # noqa: PLC0415
+    from robofleet.runs.check import load_checked  # noqa: PLC0415
+    from robofleet.scripts.script_link import FleetError  # noqa: PLC0415
 
     tree = load_checked(Path(file), overrides, lockstep=True)
     _check_names(tree)

@@ -5,10 +5,10 @@ from typing import Protocol
 
 from rclpy.node import Node
 
-from robofleet.clock import Clock, S
-from robofleet.comms.bus import Bus
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import Bus
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
+from robofleet.core.clock import Clock, S
 from robofleet.gateways.ros2 import camera, topics
 from robofleet.gateways.ros2.camera import Camera
 from robofleet.gateways.ros2.floor import Floor

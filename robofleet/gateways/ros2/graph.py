@@ -8,7 +8,7 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
-from robofleet.clock import Clock, S, WallClock
+from robofleet.core.clock import Clock, S, WallClock
 from robofleet.gateways.ros2.topics import Frames, Quality, Topic, load
 
 _WALL = WallClock()

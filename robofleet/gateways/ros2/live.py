@@ -11,18 +11,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from robofleet.behaviours.ros2 import Ros2
-from robofleet.clock import WallClock, epoch_ns
-from robofleet.comms.joining import joined
-from robofleet.comms.permissions import SCRIPT
+from robofleet.bus.joining import joined
+from robofleet.bus.permissions import SCRIPT
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.clock import WallClock, epoch_ns
+from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
 from robofleet.gateways.place import Place, is_over, joined_otherwise
 from robofleet.gateways.ros2 import services
 from robofleet.gateways.ros2.gateway import NODE, Gateway
 from robofleet.gateways.served import Served
-from robofleet.processes.refusal import RefusedError
-from robofleet.processes.terminal import interrupts
+from robofleet.operator.terminal.terminal import interrupts
 
 _JOINED_WITHIN_S = 3.0
 _LOOK_S = 0.05  # at least so often it is seen what came

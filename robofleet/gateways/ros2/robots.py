@@ -10,13 +10,13 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
 from sensor_msgs.msg import BatteryState, JointState
 
-from robofleet.clock import S
-from robofleet.comms.bus import Bus, Inbox, Wake
-from robofleet.comms.keys import POSES, STATUS
-from robofleet.comms.messages import FLEET_POSES, UNIT_STATUS, FleetPoses, TagPose
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import Bus, Inbox, Wake
+from robofleet.bus.keys import POSES, STATUS
+from robofleet.bus.messages import FLEET_POSES, UNIT_STATUS, FleetPoses, TagPose
+from robofleet.bus.ticks import TickFollower
 from robofleet.config import slices
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, single, wanted
 from robofleet.gateways.ros2.odometry import Odometry

@@ -8,12 +8,12 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from robofleet.clock import MS, S
-from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.keys import STATE, TICK
-from robofleet.comms.messages import RUN_STATE, TICK_RECORD, RunState
-from robofleet.comms.statuses import Statuses
+from robofleet.bus.bus import Bus, Wake
+from robofleet.bus.keys import STATE, TICK
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD, RunState
+from robofleet.bus.statuses import Statuses
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.topics import Frames

@@ -7,9 +7,9 @@ import numpy as np
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import Imu, MagneticField, Range
 
-from robofleet.comms import sensors
-from robofleet.comms.bus import Bus, Wake
-from robofleet.comms.keys import SENSORS
+from robofleet.bus import sensors
+from robofleet.bus.bus import Bus, Wake
+from robofleet.bus.keys import SENSORS
 from robofleet.config.robots import Robot
 from robofleet.config.sensors import SensorSettings
 from robofleet.config.tree import Config

@@ -13,18 +13,18 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from robofleet.clock import MS, S, WallClock
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.asking import Asked
 from robofleet.gateways.ros2 import services, topics
 from robofleet.gateways.ros2.gateway import Gateway
 from robofleet.gateways.ros2.graph import profile, stamped
 from robofleet.gateways.ros2.live import node
 from robofleet.gateways.served import Served
-from robofleet.processes.script_link import FleetError
-from robofleet.processes.script_lockstep import LockstepLink
-from robofleet.processes.terminal import Interrupts, interrupts
+from robofleet.operator.terminal.terminal import Interrupts, interrupts
 from robofleet.safety.supervisor import Phase
+from robofleet.scripts.script_link import FleetError
+from robofleet.scripts.script_lockstep import LockstepLink
 
 _STEP_S = 0.005  # of simulated time, from one look at ROS to the next
 _BEHIND_NS = 100 * MS  # of real time, that is not made up

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from importlib import import_module
 from typing import Any, Literal, NamedTuple
 
+from robofleet.core.errors import RobofleetError
+
 MAP = "map"  # the world frame of robofleet: the arena's centre on the floor
 _TOKEN = re.compile(r"[^A-Za-z0-9_]")
 
@@ -82,7 +84,7 @@ TOPICS = (*OF_ROBOTS, *OF_SENSORS, *OF_CAMERAS, *OF_RUN)
 SERVICE = "std_srvs/srv/Trigger"
 
 
-class NamesError(Exception):
+class NamesError(RobofleetError):
     """Two names are one in ROS; the message is a line."""
 
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.ros2 import Ros2
-from robofleet.clock import S
-from robofleet.comms.bus import Bus
-from robofleet.comms.keys import WISH
-from robofleet.comms.messages import SCRIPT_WISH
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus.bus import Bus
+from robofleet.bus.keys import WISH
+from robofleet.bus.messages import SCRIPT_WISH
+from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.ages import UNKNOWN_NS, Ages
 from robofleet.gateways.ros2.graph import Graph, profile

@@ -6,10 +6,10 @@ import socket
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from robofleet.patterns import CONFIGURATIONS
-from robofleet.processes.page_address import LOOPBACK, is_local, listening
-from robofleet.processes.refusal import RefusedError
-from robofleet.processes.web.certificate import page_keys
+from robofleet.core.patterns import CONFIGURATIONS
+from robofleet.core.refusal import RefusedError
+from robofleet.operator.page.certificate import page_keys
+from robofleet.operator.page.page_address import LOOPBACK, is_local, listening
 
 FOXGLOVE, RERUN = "foxglove", "rerun"  # the viewers, which their commands and options are called after
 DEFAULTS = {

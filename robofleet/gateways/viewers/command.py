@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
+from robofleet.core.refusal import LAB_MODULES, bad_input, need_extra
 from robofleet.gateways.place import Place, run_of
 from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, RERUN, Address
-from robofleet.processes.commands import OPERATOR, ArenaName, LifelineFd
-from robofleet.processes.refusal import LAB_MODULES, bad_input, need_extra
+from robofleet.operator.commands import OPERATOR, ArenaName, LifelineFd
 
 app = typer.Typer()
 _JOINS_WITHIN_S = 3.0  # a run that is on
@@ -75,7 +75,7 @@ def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifel
         tree, place = run_of(arena or None, config)
         at.check(tree.arena.name, "--at")
         from robofleet.gateways.viewers import live  # noqa: PLC0415
-        from robofleet.processes.node import Lifeline  # noqa: PLC0415
+        from robofleet.nodes.node import Lifeline  # noqa: PLC0415
 
         try:
             live.serve(viewer, tree, place, at, place.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
@@ -86,10 +86,10 @@ def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifel
 
 def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:
     """Serve the run that has started this process."""
-    from robofleet.comms.permissions import OPERATOR as MAY_ALL  # noqa: PLC0415
+    from robofleet.bus.permissions import OPERATOR as MAY_ALL  # noqa: PLC0415
     from robofleet.config.load import load_config  # noqa: PLC0415
     from robofleet.gateways.viewers import live  # noqa: PLC0415
-    from robofleet.processes.node import Lifeline  # noqa: PLC0415
+    from robofleet.nodes.node import Lifeline  # noqa: PLC0415
 
     tree, line = load_config(file), Lifeline(lifeline)
     with line.logged(viewer, tree.arena.name):

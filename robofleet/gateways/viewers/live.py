@@ -6,22 +6,22 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from robofleet.clock import MS, WallClock, epoch_ns
-from robofleet.comms.bus import Stream
-from robofleet.comms.joining import joined
-from robofleet.comms.keys import STATE, split
-from robofleet.comms.keys import key as key_of
-from robofleet.comms.permissions import VIEWER
+from robofleet.bus.bus import Stream
+from robofleet.bus.joining import joined
+from robofleet.bus.keys import STATE, split
+from robofleet.bus.keys import key as key_of
+from robofleet.bus.permissions import VIEWER
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, WallClock, epoch_ns
+from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
 from robofleet.gateways.place import Place, is_over
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import RERUN, Address
-from robofleet.processes.node import Lifeline
-from robofleet.processes.refusal import RefusedError
+from robofleet.nodes.node import Lifeline
 from robofleet.recording.channels import keys
-from robofleet.recording.drawn import Channel, Drawn, of_key
+from robofleet.recording.scenes.drawn import Channel, Drawn, of_key
 
 _NICE = 5  # viewers wait for the run, never the other way round
 _JOIN_WITHIN_S = 60.0  # the router is the first process of a run

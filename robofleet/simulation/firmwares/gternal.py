@@ -19,6 +19,7 @@ import re
 from collections.abc import Callable, Generator
 from typing import Any
 
+from robofleet.core.errors import RobofleetError
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.differential_drive import wheels_from_body
 from robofleet.vehicles.interface import STOP, WheelSpeeds
@@ -34,7 +35,7 @@ _UNQUOTED = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZ_`abcdefghijklmnopqrstuvwxyz012
 _Reading = Generator[None, str, Any]  # takes bytes as they come, returns what they say
 
 
-class _MalformedError(Exception):
+class _MalformedError(RobofleetError):
     """What came is no object."""
 
 

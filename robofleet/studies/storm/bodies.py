@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.behaviours.go_to import GoTo
-from robofleet.clock import S
 from robofleet.config import groups
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.safety.gate import Latch
 from robofleet.studies.storm.gates import intervals
 from robofleet.studies.storm.ledger import GateDecision, Outage

@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.clock import S
-from robofleet.comms.bus import Answer
-from robofleet.comms.keys import REQUEST, STATE, TRUTH, key
+from robofleet.bus.bus import Answer
+from robofleet.bus.keys import REQUEST, STATE, TRUTH, key
 from robofleet.config import barrier, obstacles, slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
-from robofleet.processes.estop import EmergencyStop
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.log_lines import Unfailing
+from robofleet.core.clock import S
+from robofleet.core.log_lines import Unfailing
+from robofleet.operator.estop import EmergencyStop
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faulty_disk import FaultyLog

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
-from robofleet.comms.layouts import VERSION
-from robofleet.comms.messages import RUN_STATE
+from robofleet.bus.layouts import VERSION
+from robofleet.bus.messages import RUN_STATE
 from robofleet.config.troubles import InjectedFault
+from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.studies.storm.gates import intervals
 from robofleet.studies.storm.verdict import Violation

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.clock import MS
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import COMMAND, ENABLE
-from robofleet.comms.messages import UNIT_COMMAND, UNIT_ENABLE, UnitCommand, UnitEnable
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import COMMAND, ENABLE
+from robofleet.bus.messages import UNIT_COMMAND, UNIT_ENABLE, UnitCommand, UnitEnable
+from robofleet.core.clock import MS
 from robofleet.recording.run import Recording
 
 _OLD_NS = 130 * MS

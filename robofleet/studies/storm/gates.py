@@ -11,7 +11,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.safety.gate import Command, GateState, Latch, LeaseAction, Permission
 from robofleet.studies.storm.ledger import GateDecision, Outage
 from robofleet.studies.storm.verdict import Violation

@@ -7,8 +7,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from typing import NamedTuple
 
-from robofleet.clock import Clock
-from robofleet.comms.bus import MemoryBus
+from robofleet.bus.bus import MemoryBus
+from robofleet.core.clock import Clock
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs
 from robofleet.vehicles.interface import STOP
 

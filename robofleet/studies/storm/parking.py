@@ -13,8 +13,8 @@ from robofleet.config import barrier, groups, slices
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault, PoseFault, Push
+from robofleet.core.settings import LAST_TAG
 from robofleet.safety.distances import apart, room_m
-from robofleet.settings import LAST_TAG
 
 Array = NDArray[np.float64]
 

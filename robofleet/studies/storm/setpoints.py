@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.script import Script
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import TELEOP, TICK, Topic, key
-from robofleet.comms.messages import SCRIPT_WISH, TICK_RECORD
-from robofleet.comms.setpoints import setpoint_topics
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TELEOP, TICK, Topic, key
+from robofleet.bus.messages import SCRIPT_WISH, TICK_RECORD
+from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config, Group

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.clock import MS, S
-from robofleet.patterns import driver_role
+from robofleet.core.clock import MS, S
+from robofleet.core.patterns import driver_role
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule

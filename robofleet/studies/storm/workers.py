@@ -6,7 +6,7 @@ from functools import partial
 from io import StringIO
 
 from robofleet.config.tree import Config
-from robofleet.processes.controller import compile_kernels
+from robofleet.nodes.controller import compile_kernels
 from robofleet.studies.engine import Engine
 from robofleet.studies.storm.episode import Episode, play
 from robofleet.studies.storm.tally import Tally

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.load import spelled
-from robofleet.recording.bounds import JUDGED, JUDGED_KEYS
-from robofleet.recording.own_figures import own_figures
+from robofleet.reports.bounds import JUDGED, JUDGED_KEYS
+from robofleet.reports.own_figures import own_figures
 from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import Ran
 

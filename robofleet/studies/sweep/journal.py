@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from robofleet.processes.refusal import RefusedError, new_folder
+from robofleet.core.refusal import RefusedError, new_folder
+from robofleet.core.valid_json import dumps
 from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.unit import Played
-from robofleet.valid_json import dumps
 
 FILE = "runs.jsonl"
 

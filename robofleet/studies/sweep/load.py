@@ -15,8 +15,8 @@ from robofleet.config.load import Change, ConfigError, spelled
 from robofleet.config.parameters import Loc, load_placed, mistake_at
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import Mistake, Node, printable
-from robofleet.processes.check import Study as CheckedStudy
-from robofleet.processes.check import load_checked
+from robofleet.runs.check import Study as CheckedStudy
+from robofleet.runs.check import load_checked
 from robofleet.studies.progress import Bar
 from robofleet.studies.sweep.plan import Setting, Sweep, settings
 

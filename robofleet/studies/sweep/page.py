@@ -7,10 +7,10 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from robofleet.clock import utc_now
 from robofleet.config.load import spelled
-from robofleet.figures import STYLE
-from robofleet.pages import Marked, Page, Tile
+from robofleet.core.clock import utc_now
+from robofleet.core.figures import STYLE
+from robofleet.reports.pages import Marked, Page, Tile
 from robofleet.studies.sweep import plots
 from robofleet.studies.sweep.factors import Factor, Measure, factors, measures, unmeasured
 from robofleet.studies.sweep.load import Study

@@ -9,7 +9,7 @@ from pydantic import Field, JsonValue
 
 from robofleet.config.parameters import Parameters
 from robofleet.config.slices import generator
-from robofleet.settings import MANY, Model, Named, within
+from robofleet.core.settings import MANY, Model, Named, within
 
 _DIGITS = 6  # of a drawn number: it can be read, and typed again
 _MOST_RUNS = 1_000_000

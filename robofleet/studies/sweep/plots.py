@@ -11,8 +11,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robofleet.figures import COLOURS, FAINT, INK, QUIET
-from robofleet.recording.canvas import WIDTH
+from robofleet.core.figures import COLOURS, FAINT, INK, QUIET
+from robofleet.reports.canvas import WIDTH
 from robofleet.studies.sweep.factors import Array, Factor, Measure
 from robofleet.studies.sweep.table import Ending
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from contextlib import closing
 
-from robofleet.processes.controller import compile_kernels
+from robofleet.nodes.controller import compile_kernels
 from robofleet.studies.engine import Engine
 from robofleet.studies.sweep.journal import Journal
 from robofleet.studies.sweep.load import Study

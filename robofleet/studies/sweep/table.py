@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.config.load import spelled
-from robofleet.files import replaced, write_text
-from robofleet.recording.bounds import missed, unmeasured
+from robofleet.core.files import replaced, write_text
+from robofleet.reports.bounds import missed, unmeasured
 from robofleet.studies.sweep.load import Planned, Study
 from robofleet.studies.sweep.unit import Played
 

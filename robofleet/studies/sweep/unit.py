@@ -5,11 +5,11 @@ from contextlib import redirect_stderr
 from io import StringIO
 from typing import Any, NamedTuple
 
-from robofleet.clock import S, cpu_ns
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.processes.run import driven
-from robofleet.recording.metrics import summary
+from robofleet.core.clock import S, cpu_ns
+from robofleet.operator.run import driven
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 
 _COLLECT_EVERY = 20  # runs: what a run leaves is small, and to look for it takes a tenth of a second
 

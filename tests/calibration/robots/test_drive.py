@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robofleet.bus.keys import CAMERA, POSES, STATUS, TRUTH, key
+from robofleet.bus.messages import FLEET_POSES
 from robofleet.calibration import drive, drive_file, latency, offsets
 from robofleet.calibration.store import CalibrationError
-from robofleet.comms.keys import CAMERA, POSES, STATUS, TRUTH, key
-from robofleet.comms.messages import FLEET_POSES
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
-from robofleet.recording.metrics import summary
 from robofleet.recording.run import Recording, Run
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"

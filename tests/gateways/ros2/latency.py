@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.clock import MS
 from robofleet.config import slices
 from robofleet.config.load import load_config
+from robofleet.core.clock import MS
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
 from tests.gateways.ros2.user import speed

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.clock import MS, S
+from robofleet.core.clock import MS, S
 from robofleet.gateways.ros2.ages import UNKNOWN_NS, Ages
 
 PERIOD_NS = 30 * MS

@@ -15,9 +15,9 @@ import pytest
 import yaml
 
 from robofleet.behaviours.interface import WishKind
-from robofleet.clock import S
-from robofleet.comms.keys import WISH, key
-from robofleet.comms.messages import SCRIPT_WISH
+from robofleet.bus.keys import WISH, key
+from robofleet.bus.messages import SCRIPT_WISH
+from robofleet.core.clock import S
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2 import topics
 from robofleet.recording.reading import read

@@ -17,23 +17,23 @@ from matplotlib.path import Path as Outline
 pytest.importorskip("rclpy", reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own")
 
 from robofleet.behaviours.interface import WishKind
-from robofleet.clock import S, SimulatedClock
-from robofleet.comms import sensors
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import SENSORS, WISH
-from robofleet.comms.messages import SCRIPT_WISH, UNIT_TRUTH
-from robofleet.comms.ticks import TickFollower
+from robofleet.bus import sensors
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import SENSORS, WISH
+from robofleet.bus.messages import SCRIPT_WISH, UNIT_TRUTH
+from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
+from robofleet.core.clock import S, SimulatedClock
 from robofleet.gateways.ros2 import camera, run, sensing, topics, transforms
 from robofleet.gateways.ros2.floor import grid
 from robofleet.gateways.ros2.graph import stamped
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.sensing import Sensing
 from robofleet.gateways.urdf import urdf
-from robofleet.processes.lockstep import Lockstep
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.pictures import picture_size
 from robofleet.vehicles.interface import SensorReading

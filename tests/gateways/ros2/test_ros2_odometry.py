@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robofleet.clock import MS
+from robofleet.core.clock import MS
 from robofleet.gateways.ros2.odometry import Odometry, compose, inverse
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, wheels_from_body
 

@@ -11,12 +11,12 @@ pytest.importorskip("rclpy", reason="NO ROS 2: pip install -e '.[ros2]' on Pytho
 
 from geometry_msgs.msg import TwistStamped
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import WISH
-from robofleet.comms.messages import SCRIPT_WISH
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import WISH
+from robofleet.bus.messages import SCRIPT_WISH
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
+from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.gateways.ros2.velocities import Velocities
 
 PERIOD_NS = 30 * MS

@@ -26,7 +26,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy, qos
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from robofleet.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2.topics import MAP, load
 

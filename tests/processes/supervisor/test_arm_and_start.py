@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import REQUEST, STATE, STATUS, key
-from robofleet.comms.messages import RUN_STATE
+from robofleet.bus.keys import REQUEST, STATE, STATUS, key
+from robofleet.bus.messages import RUN_STATE
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import MS, S
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.supervisor import Event, Happening, Phase

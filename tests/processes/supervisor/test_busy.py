@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import BUSY
-from robofleet.comms.messages import BusyMachine
+from robofleet.bus.keys import BUSY
+from robofleet.bus.messages import BusyMachine
+from robofleet.core.clock import MS, S
 from robofleet.recording import busy_machine
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase

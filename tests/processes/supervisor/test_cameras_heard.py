@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S, SimulatedClock
-from robofleet.comms.bus import MemoryBus
-from robofleet.comms.keys import NEWS, POSES
-from robofleet.comms.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import NEWS, POSES
+from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
 from robofleet.config import slices
 from robofleet.config.load import load_config
-from robofleet.processes.cameras_heard import CamerasHeard
-from robofleet.processes.views import FloorView
+from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.nodes.cameras_heard import CamerasHeard
+from robofleet.nodes.views import FloorView
 from robofleet.safety import monitor
 from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase

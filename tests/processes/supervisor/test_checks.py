@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from robofleet.clock import S
+from robofleet.core.clock import S
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase

@@ -2,9 +2,9 @@
 
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import RECORDER, STATUS, TICK
-from robofleet.comms.messages import RecorderStatus, RobotTick, TickRecord
+from robofleet.bus.keys import RECORDER, STATUS, TICK
+from robofleet.bus.messages import RecorderStatus, RobotTick, TickRecord
+from robofleet.core.clock import MS, S
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.processes.stand import Stand

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from robofleet.comms import statuses
-from robofleet.processes import cameras_heard, fleet_view, supervisor
+from robofleet.bus import statuses
+from robofleet.nodes import cameras_heard, fleet_view, supervisor
 from robofleet.safety import arming, requests
 from tests.processes import stand as bench_stand
 from tests.processes.supervisor import test_checks, test_run, test_said, test_sight, test_stops

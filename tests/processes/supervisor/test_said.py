@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import ENABLE, REQUEST, SAFE_REQUEST, STATE
+from robofleet.bus.keys import ENABLE, REQUEST, SAFE_REQUEST, STATE
+from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import Phase
 from tests.processes.stand import ROBOTS, Stand
 

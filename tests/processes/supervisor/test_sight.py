@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms.keys import CAMERA, NEWS, POSES
-from robofleet.comms.messages import TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
+from robofleet.bus.keys import CAMERA, NEWS, POSES
+from robofleet.bus.messages import TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
+from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import TrackerEvent
 from tests.processes.stand import ROBOTS, Stand

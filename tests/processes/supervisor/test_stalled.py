@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from robofleet.clock import MS, S
 from robofleet.config.tree import Config
-from robofleet.processes.lockstep import Lockstep
+from robofleet.core.clock import MS, S
+from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
 from tests.processes.stand import Stand
 

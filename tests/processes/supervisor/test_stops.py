@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.clock import MS, S
-from robofleet.comms import bus
-from robofleet.comms.keys import COMMAND, ENABLE, LEASE, REQUEST, SAFE_REQUEST, STATUS, Topic
-from robofleet.comms.messages import LEASE_REQUEST, LeaseRequest
+from robofleet.bus import bus
+from robofleet.bus.keys import COMMAND, ENABLE, LEASE, REQUEST, SAFE_REQUEST, STATUS, Topic
+from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
+from robofleet.core.clock import MS, S
 from robofleet.safety.gate import Latch, LeaseAction
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.vehicles.interface import STOP, WIRED_STOP, RobotFault
@@ -138,7 +138,7 @@ def test_a_reset_that_a_gate_does_not_follow_is_refused_by_name(stand: Stand) ->
 
 
 def test_an_emergency_stop_during_a_reset_wins(stand: Stand) -> None:
-    from robofleet.comms.keys import REQUEST
+    from robofleet.bus.keys import REQUEST
 
     emergency(stand)
     reset = stand.bench.bus.ask(REQUEST, "supervisor", b"reset")

@@ -14,19 +14,19 @@ from typing import NamedTuple
 from foxglove import Channel, Context, Schema, Service, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
-from robofleet.comms.credentials import credentials
-from robofleet.comms.permissions import OPERATOR, PAGE
+from robofleet.bus.credentials import credentials
+from robofleet.bus.permissions import OPERATOR, PAGE
 from robofleet.config.tree import Config
-from robofleet.files import read_plain, replaced
+from robofleet.core.files import read_plain, replaced
+from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.viewers.address import Address
 from robofleet.gateways.viewers.foxglove.services import new_key, services
 from robofleet.gateways.viewers.kept import Kept
 from robofleet.gateways.viewers.live import Opened, Run
-from robofleet.processes.refusal import RefusedError
-from robofleet.recording.drawn import Channel as Described
 from robofleet.recording.run import Recording
-from robofleet.recording.viewers import foxglove as layouts
+from robofleet.recording.scenes.drawn import Channel as Described
+from robofleet.reports.layouts import foxglove as layouts
 
 LAYOUT = "foxglove.json"
 _LARGEST = 1 << 26  # of a layout [bytes]

@@ -10,8 +10,8 @@ from functools import partial
 
 from foxglove import MessageSchema, Schema, Service, ServiceRequest, ServiceSchema
 
+from robofleet.core.valid_json import dumps
 from robofleet.gateways.asking import SERVICES, Ask
-from robofleet.valid_json import dumps
 
 _WITHIN_S = 10.0
 _LARGEST = 1024  # of a request [bytes]

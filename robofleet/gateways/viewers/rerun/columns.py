@@ -13,10 +13,10 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from robofleet.clock import S
-from robofleet.recording.drawn import Channel
-from robofleet.recording.scalars import table
-from robofleet.recording.viewers.rerun_blueprint import TIMELINE
+from robofleet.core.clock import S
+from robofleet.recording.scenes.drawn import Channel
+from robofleet.recording.scenes.scalars import table
+from robofleet.reports.layouts.rerun_blueprint import TIMELINE
 
 STAMPED = "timestamp"  # the importer's name of the date in a message
 

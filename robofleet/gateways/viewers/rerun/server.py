@@ -20,15 +20,15 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from robofleet.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.viewers.address import Address
 from robofleet.gateways.viewers.kept import Kept
 from robofleet.gateways.viewers.live import Opened, Run
 from robofleet.gateways.viewers.rerun import columns
 from robofleet.gateways.viewers.rerun.shapes import of_annotations, of_entity
-from robofleet.recording.drawn import PROTOBUF, Channel
 from robofleet.recording.run import Recording
-from robofleet.recording.viewers.rerun_blueprint import APPLICATION, TIMELINE, blueprint
+from robofleet.recording.scenes.drawn import PROTOBUF, Channel
+from robofleet.reports.layouts.rerun_blueprint import APPLICATION, TIMELINE, blueprint
 
 MEMORY = "256MB"  # for who comes late: with pictures some twenty minutes of four robots
 _OFTEN = "/tf"  # moves the robots: nothing waits there

@@ -1,1 +1,0 @@
-"""What crosses processes: messages, topics, the bus."""

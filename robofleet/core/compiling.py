@@ -1,0 +1,87 @@
+"""What is said while kernels are compiled: which, how far it is, and how long it still takes."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from robofleet.core.clock import S, stopwatch_ns
+from robofleet.core.kernels import reached
+
+_MARK = "compiling"
+_EVERY_NS = 5 * S  # a line, where it is not drawn
+
+
+class Progress(NamedTuple):
+    """How far the kernels of one process are."""
+
+    name: str  # "control" or "camera"
+    done: int
+    total: int
+    left_s: float  # about; negative: not known yet
+    share: float  # of the work, from 0 to 1
+
+    def encode(self) -> str:
+        """Return one line for a lifeline."""
+        return f"{_MARK} {self.name} {self.done} {self.total} {self.left_s:.1f} {self.share:.3f}"
+
+    def words(self) -> str:
+        """Return it for an operator."""
+        left = f", about {self.left_s:.0f} s left" if self.left_s >= 0 else ""
+        return f"compiling the {self.name} kernels, once for this installation: {self.done} of {self.total}{left}"
+
+
+Say = Callable[[Progress], None]
+
+
+def decoded(line: str) -> Progress | None:
+    """Return what a child said; None where it is something else."""
+    words = line.split()
+    if len(words) != 1 + len(Progress._fields) or words[0] != _MARK:
+        return None
+    return Progress(words[1], int(words[2]), int(words[3]), float(words[4]), float(words[5]))
+
+
+@contextmanager
+def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
+    """Say how far it is whenever one of ``kernels``, or one that they call, was compiled; nothing where all are loaded.
+
+    The work of a kernel is taken as the length of its code.
+    """
+    from numba.core import event  # noqa: PLC0415 - it takes a second to load
+
+    work = {kernel.py_func: len(kernel.py_func.__code__.co_code) for kernel in reached(*kernels)}
+    done: set[Any] = set()
+    began_ns = 0
+
+    def spread() -> None:
+        elapsed_s, share = (stopwatch_ns() - began_ns) / S, sum(work[one] for one in done) / sum(work.values())
+        say(Progress(name, len(done), len(work), elapsed_s * (1 - share) / share if done else -1.0, share))
+
+    class Listener(event.Listener):
+        def on_start(self, _event: Any) -> None:
+            nonlocal began_ns
+            if not began_ns:
+                began_ns = stopwatch_ns()
+                spread()
+
+        def on_end(self, its: Any) -> None:
+            if (function := its.data["dispatcher"].py_func) in work and function not in done:
+                done.add(function)
+                spread()
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+
+
+def on_stderr() -> Say:
+    """Return what writes a line to stderr at the beginning, and one every few seconds."""
+    next_ns = 0
+
+    def say(progress: Progress) -> None:
+        nonlocal next_ns
+        if stopwatch_ns() >= next_ns:
+            next_ns = stopwatch_ns() + _EVERY_NS
+            print(progress.words(), file=sys.stderr, flush=True)
+
+    return say

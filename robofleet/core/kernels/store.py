@@ -1,0 +1,184 @@
+"""Where compiled functions are kept on disk: one file for each signature, named after all that decides its content.
+
+A file is code that runs. So the folder is the user's alone (mode 0700), and each file is the user's, no link, and
+writable for nobody else. What is not so is not read: a process compiles anew.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import pickle
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from multiprocessing import parent_process
+from pathlib import Path
+from typing import Any
+
+from numba.core import serialize
+from numba.core.caching import _Cache
+from numba.core.codegen import RuntimeLinker
+from numba.core.compiler import CompileResult
+
+from robofleet.core.files import open_plain
+
+_PACKAGE = Path(__file__).parents[1]
+_LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
+_CHECK = 16  # bytes of digest before the content
+
+
+def folder() -> Path:
+    """Return where they are kept: beside the package, where this user can have a folder, else in this user's cache."""
+    beside = _PACKAGE / "__pycache__" / "kernels"
+    with contextlib.suppress(OSError):
+        if _is_own(beside.lstat()):
+            return beside
+    above = beside.parent if beside.parent.exists() else _PACKAGE
+    if not os.path.lexists(beside) and os.access(above, os.W_OK):
+        return beside
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robofleet" / "kernels"
+
+
+def kept(compiled: Any, meaning: Callable[[], str]) -> Any:
+    """Let what numba compiles be kept on disk, by the digest of its function."""
+    if hasattr(compiled, "py_func"):  # else numba is switched off
+        compiled._cache = Kept(compiled.py_func.__name__, meaning)  # enable_caching() takes none but numba's own
+    return compiled
+
+
+class Kept(_Cache):
+    """The cache of one of numba's dispatchers, which asks it before it compiles and gives it what it compiled.
+
+    A file that is missing, damaged or cannot be written costs a compilation, never an error. It is complete or not
+    there: two processes that compile the same replace each other's file by an equal one.
+    """
+
+    def __init__(self, name: str, meaning: Callable[[], str]) -> None:
+        """``meaning``: the digest of the function."""
+        self._name, self._meaning = name, meaning
+
+    @property
+    def cache_path(self) -> str:
+        """Return the folder."""
+        return str(folder())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled function of a signature, None where there is none."""
+        target_context.refresh()
+        content = b""
+        with _opened(folder()) as place, contextlib.suppress(OSError):
+            if place is not None:
+                content = _content(place / self._name_of(sig, target_context.codegen()))
+        check, data = content[:_CHECK], content[_CHECK:]
+        if check != _digest(data):  # cut, or changed: the linker would end the process
+            return None
+        try:
+            rebuild: Callable[..., Any] = CompileResult._rebuild
+            return rebuild(target_context, *pickle.loads(data))
+        except Exception:  # noqa: BLE001 - whatever it needs is no longer there: compile it again
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function."""
+        if data.library.has_dynamic_globals or any(not one.can_cache for one in data.lifted) or _calls_back(data):
+            return  # addresses of this process are in it
+        dumps: Callable[..., bytes] = serialize.dumps
+        content = dumps(data._reduce())
+        with contextlib.suppress(OSError):
+            folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+        with _opened(folder()) as place, contextlib.suppress(OSError):
+            if place is not None:
+                _write(place / self._name_of(sig, data.codegen), _digest(content) + content)
+                _make_room(place)
+
+    def enable(self) -> None:
+        """It always is."""
+
+    def disable(self) -> None:
+        """It never is."""
+
+    def flush(self) -> None:
+        """Nothing in it is ever stale."""
+
+    def _name_of(self, sig: Any, codegen: Any) -> str:
+        fields = [getattr(one, "fields", ()) for one in getattr(sig, "args", sig)]
+        what = repr((self._meaning(), sig, fields, codegen.magic_tuple()))
+        return f"{self._name}-{_digest(what.encode()).hex()}"
+
+
+@contextlib.contextmanager
+def _opened(place: Path) -> Iterator[Path | None]:
+    """Yield a folder as it is now, whatever somebody puts in its place; None: it is not there, or not the user's alone.
+
+    One that others may only read, as an older version made it, is closed.
+    """
+    with contextlib.ExitStack() as held:
+        opened = None
+        try:
+            handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            held.callback(os.close, handle)
+            if _is_own(found := os.fstat(handle)):
+                opened = Path(f"/proc/self/fd/{handle}")
+                if found.st_mode & 0o077:
+                    os.fchmod(handle, 0o700)
+            else:
+                _say_unused(f"{place} is not yours alone: remove it with `rm -r {place}`")
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            _say_unused(f"{place}: {error.strerror}")
+        yield opened
+
+
+def _is_own(found: os.stat_result) -> bool:
+    """Return whether a file or folder is no link, is this user's, and can be written by nobody else."""
+    return not stat.S_ISLNK(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o022
+
+
+@functools.cache
+def _say_unused(why: str) -> None:
+    if parent_process() is None:  # the workers of one command would all say it
+        print(f"compiled kernels are not kept, and every start compiles: {why}", file=sys.stderr)
+
+
+def _content(file: Path) -> bytes:
+    """Return what a file of this user holds; nothing where it may be another's."""
+    with open_plain(file) as stream:
+        found = os.fstat(stream.fileno())
+        if found.st_nlink > 1 or not _is_own(found):
+            return b""
+        os.utime(stream.fileno())
+        return stream.read()
+
+
+def _calls_back(compiled: Any) -> bool:
+    """Whether it calls a function that calls it: numba links such in memory."""
+    variables = compiled.library._final_module.global_variables
+    return any(one.name.startswith(RuntimeLinker.PREFIX) for one in variables)
+
+
+def _digest(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_CHECK).digest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    handle, part = tempfile.mkstemp(dir=path.parent, prefix=".part-")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        Path(part).replace(path)
+    except OSError:
+        Path(part).unlink(missing_ok=True)
+        raise
+
+
+def _make_room(where: Path) -> None:
+    files = sorted(((file, file.stat()) for file in where.iterdir()), key=lambda found: found[1].st_mtime)
+    total = sum(found.st_size for _, found in files)
+    for file, found in files:
+        if total <= _LARGEST:
+            return
+        file.unlink(missing_ok=True)
+        total -= found.st_size

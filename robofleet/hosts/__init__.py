@@ -1,0 +1,1 @@
+"""Other computers: keys, permissions, bundles, the router that they reach."""

@@ -1,0 +1,298 @@
+"""The commands of an arena's keys: who may join from another host."""
+
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robofleet.core.refusal import RefusedError, bad_input, need_extra
+
+if TYPE_CHECKING:
+    from robofleet.hosts.authority import Authority, Entry
+
+PANEL = "Robots with computers of their own"
+app = typer.Typer()
+keys = typer.Typer(
+    no_args_is_help=True,
+    help="Who may join an arena from another host: authority and certificates.\n\n$ robofleet keys init lab",
+)
+app.add_typer(keys, name="keys", rich_help_panel=PANEL)
+
+ArenaName = Annotated[str, typer.Argument(metavar="ARENA", help="arena.name of the configuration.")]
+Who = Annotated[str, typer.Argument(metavar="NAME", help="A unit, a process, or a person.")]
+Days = Annotated[int | None, typer.Option(metavar="N", min=1, max=36500, help="How long it is valid.")]
+
+
+@contextmanager
+def refused() -> Iterator[None]:
+    """End with exit code 2 and a line where a key cannot be used."""
+    from robofleet.bus.credentials import KeysError  # noqa: PLC0415
+
+    with bad_input():
+        try:
+            yield
+        except KeysError as error:
+            raise RefusedError(str(error)) from error
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: {error.strerror}") from error
+
+
+@contextmanager
+def _authority(arena: str) -> Iterator["Authority"]:
+    with refused():
+        need_extra("lab", "cryptography")
+        from robofleet.bus.credentials import keys_folder  # noqa: PLC0415
+        from robofleet.hosts.authority import Authority  # noqa: PLC0415
+
+        yield Authority(_named(arena), keys_folder(arena))
+
+
+def _named(name: str) -> str:
+    import re  # noqa: PLC0415
+
+    from robofleet.core.patterns import NAME_PATTERN  # noqa: PLC0415
+
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise RefusedError(f"{name!r} is no name: small letters, digits, - and _, at most 32, a letter first")
+    return name
+
+
+@keys.command()
+def init(
+    arena: ArenaName,
+    address: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ADDRESS", help="Also sign for this address or name, outside private networks; repeatable."
+        ),
+    ] = [],  # noqa: B006
+    days: Days = None,
+) -> None:
+    """Make an arena's authority on this computer, and the router's certificate with `keys add ARENA router`.
+
+    Whoever trusts it trusts it for private networks, .local, .lan, .internal and .home.arpa alone.
+
+    $ robofleet keys init lab
+
+    $ robofleet keys init lab --address lab.example.edu
+    """
+    with refused():
+        need_extra("lab", "cryptography")
+        from robofleet.bus.credentials import keys_folder  # noqa: PLC0415
+        from robofleet.hosts.authority import AUTHORITY_DAYS, Authority  # noqa: PLC0415
+
+        made = Authority.create(_named(arena), keys_folder(arena), days or AUTHORITY_DAYS, address)
+    print(f"{made.folder}: the authority of {arena}; keep a copy of this folder, and let nobody else read it")
+    print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
+
+
+@keys.command()
+def add(
+    arena: ArenaName,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="A unit, a process, or a person; not with --from.")
+    ] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="unit, router, web, operator, viewer, ...; default: by its name."),
+    ] = None,
+    address: Annotated[list[str], typer.Option(metavar="ADDRESS", help="Of the router or the page; repeatable.")] = [],  # noqa: B006
+    days: Days = None,
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="CONFIG",
+            help="Add each unit that exists, router, operator and viewer, where they have no certificate.",
+        ),
+    ] = None,
+) -> None:
+    """Make the keys and the certificate of a unit, a process, an operator or a viewer.
+
+    $ robofleet keys add lab r1
+
+    $ robofleet keys add lab router --address 192.168.1.10
+
+    $ robofleet keys add lab alice --kind operator
+
+    $ robofleet keys add lab --from configs/lab.yaml --address 192.168.1.10
+    """
+    if (name is None) == (source is None):
+        with bad_input():
+            raise RefusedError("name one, or a configuration with --from: `robofleet keys add lab r1`")
+    if source is not None:
+        _add_roster(arena, source, kind, address, days)
+        return
+    assert name is not None
+    with _authority(arena) as authority:
+        from robofleet.bus.credentials import KINDS  # noqa: PLC0415
+        from robofleet.bus.permissions import UNIT  # noqa: PLC0415
+        from robofleet.hosts.authority import DAYS  # noqa: PLC0415
+
+        kind = kind or (name if name in KINDS else UNIT)
+        if kind not in KINDS:
+            raise RefusedError(f"--kind {kind}: one of {', '.join(KINDS)}")
+        if kind == UNIT and name in KINDS:
+            raise RefusedError(f"{name} is what a process is called: name the unit otherwise")
+        authority.issue(_named(name), kind, addresses=address, days=days or DAYS)
+        ends = authority.entries()[name].newest.not_after
+    print(f"{name}: {kind}, valid until {ends:%Y-%m-%d}")
+    if kind == UNIT:
+        print(f"Next: robofleet keys bundle {arena} {name} --router quic/THIS_COMPUTERS_ADDRESS:7447")
+
+
+def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], days: int | None) -> None:
+    """Add whom a configuration needs and who has no certificate: all of them, or nobody."""
+    from robofleet.config.load import load_config  # noqa: PLC0415
+
+    with _authority(arena) as authority:
+        from robofleet.bus.credentials import KINDS, ROUTER  # noqa: PLC0415
+        from robofleet.bus.permissions import OPERATOR, UNIT, VIEWER  # noqa: PLC0415
+        from robofleet.hosts.authority import DAYS  # noqa: PLC0415
+
+        if kind is not None:
+            raise RefusedError("--kind: it belongs to a name: leave --kind or --from out")
+        config = load_config(source)
+        if config.arena.name != arena:
+            raise RefusedError(f"{source}: its arena is {config.arena.name}, not {arena}")
+        exist = {robot.id for robot in config.robots if robot.driver != "simulated" and robot.twin is None}
+        units = [unit for unit, robots in config.units.items() if exist & {*robots} or unit in config.daemons]
+        if processes := [unit for unit in units if unit in KINDS]:
+            raise RefusedError(f"{source}: {processes[0]} is what a process is called: name the unit otherwise")
+        known = authority.entries()
+        listened = [endpoint.partition("/")[2].rpartition(":")[0].strip("[]") for endpoint in config.bus.listen]
+        at = address or [host for host in listened if host not in ("0.0.0.0", "::")]
+        if ROUTER not in known and not at:
+            raise RefusedError("the router needs the address by which robots reach it: add `--address 192.168.1.10`")
+        # The router first: of all that can be wrong, its addresses are.
+        for name, its in [(ROUTER, ROUTER), *((unit, UNIT) for unit in units), (OPERATOR, OPERATOR), (VIEWER, VIEWER)]:
+            if name not in known:
+                authority.issue(name, its, addresses=at if its == ROUTER else (), days=days or DAYS)
+                print(f"{name}: {its}, valid until {authority.entries()[name].newest.not_after:%Y-%m-%d}")
+            elif known[name].revoked:
+                print(f"{name}: revoked, and stays so: `robofleet keys add {arena} {name}` lets it in again")
+    if units:
+        print(f"Next: robofleet keys bundle {arena} {units[0]} --router quic/THIS_COMPUTERS_ADDRESS:7447")
+
+
+@keys.command("list")
+def listed(
+    arena: ArenaName, as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False
+) -> None:
+    """Show everybody who has a certificate, and when it ends.
+
+    $ robofleet keys list lab
+    """
+    with _authority(arena) as authority:
+        rows = [_row(name, entry) for name, entry in authority.entries().items()]
+    if as_json:
+        from robofleet.core.valid_json import dumps  # noqa: PLC0415
+
+        print(dumps({"arena": arena, "names": rows}))
+        return
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    table = Table("name", "kind", "valid until", "state", box=None, header_style="bold")
+    colours = {"valid": "green", "ends soon": "yellow", "expired": "red", "revoked": "red"}
+    for row in rows:
+        table.add_row(row["name"], row["kind"], row["ends"][:10], f"[{colours[row['state']]}]{row['state']}[/]")
+    Console().print(table)
+
+
+def _row(name: str, entry: "Entry") -> dict[str, Any]:
+    from robofleet.core.clock import utc_now  # noqa: PLC0415
+
+    now, told = utc_now(), entry.newest
+    state = "expired" if now > told.not_after else "ends soon" if told.ends_soon(now) else "valid"
+    return {
+        "name": name, "kind": entry.kind, "common_name": told.common_name, "ends": told.not_after.isoformat(),
+        "serial": told.serial, "addresses": list(told.addresses), "state": "revoked" if entry.revoked else state,
+    }  # fmt: skip
+
+
+@keys.command()
+def renew(
+    arena: ArenaName,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Default with --all: everybody.")] = None,
+    everybody: Annotated[bool, typer.Option("--all", help="Renew whatever is not revoked.")] = False,
+    days: Days = None,
+) -> None:
+    """Make new keys and a certificate for a name; its bundle must then be joined again.
+
+    $ robofleet keys renew lab r1
+    """
+    with _authority(arena) as authority:
+        if (name is None) != everybody:
+            raise RefusedError("name one, or say --all")
+        names = [who for who, entry in authority.entries().items() if not entry.revoked] if name is None else [name]
+        for who in names:
+            authority.renew(who, days)
+            print(f"{who}: valid until {authority.entries()[who].newest.not_after:%Y-%m-%d}")
+    print(f"Next: robofleet keys bundle {arena} NAME, for whoever is on another computer, and join it there again")
+
+
+@keys.command()
+def revoke(arena: ArenaName, name: Who) -> None:
+    """Let nobody in by a name's certificate any more, at once.
+
+    The router begins anew. A run that is on may be held by that: its robots stand, and `robofleet resume` goes on.
+
+    $ robofleet keys revoke lab r1
+    """
+    with _authority(arena) as authority:
+        from robofleet.bus.credentials import ROUTER  # noqa: PLC0415
+
+        authority.revoke(name)
+        is_router = authority.entries()[name].kind == ROUTER
+    resume = f", and cut off; if a run is held by that, go on: robofleet resume {arena}"
+    print(
+        f"{name} is revoked{'; a router that is on keeps it until it ends' if is_router else resume}\n"
+        f"`robofleet keys add {arena} {name}` lets it in again"
+    )
+
+
+@keys.command()
+def bundle(
+    arena: ArenaName,
+    name: Who,
+    router: Annotated[
+        list[str], typer.Option(metavar="ADDRESS", help="Of the router: quic/192.168.1.10:7447; repeatable.")
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: NAME.bundle.")] = None,
+) -> None:
+    """Write the one file that another computer needs; carry it there, then delete it here.
+
+    $ robofleet keys bundle lab r1 --router quic/192.168.1.10:7447
+    """
+    with _authority(arena) as authority:
+        from robofleet.bus.credentials import Credentials  # noqa: PLC0415
+        from robofleet.core.clock import utc_now  # noqa: PLC0415
+        from robofleet.hosts import bundle as bundles  # noqa: PLC0415
+
+        for address in router:
+            _refuse_no_router(address)
+        entry = authority.entries().get(name)
+        if entry is None or entry.revoked:
+            raise RefusedError(f"{name} has no certificate: `robofleet keys add {arena} {name}`")
+        entry.newest.check(utc_now())
+        file = out or Path(f"{name}.bundle")
+        own = Credentials.at(authority.folder, name)
+        try:
+            made = bundles.bundled(own, entry.newest, tuple(router))
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: {error.strerror}: `robofleet keys renew {arena} {name}`") from error
+        bundles.write(file, made)
+    print(f"{file}: carry it to {name}, and there: robofleet join {shlex.quote(file.name)}")
+
+
+def _refuse_no_router(address: str) -> None:
+    import re  # noqa: PLC0415
+
+    from robofleet.core.patterns import NETWORK_PATTERN  # noqa: PLC0415
+
+    if not re.fullmatch(NETWORK_PATTERN, address) or not 0 < int(address.rpartition(":")[2]) < 65536:
+        raise RefusedError(f"--router {address!r}: write quic/HOST:PORT or tls/HOST:PORT, as quic/192.168.1.10:7447")

@@ -1,0 +1,246 @@
+"""What the groups decide in a tick; each group's failures are kept from all others."""
+
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.behaviours import described
+from robofleet.behaviours.interface import Behaviour, Decision, Situation, Wish
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.control import wheels as wheel_limits
+from robofleet.nodes.fleet import drives
+from robofleet.safety.supervisor import Event, Phase
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Judge = Callable[[int, Callable[[], Decision]], tuple[Decision, bool]]
+
+_RAISED = Exception, SystemExit  # whatever a behaviour raises is its own failure
+_BEYOND = 1e6  # [m/s, rad/s] no robot is asked for so much
+SHARE = 0.5  # of a tick, for all groups together; the rest is the filter's, the barrier's and the bus's
+
+
+def timed_by(stopwatch_ns: Callable[[], int], share_ns: float) -> Judge:
+    """Return what calls a group's behaviour and judges by a stopwatch [ns] whether it took longer than its share."""
+
+    def judge(group: int, decide: Callable[[], Decision]) -> tuple[Decision, bool]:
+        began_ns = stopwatch_ns()
+        decision = decide()
+        return decision, stopwatch_ns() - began_ns > share_ns
+
+    return judge
+
+
+def untimed(group: int, decide: Callable[[], Decision]) -> tuple[Decision, bool]:
+    """Call a group's behaviour where computing takes no time: in lockstep."""
+    return decide(), False
+
+
+class Deciding:
+    """The groups' behaviours, and what they decided in the newest tick; arrays over the members, group by group.
+
+    On the way to the start and to the park one behaviour, ``go_to``, drives all members. A behaviour that raises,
+    returns something of a wrong shape or not finite, or takes longer than its share of the tick is stopped: its robots
+    stand, ``failed`` says why, and the traceback goes to stderr. It is asked again when the run is resumed.
+    """
+
+    def __init__(self, config: Config, judge: Judge = untimed) -> None:
+        self._config, self._judge = config, judge
+        self._tick_s, self._l = config.controller.tick_s, config.controller.point_ahead_m
+        self._rows = groups.rows(config.groups)
+        self._limits = wheel_limits.limits(drives(config))
+        self._radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
+        n = len(self._limits)
+        self.u, self.wheels = np.zeros((n, 2)), np.zeros((n, 2))  # [m/s], [rad/s]
+        self.points = np.zeros((n, 2))  # p when the commands act [m]
+        self.saturated, self.failed = np.zeros(n), np.zeros(n)
+        self._late: set[int] = set()  # rows of the crew, of this tick
+        self._velocities, self._of_body = np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
+        said = groups.descriptions(config)
+        self.numbers = np.full(described.size(said), np.nan)  # as behaviours.described reads them
+        self._columns = [{figure.name: 2 + k for k, figure in enumerate(group.figures)} for group in said]
+        self._told = [part[0] for part in described.parts(said, self.numbers[None])]
+        self.begin()
+
+    def begin(self) -> None:
+        """Know nothing: the behaviours are made anew."""
+        self._behaviours = groups.behaviours(self._config)
+        self._crew: list[tuple[Behaviour, slice]] = list(zip(self._behaviours, self._rows, strict=True))
+        self._arrived = [False] * len(self._crew)
+        self.phase = Phase.RUNNING  # whose behaviours these are
+        self._ticks = -1  # of this phase in which somebody might drive
+        self._forgive()
+
+    @property
+    def arrived(self) -> bool:
+        """Whether every behaviour of this phase has done all that it was to do."""
+        return self._ticks >= 0 and all(self._arrived)
+
+    def restart(self, phase: Phase) -> None:
+        """Begin a phase in which the robots move."""
+        self.phase, self._ticks = phase, -1
+        self._forgive()
+        if phase is Phase.RUNNING:
+            self._crew = list(zip(self._behaviours, self._rows, strict=True))
+        else:
+            self._crew = [(groups.on_the_way(self._config, phase), slice(0, len(self.u)))]
+        self._arrived = [False] * len(self._crew)
+        for k, (behaviour, _) in enumerate(self._crew):
+            self._heard(k, behaviour.restart)
+
+    def resume(self) -> None:
+        """Ask behaviours again that failed."""
+        self._forgive()
+
+    def _forgive(self) -> None:
+        self._stopped: set[int] = set()  # rows of the crew that failed
+        self.failed[:] = Event.NOTHING
+
+    def carried(self, row: int) -> None:
+        """Tell the behaviour of a robot that was carried away."""
+        for k, (behaviour, own) in enumerate(self._crew):
+            if own.start <= row < own.stop:
+                self._heard(k, behaviour.carried, row - own.start)
+
+    def changed(self) -> None:
+        """Tell what the barrier let through: ``u`` as it was changed."""
+        u = self.u.copy()
+        for k, (behaviour, own) in enumerate(self._crew):
+            self._heard(k, behaviour.changed, u[own])
+
+    def tick(
+        self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool,
+        wishes: Sequence[Wish | None] = (),
+    ) -> None:  # fmt: skip
+        """Ask every behaviour; then find what the wheels can do of it.
+
+        bodies (M, 3): poses of the members when the commands act, then of the bystanders; seen (M,): which of them ever
+        were. driving (N,), disturbance (N, 2): of the members. ``moving``: time goes on for the behaviours.
+        ``wishes``: of the groups' scripts; none where empty.
+        """
+        n = len(self.u)
+        self._ticks += moving
+        self.numbers.fill(np.nan)
+        wished = wishes if self.phase is Phase.RUNNING else ()
+        said = self._asked(bodies, seen, driving, disturbance, wished)
+        self._check(said, driving)
+        for k, decision in said.items():
+            if k not in self._stopped:
+                self._tell(k, decision)
+                if decision.hold is not None:
+                    self._stop(k, 0, decision.hold, "holds the run")
+        if self._stopped:
+            driving = driving & (self.failed == 0.0)
+        wheel_limits.commanded(
+            self._velocities, self._of_body, bodies[:n], self._l, self._limits, driving,
+            self.u, self.wheels, self.saturated, self.points,
+        )  # fmt: skip
+
+    def _asked(
+        self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, wishes: Sequence[Wish | None]
+    ) -> dict[int, Decision]:
+        """Return what each group decides, by its row of the crew."""
+        poses, may, w = bodies[: len(self.u)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
+        others = self._others(bodies, seen)
+        t, said = max(0, self._ticks) * self._tick_s, {}
+        for k, (behaviour, own) in enumerate(self._crew):
+            if k not in self._stopped:
+                now = Situation(t + behaviour.team.delay, poses[own], may[own], w[own], others(own))
+                if wishes:
+                    now = now._replace(wish=wishes[k])
+                if (decision := self._ask(k, now)) is not None:
+                    said[k] = decision
+        return said
+
+    def _others(self, bodies: Array, seen: Flags) -> Callable[[slice], Array]:
+        """Return what tells a group who else is in the arena (M, 3): x, y, body radius [m]."""
+        if len(self._crew) == 1 and len(self.u) == len(bodies):
+            return lambda own: np.empty((0, 3))
+        everybody = np.column_stack([bodies[:, :2], self._radii])[seen]
+        before = [0, *np.cumsum(seen).tolist()]  # so many of the first were seen
+        return lambda own: np.concatenate([everybody[: before[own.start]], everybody[before[own.stop] :]])
+
+    def _ask(self, k: int, now: Situation) -> Decision | None:
+        """Return what a group decides; None where it failed."""
+        behaviour, own = self._crew[k]
+        try:
+            decision, late = self._judge(k, lambda: behaviour.decide(now))
+            velocities = np.asarray(decision.velocities, dtype=np.float64)
+            if decision.of not in ("point", "body"):
+                raise ValueError(f"of={decision.of!r}: must be 'point' or 'body'")
+            if velocities.shape != (own.stop - own.start, 2):
+                self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
+                return None
+            self._velocities[own], self._of_body[own] = velocities, decision.of == "body"
+        except _RAISED:
+            self._raised(k)
+            return None
+        if late:
+            self._late.add(k)
+        return decision
+
+    def _check(self, said: dict[int, Decision], driving: Flags) -> None:
+        """Stop who decided what is not finite, or too late."""
+        known = np.abs(self._velocities) < _BEYOND
+        if not known.all():
+            unknown = ~known.all(axis=1) & driving
+            for k in said:
+                own = self._crew[k][1]
+                if unknown[own].any():
+                    row = int(unknown[own].argmax())
+                    self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {self._velocities[own][row]}")
+        for k in self._late - self._stopped:
+            self._fail(k, 0, Event.BEHAVIOUR_LATE, "its decision after its share of the tick was over")
+        self._late.clear()
+
+    def _tell(self, k: int, decision: Decision) -> None:
+        """Keep a decision's references and figures, and whether its behaviour has arrived."""
+        try:
+            if self.phase is Phase.RUNNING:
+                self._keep(k, decision)
+            elif decision.references is not None:  # on the way no group decides: there are no figures
+                for part, own in zip(self._told, self._rows, strict=True):
+                    part[:, :2] = decision.references[own]
+            self._arrived[k] = bool(self._crew[k][0].arrived)
+        except _RAISED:
+            self._raised(k)
+
+    def _keep(self, k: int, decision: Decision) -> None:
+        told, columns = self._told[k], self._columns[k]
+        if decision.references is not None:
+            told[:, :2] = decision.references
+        for name, values in decision.figures.items():
+            if name not in columns:
+                raise ValueError(f"the figure {name!r} is none of its `figures`")
+            told[:, columns[name]] = values
+
+    def _heard(self, k: int, hear: Callable[..., None], *what: Any) -> None:
+        """Let a behaviour hear something that it need not answer."""
+        if k not in self._stopped:
+            try:
+                hear(*what)
+            except _RAISED:
+                self._raised(k)
+
+    def _raised(self, k: int) -> None:
+        traceback.print_exc(file=sys.stderr)
+        self._fail(k, 0, Event.BEHAVIOUR_RAISED, "nothing but this error")
+
+    def _fail(self, k: int, row: int, why: Event, what: str) -> None:
+        self._stop(k, row, why, f"returned {what}")
+
+    def _stop(self, k: int, row: int, why: Event, what: str) -> None:
+        """Let a group stand until the run is resumed."""
+        behaviour, own = self._crew[k]
+        team = behaviour.team
+        self.u[own], self.wheels[own] = 0.0, 0.0
+        self._stopped.add(k)
+        self.failed[own] = Event.BEHAVIOUR_STANDS
+        self.failed[own.start + row] = why
+        said = f"group {team.name}, {team.robots[row]}: {type(behaviour).__name__} {what}: the group stands"
+        print(said, file=sys.stderr)

@@ -1,0 +1,90 @@
+"""Poses of a motion-capture system: its frames and the bodies in them, and the robots that stand in no arena."""
+
+from collections.abc import Iterator
+from functools import partial
+
+from robofleet.config.faults import Complaint, did_you_mean
+from robofleet.config.tree import Config
+from robofleet.core.clock import S
+from robofleet.simulation.capture import SimulatedCapture
+from robofleet.simulation.sources import VirtualPoses
+from robofleet.tracking.bodies import FleetBodies
+from robofleet.tracking.capture import POLLED, CapturePoller, CaptureReader, bodies_there, open_capture
+from robofleet.tracking.events import Notice
+from robofleet.tracking.sources import CameraError, Observation, PoseContext
+
+
+class MocapPoses:
+    """The robots' bodies, as the configured system measures them.
+
+    The library tells no time of measurement, so a pose is true ``latency_s`` before its frame arrived here.
+    """
+
+    def __init__(self, context: PoseContext) -> None:
+        config, settings = context.config, context.config.tracker.mocap
+        self._latency_ns = round(settings.latency_s * S)
+        self._bodies = FleetBodies(config)
+        self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
+        self._feed: CaptureReader | CapturePoller
+        if settings.system == "simulated":
+            capture = SimulatedCapture(config, context.bus, context.clock, context.rng)
+            if not context.real_time:
+                self._feed = CapturePoller(capture, context.clock)
+                return
+            self._feed = CaptureReader(lambda: capture, context.clock, context.wake)
+        else:
+            opened = partial(open_capture, settings)
+            self._feed = CaptureReader(opened, context.clock, context.wake, polled=settings.system in POLLED)
+
+    @staticmethod
+    def works_in_lockstep(config: Config) -> bool:
+        """Return whether it needs no other time than the clock's."""
+        return config.tracker.mocap.system == "simulated"
+
+    @staticmethod
+    def refusals(config: Config) -> Iterator[Complaint]:
+        """Return what cannot work with this configuration."""
+        if not config.seen:
+            yield "tracker.source", "there is no robot that it could measure, all are simulated: take truth"
+
+    @staticmethod
+    def unreachable(config: Config) -> Iterator[Complaint]:
+        """Ask the system which bodies it tracks; returns that it does not answer, or whose body is not there."""
+        settings = config.tracker.mocap
+        if settings.system == "simulated":
+            return
+        try:
+            there = bodies_there(settings)
+        except CameraError as error:
+            yield "tracker.mocap.host", str(error)
+            return
+        wanted = {robot.body_name for robot in config.seen}
+        for i, robot in enumerate(config.robots):
+            if robot.body_name in wanted and robot.body_name not in there:
+                key, known = "body" if robot.body else "id", did_you_mean(robot.body_name, there)
+                yield f"robots.{i}.{key}", f"{settings.system} tracks no body '{robot.body_name}': {known}"
+        strange = [name for name in there if name not in wanted and name not in settings.others]
+        if strange:
+            names = ", ".join(strange)
+            yield "tracker.mocap.others", f"the body of no robot: {names}: name the robot's body, or list it here"
+
+    def next_ns(self) -> int | None:
+        """Return when the next frame will be there; None: it wakes the process."""
+        return self._feed.next_ns()
+
+    def observe(self, now_ns: int) -> Observation | None:
+        """Return what the newest frame tells, or None."""
+        frame = self._feed.take(now_ns)
+        if frame is None:
+            return None
+        instant_ns = frame.arrival_ns - self._latency_ns
+        poses, strange = self._bodies.poses(frame.bodies, instant_ns)
+        return Observation(instant_ns, poses + self._virtual.at(instant_ns), strange)
+
+    def news(self) -> tuple[Notice, ...]:
+        """Return which bodies were lost and found since the last call."""
+        return self._bodies.news()
+
+    def close(self) -> None:
+        """Take no more frames."""
+        self._feed.close()

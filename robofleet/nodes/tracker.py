@@ -1,0 +1,94 @@
+"""The tracker: it owns its camera, finds the tags and publishes one message an image."""
+
+import numpy as np
+
+from robofleet.bus.bus import Bus, Wake
+from robofleet.bus.keys import NEWS, POSES
+from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TrackerNews
+from robofleet.bus.ticks import TickFollower
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock, S
+from robofleet.nodes.pictures import Pictures
+from robofleet.tracking.events import Notice
+from robofleet.tracking.sources import Observation, PoseSource
+
+_IDLE_NS = 100 * MS
+
+
+class Tracker:
+    """Observes, says how long after which tick the image was taken, and publishes."""
+
+    def __init__(
+        self,
+        config: Config,
+        bus: Bus,
+        clock: Clock,
+        wake: Wake,
+        rng: np.random.Generator,
+        ticks: TickFollower,
+        source: PoseSource,
+    ) -> None:
+        """Publish what ``source`` observes; ``ticks`` are those that both follow."""
+        self._tick_ns = round(config.controller.tick_s * S)
+        self._ticks, self._source = ticks, source
+        triggered = config.camera.trigger == "tick" and not config.tracker.own_times
+        self._lead_ns = round(config.camera.trigger_lead_s * S) if triggered else None
+        self._clock = clock
+        self._publish = bus.publisher(POSES, config.camera.name)
+        self._publish_news = bus.publisher(NEWS, config.camera.name)
+        self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
+        self._pictures = Pictures(config, bus, clock, wake, self._epoch)
+        self._seq = 0
+        self._news_seq = 0
+        self._refused = 0
+
+    def step(self, now_ns: int) -> int:
+        """Publish the observation that is ready; publish a picture only in a step without an observation."""
+        self._ticks.update()
+        self._pictures.answer(now_ns)
+        observation = self._source.observe(now_ns)
+        if observation is not None:
+            self._send(observation, self._clock.now_ns() - now_ns)
+            self._pictures.offer(observation.image, observation.exposure_ns, now_ns)
+        self._tell(self._source.news())
+        if observation is None:
+            self._pictures.publish()
+        elif self._pictures.waits:
+            return now_ns + 1
+        next_ns = self._source.next_ns()
+        return now_ns + _IDLE_NS if next_ns is None else next_ns
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._source.close()
+
+    def _send(self, observation: Observation, work_ns: int) -> None:
+        self._seq += 1
+        self._refused += observation.refused
+        tick, since_ns = self._ticks.newest, 0
+        if tick and self._lead_ns is not None:
+            # 0: not known, when the first records came late.
+            tick = max(0, self._ticks.nearest(observation.exposure_ns + self._lead_ns) - 1)
+            since_ns = self._tick_ns - self._lead_ns  # the trigger leaves no other choice
+        elif tick:
+            since_ns = observation.exposure_ns - self._ticks.instant(tick)
+        message = FleetPoses(
+            self._epoch,
+            self._seq,
+            self._build,
+            observation.exposure_ns,
+            self._clock.now_ns(),
+            tick,
+            since_ns,
+            work_ns,
+            self._refused,
+            observation.poses,
+        )
+        self._publish(FLEET_POSES.encode(message))
+
+    def _tell(self, happenings: tuple[Notice, ...]) -> None:
+        for event, tag, value in happenings:
+            self._news_seq += 1
+            news = TrackerNews(self._epoch, self._news_seq, self._clock.now_ns(), event, tag, value)
+            self._publish_news(TRACKER_NEWS.encode(news))

@@ -1,0 +1,1 @@
+"""A driver process: the robots of one unit behind their gates."""

@@ -1,0 +1,223 @@
+"""A driver process: the robots of one unit, each behind its gate. It owns the gates; the drivers know no bus."""
+
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from robofleet.bus import sensors
+from robofleet.bus.bus import Bus, Inbox, Publish, Request, Wake
+from robofleet.bus.keys import COMMAND, ENABLE, LEASE, SENSORS, STATUS, TRUTH
+from robofleet.bus.messages import (
+    LEASE_REQUEST,
+    UNIT_COMMAND,
+    UNIT_ENABLE,
+    UNIT_LEASES,
+    UNIT_STATUS,
+    UNIT_TRUTH,
+    LeaseAnswer,
+    UnitLeases,
+    UnitStatus,
+    UnitTruth,
+)
+from robofleet.bus.sensors import SensorsSaid
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock
+from robofleet.nodes.unit.drivers import Drivers, behind_gates
+from robofleet.nodes.unit.gated_robot import Witness
+from robofleet.nodes.unit.keeping import Keeping
+from robofleet.nodes.unit.telling import ByCable, ByRadio, Telling
+from robofleet.safety.gate import LeaseAction
+
+LOOP_NS = 10 * MS
+_ACTIONS = tuple(LeaseAction)
+Said = tuple[NDArray[Any], NDArray[Any]]  # a message's head (1,) and its items (N,)
+
+
+class Robots(Protocol):
+    """The robots of a unit (N,), each behind its gate."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def boot_id(self) -> int:
+        """What every message to them must echo."""
+
+    @property
+    def deadline_ns(self) -> int:
+        """When a gate must be asked again."""
+
+    @property
+    def hurries(self) -> bool:
+        """Whether the link was bad a short while ago: then a status goes out in every loop."""
+
+    @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed: by it the gates live."""
+
+    @property
+    def latch_is_new(self) -> bool:
+        """Whether the newest status does not tell of a gate's latch yet."""
+
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+
+    def set_back(self, from_ns: int, now_ns: int) -> None:
+        """Let every gate begin anew: the clock was set back from one instant to another."""
+
+    def pass_on(self, now_ns: int, command: Said | None, enable: Said | None, *, due: bool) -> None:
+        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
+
+    def lease(self, session: int, action: LeaseAction, now_ns: int) -> tuple[LeaseAnswer, ...]:
+        """Answer a request for the leases."""
+
+    def keep(self, *, due: bool) -> None:
+        """Keep what must be kept of the gates: the disk is slow, so every robot's wheels went before."""
+
+    def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
+        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
+
+    def truths(self) -> NDArray[Any] | None:
+        """Return the part of a truth of each that is simulated; None where all exist."""
+
+    def sensors(self) -> SensorsSaid:
+        """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
+
+    def say(self) -> None:
+        """Say in the log what there is to complain about."""
+
+    def close(self) -> None:
+        """Motors off at once, drivers closed. Idempotent."""
+
+
+class DriverProcess:
+    """The robots of one unit: a 100 Hz loop that also wakes for a message and for a gate's deadline."""
+
+    def __init__(
+        self,
+        config: Config,
+        unit: str,
+        bus: Bus,
+        clock: Clock,
+        wake: Wake,
+        boot_id: int,
+        phase_ns: int,
+        keeping: Keeping,
+        drivers: Drivers,
+        witness: Witness | None = None,
+    ) -> None:
+        """Open every robot; DriverError where one does not answer.
+
+        ``boot_id``: 64 bits that nobody has had before; ``phase_ns``: of the loop, so that those of several processes
+        are not in phase.
+        """
+        self._clock, self._build = clock, slices.build(config)
+        self._newest_ns = clock.now_ns()
+        self._sensing_ns = slices.sensing_period_ns(config, unit)
+        self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
+        try:
+            self._join(unit, bus, wake)
+        except BaseException:
+            self.close()
+            raise
+        self._refused = 0  # messages and requests that nobody could read
+        self._seq = 0
+        self._loop_ns = clock.now_ns() + phase_ns
+        self._telling: Telling = ByRadio() if unit in config.daemons else ByCable()
+        self._truth_is_due = False
+        self._sense_ns, self._sensed = self._loop_ns, 0
+
+    def _join(self, unit: str, bus: Bus, wake: Wake) -> None:
+        """Take the unit's place on the bus."""
+        self._commands = Inbox(bus.newest(COMMAND, unit, wake), UNIT_COMMAND.arrays)
+        self._enables = Inbox(bus.newest(ENABLE, unit, wake), UNIT_ENABLE.arrays)
+        self._requests = bus.serve(LEASE, unit, wake)
+        self._publish_status = bus.publisher(STATUS, unit)
+        self._publish_sensors: Publish | None = None if self._sensing_ns is None else bus.publisher(SENSORS, unit)
+        self._publish_truth: Publish | None = None if self._robots.truths() is None else bus.publisher(TRUTH, unit)
+
+    def step(self, now_ns: int) -> int:
+        """Pass on what arrived; every 10 ms read, then publish. Wheels go first, then latches, disk, bus, log."""
+        due = not self._loop_ns - LOOP_NS <= now_ns < self._loop_ns  # also when the clock was set back
+        if due:
+            self._loop_ns += LOOP_NS * (1 + (now_ns - self._loop_ns) // LOOP_NS)
+            self._truth_is_due = not self._truth_is_due
+        robots, telling = self._robots, self._telling
+        command, enable = self._whole(self._commands.take()), self._whole(self._enables.take())
+        robots.pass_on(self._now(), command, enable, due=due)
+        if command is not None:
+            telling.heard(self._newest_ns)
+        if robots.latch_is_new:
+            self._tell()  # before the disk, and before anything is said in the log
+        if (request := self._requests()) is not None:
+            self._answer(request)
+        robots.keep(due=due)
+        if due and self._truth_is_due:
+            self._tell_truth()
+        if telling.due(now_ns, robots, loop=due):
+            self._tell()
+        if due:
+            if self._publish_sensors is not None and self._sensing_ns is not None:
+                self._tell_sensors(now_ns, self._sensing_ns, self._publish_sensors)
+            robots.say()
+        return min(self._loop_ns, robots.deadline_ns, telling.next_ns)
+
+    @property
+    def build(self) -> int:
+        """The number of the configuration that these robots were made by."""
+        return self._build
+
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+        return self._robots.any_open
+
+    def close(self) -> None:
+        """Motors off, every robot, whatever one of them does."""
+        self._robots.close()
+
+    def _now(self) -> int:
+        """Return the instant: no gate decides by an old one, and none goes on when the clock was set back."""
+        now_ns, before_ns = self._clock.now_ns(), self._newest_ns
+        self._newest_ns = now_ns
+        if now_ns < before_ns:
+            self._robots.set_back(before_ns, now_ns)
+        return now_ns
+
+    def _whole(self, said: Said | None) -> Said | None:
+        """Return a message that says something to every robot of the unit, and to no other one."""
+        if said is None or len(said[1]) == len(self._robots):
+            return said
+        self._refused += 1
+        return None
+
+    def _answer(self, request: Request) -> None:
+        asked = LEASE_REQUEST.decode(request.payload)
+        if asked is None or asked.action not in _ACTIONS:
+            self._refused += 1
+            return
+        answers = self._robots.lease(asked.session, LeaseAction(asked.action), self._now())
+        request.reply(UNIT_LEASES.encode(UnitLeases(answers)))
+
+    def _tell_truth(self) -> None:
+        """Publish where the simulated ones really are."""
+        if self._publish_truth is not None and (truths := self._robots.truths()) is not None:
+            self._seq += 1
+            self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
+
+    def _tell_sensors(self, now_ns: int, period_ns: int, publish: Publish) -> None:
+        """Publish what the robots' sensors say, if it is time to."""
+        if not self._sense_ns - period_ns <= now_ns < self._sense_ns:  # also when the clock was set back
+            self._sense_ns += period_ns * (1 + (now_ns - self._sense_ns) // period_ns)
+            self._sensed += 1
+            publish(sensors.encoded(self._sensed, self._now(), self._robots.sensors()))
+
+    def _tell(self) -> None:
+        """Publish what every robot says of itself."""
+        robots, now_ns = self._robots, self._now()
+        self._seq += 1
+        refused = self._refused + self._commands.rejected + self._enables.rejected
+        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, self._telling.hurry, ())
+        self._publish_status(UNIT_STATUS.encode_view(head, robots.statuses(now_ns, refused)))
+        self._telling.told(now_ns)

@@ -1,0 +1,96 @@
+"""Makes the robots of a unit: each behind its driver, or all simulated ones at once."""
+
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.core.plugins import load
+from robofleet.nodes.unit import driver_settings
+from robofleet.nodes.unit.attached import Attached
+from robofleet.nodes.unit.gated_robot import GatedRobots, Witness
+from robofleet.nodes.unit.keeping import Keeping
+from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver, is_concurrent
+
+if TYPE_CHECKING:
+    from robofleet.nodes.unit.driver import Robots
+    from robofleet.simulation.bodies import Bodies
+
+_ARRAYS = "simulated"  # the driver whose robots are simulated all at once
+
+
+class Drivers(Protocol):
+    """What a driver process makes its robots from."""
+
+    def context(self, robot: str) -> DriverContext:
+        """Return what a robot's driver is made from."""
+
+    def driver(self, context: DriverContext) -> Driver:
+        """Return a driver whose robot has answered and stands; DriverError where it does not."""
+
+    def bodies(self, contexts: Sequence[DriverContext]) -> "Bodies | None":
+        """Return the robots of a unit as bodies in arrays; None where each has a driver of its own."""
+
+
+class ConfiguredDrivers:
+    """Makes what the configuration names. The driver of a robot that exists is made again when it fails."""
+
+    def __init__(self, config: Config, now_ns: Callable[[], int]) -> None:
+        self._config, self._now_ns, self._world = config, now_ns, slices.world(config)
+        self._constructing = threading.Lock()
+
+    def context(self, robot: str) -> DriverContext:
+        """Return what a robot's driver is made from."""
+        return driver_settings.context(self._config, self._config.robot(robot), self._now_ns, self._world)
+
+    def driver(self, context: DriverContext) -> Driver:
+        """Return a robot's driver; DriverError where the robot does not answer."""
+        kind = load("robofleet.drivers", self._config.robot(context.robot).driver)
+        make: Callable[[], Driver] = partial(kind, context)
+        if not is_concurrent(kind):
+            make = partial(self._alone, make)
+        return make() if issubclass(kind, SimulatedDriver) else Attached(make, context.now_ns)
+
+    def _alone(self, make: Callable[[], Driver]) -> Driver:
+        """Construct a driver while no other is: several that failed at once are made again one after the other."""
+        with self._constructing:
+            return make()
+
+    def bodies(self, contexts: Sequence[DriverContext]) -> "Bodies | None":
+        """Return the robots of a unit that this project simulates, as bodies in arrays; None for any other unit."""
+        if not in_arrays(self._config, [context.robot for context in contexts]):
+            return None
+        from robofleet.simulation.bodies import Bodies  # noqa: PLC0415 - it needs numba
+
+        return Bodies(contexts)
+
+
+def in_arrays(config: Config, robots: Sequence[str]) -> bool:
+    """Return whether this project simulates all of these robots, so that their bodies are in arrays."""
+    return all(config.robot(robot).driver == _ARRAYS for robot in robots)
+
+
+def behind_gates(
+    drivers: Drivers, config: Config, robots: Sequence[str], boot_id: int, keeping: Keeping, witness: Witness | None,
+    now_ns: Callable[[], int],
+) -> "Robots":  # fmt: skip
+    """Return a unit's robots, which have answered and stand, behind their gates; DriverError where one does not."""
+    contexts = [drivers.context(robot) for robot in robots]
+    if (bodies := drivers.bodies(contexts)) is not None:
+        from robofleet.nodes.unit.simulated_robots import SimulatedRobots  # noqa: PLC0415 - it needs numba
+
+        return SimulatedRobots(contexts, bodies, boot_id, keeping, witness, now_ns())
+    opened: list[Driver] = []
+    try:
+        for context in contexts:
+            try:
+                opened.append(drivers.driver(context))
+            except DriverError as error:
+                raise DriverError(f"{driver_settings.place(config, config.robot(context.robot))}: {error}") from error
+        return GatedRobots(contexts, opened, boot_id, keeping, witness, now_ns)
+    except BaseException:
+        for driver in opened:
+            driver.close()
+        raise

@@ -1,0 +1,362 @@
+"""One robot behind its gate: what arrives, what is written to the wheels, what is measured, what is kept.
+
+It is a robot that exists, or one of a simulation that somebody else wrote. ``simulated_robots.py`` has those of
+``drivers/simulated.py``, many at once.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.bus import sensors
+from robofleet.bus.messages import (
+    UNIT_STATUS,
+    UNIT_TRUTH,
+    LeaseAnswer,
+    RobotStatus,
+    Truth,
+    UnitCommand,
+    UnitEnable,
+)
+from robofleet.bus.sensors import SensorsSaid
+from robofleet.core.clock import MS, S
+from robofleet.nodes.unit.health import Health
+from robofleet.nodes.unit.keeping import Keeping, Memory, kept
+from robofleet.safety import gate
+from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
+from robofleet.vehicles.interface import (
+    STOP,
+    Driver,
+    DriverContext,
+    DriverError,
+    SensorReading,
+    SimulatedDriver,
+    WheelSpeeds,
+)
+
+TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
+# In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
+BAD_LINK_NS = 70 * MS
+NO_LINK_NS = S // 2  # it is not a bad one
+HURRY_NS = 60 * S
+LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
+_NEVER_NS = (1 << 63) - 1
+_LATCHES = {int(latch): latch for latch in Latch}
+
+Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
+
+
+class GatedRobots:
+    """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each: the one before may block."""
+
+    def __init__(
+        self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, keeping: Keeping,
+        witness: Witness | None, now_ns: Callable[[], int],
+    ) -> None:  # fmt: skip
+        self._now_ns = now_ns
+        self._robots = [
+            GatedRobot(context, driver, boot_id, keeping, witness)
+            for context, driver in zip(contexts, drivers, strict=True)
+        ]
+        self._simulated = [place for place, driver in enumerate(drivers) if isinstance(driver, SimulatedDriver)]
+
+    def __len__(self) -> int:
+        """Return how many robots these are."""
+        return len(self._robots)
+
+    @property
+    def boot_id(self) -> int:
+        """What was drawn when the unit started, and counted on whenever its clock was set back."""
+        return self._robots[0].boot_id
+
+    @property
+    def deadline_ns(self) -> int:
+        """When a gate must be asked again."""
+        return min(robot.deadline_ns for robot in self._robots)
+
+    @property
+    def hurries(self) -> bool:
+        """Whether the link was bad a short while ago."""
+        return any(robot.hurries for robot in self._robots)
+
+    @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed."""
+        return max(robot.newest_nonce_ns for robot in self._robots)
+
+    @property
+    def latch_is_new(self) -> bool:
+        """Whether the newest status does not tell of a gate's latch yet."""
+        return any(robot.latch_is_new for robot in self._robots)
+
+    @property
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+        return any(robot.is_open for robot in self._robots)
+
+    def set_back(self, from_ns: int, now_ns: int) -> None:
+        """Let every gate begin anew: the clock was set back."""
+        for robot in self._robots:
+            robot.set_back(from_ns, now_ns)
+
+    def pass_on(
+        self, _now_ns: int, command: tuple[NDArray[Any], NDArray[Any]] | None,
+        enable: tuple[NDArray[Any], NDArray[Any]] | None, *, due: bool,
+    ) -> None:  # fmt: skip
+        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
+        commands: Any = repeat((None, 0)) if command is None else _commands(*command)
+        permissions: Any = repeat(None) if enable is None else _permissions(*enable)
+        for robot, (told, exposure_ns), permission in zip(self._robots, commands, permissions, strict=False):
+            if due:
+                robot.look(self._now_ns())
+            robot.pass_on(self._now_ns(), told, exposure_ns, permission)
+
+    def lease(self, session: int, action: LeaseAction, _now_ns: int) -> tuple[LeaseAnswer, ...]:
+        """Answer a request for the leases; an epoch that a restart would give out again is not given out."""
+        return tuple(robot.lease(session, action, self._now_ns()) for robot in self._robots)
+
+    def keep(self, *, due: bool) -> None:
+        """Keep what must be kept of the gates: a lease's epoch, a latch."""
+        for robot in self._robots:
+            robot.keep(due=due)
+
+    def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
+        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
+        return np.array([robot.status(now_ns, refused) for robot in self._robots], UNIT_STATUS.item_dtype)
+
+    def truths(self) -> NDArray[Any] | None:
+        """Return the part of a truth of each that is simulated; None where all exist."""
+        truths = [self._robots[place].truth(place) for place in self._simulated]
+        return np.array(truths, UNIT_TRUTH.item_dtype) if truths else None
+
+    def sensors(self) -> SensorsSaid:
+        """Return what is said of the sensors of each that tells of them, and answers."""
+        readings = ((place, robot.sensors) for place, robot in enumerate(self._robots))
+        return sensors.said((place, reading) for place, reading in readings if reading is not None)
+
+    def say(self) -> None:
+        """Say in the log what there is to complain about."""
+        for robot in self._robots:
+            robot.say()
+
+    def close(self) -> None:
+        """Motors off, every robot, whatever one of them does."""
+        errors = []
+        for robot in self._robots:
+            try:
+                robot.close()
+            except Exception as error:  # noqa: BLE001 - the others' motors must go off too
+                errors.append(error)
+        if errors:
+            raise ExceptionGroup("closing the drivers", errors)
+
+
+class GatedRobot:
+    """One robot: what arrives passes the gate, what passes moves the wheels, what is measured is published."""
+
+    def __init__(
+        self, context: DriverContext, driver: Driver, boot_id: int, keeping: Keeping, witness: Witness | None
+    ) -> None:
+        self._robot, self._driver, self._drive = context.robot, driver, context.drive
+        self._witness = witness
+        self._health = Health(context.robot, context.now_ns())
+        self._memory = Memory(context.robot, keeping, self._health.complain)
+        self._gate = GateState(boot_id, *self._memory.kept)
+        self._settled: GateState | None = None  # the newest one of which nothing is left to be kept
+        self._written: WheelSpeeds | None = None
+        self._told, self._told_ns, self._telling = (0.0, 0.0), 0, STOP
+        self._status = GateStatus.NO_LEASE
+        self._deadline_ns: int | None = 0
+        self._accepted_exposure_ns: int | None = None  # of a command that has not reached the wheels yet
+        self._applied = (0, 0)  # the newest one that has: its exposure, and when
+        self._opened = False  # the gate was open: before, late messages are those of processes that start
+        self._hurry_until_ns = 0
+        self._closed = False
+        self._told_latch = (self._gate.latch, self._gate.latch_id)  # in the newest status
+        self._retry = False  # what the robot was told last may not have reached it
+        self.look(context.now_ns())
+
+    @property
+    def boot_id(self) -> int:
+        """What every message to it must echo."""
+        return self._gate.boot_id
+
+    @property
+    def deadline_ns(self) -> int:
+        """When its gate must be asked again."""
+        return _NEVER_NS if self._deadline_ns is None else self._deadline_ns
+
+    @property
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed."""
+        return min(self._gate.command_nonce, self._gate.enabled[0])
+
+    @property
+    def is_open(self) -> bool:
+        """Whether its gate lets a controller's commands through."""
+        return self._status is GateStatus.OPEN
+
+    def set_back(self, from_ns: int, now_ns: int) -> None:
+        """Let the gate begin anew: the clock was set back."""
+        self._gate = self._gate._replace(at_ns=from_ns)
+        self.pass_on(now_ns, None, 0, None)
+
+    @property
+    def hurries(self) -> bool:
+        """Whether its link was bad a short while ago: then its status goes out in every loop."""
+        return self._gate.at_ns < self._hurry_until_ns
+
+    def look(self, now_ns: int) -> None:
+        """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
+        self._retry = self._health.look(self._driver, self._gate.latch, self._gate.output, now_ns)
+        if self._status is not GateStatus.OPEN and self._gate.output == STOP:
+            self._retry = False
+            self._write(STOP)
+
+    def pass_on(
+        self, now_ns: int, command: gate.Command | None, exposure_ns: int, permission: gate.Permission | None
+    ) -> None:
+        """Let the gate decide on what arrived, and write the wheels; ``exposure_ns``: of the image behind a command."""
+        quiet = command is None and permission is None and self._health.latch <= self._gate.latch
+        due = self._deadline_ns is not None and now_ns >= min(self._deadline_ns, self._gate.at_ns + LOOK_NS)
+        if quiet and not due and not self._retry and now_ns >= self._gate.at_ns:
+            return  # the gate's output changes by a message, by the robot's own stop, at its deadline
+        self._opened = self._opened or self._status is GateStatus.OPEN
+        age_ns = now_ns - self.newest_nonce_ns
+        if self._opened and BAD_LINK_NS < age_ns < NO_LINK_NS:
+            self._hurry_until_ns = now_ns + HURRY_NS
+        seq = self._gate.seq
+        inputs = self._inputs(command, permission)
+        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
+        self._adopt(inputs, state, output, now_ns, again=command is not None or self._retry)
+        self._retry = False
+        if command is not None and exposure_ns != self._applied[0] and self._gate.seq != seq:
+            self._accepted_exposure_ns = exposure_ns
+        if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
+            self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
+
+    @property
+    def latch_is_new(self) -> bool:
+        """Whether the newest status does not tell of the gate's latch yet."""
+        return (self._gate.latch, self._gate.latch_id) != self._told_latch
+
+    def keep(self, *, due: bool) -> None:
+        """Keep what must be kept of the gate."""
+        if self._gate is not self._settled:
+            memory = kept(self._gate)
+            self._memory.keep(memory, due=due)
+            if memory == self._memory.kept:
+                self._settled = self._gate
+
+    def lease(self, session: int, action: LeaseAction, now_ns: int) -> LeaseAnswer:
+        """Answer a request for the lease."""
+        inputs = self._inputs(lease=(session, action))
+        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
+        granted = bool(output.granted)
+        if state.epoch != self._gate.epoch and not self._memory.save(kept(state)):
+            granted = False  # an epoch that a restart would give out again is not given out: nothing has happened
+        else:
+            self._adopt(inputs, state, output, now_ns)
+        return LeaseAnswer(int(granted), self._gate.epoch, self._gate.session)
+
+    def truth(self, place: int) -> Truth:
+        """Return where the robot really is, if it is simulated; ``place``: in its unit."""
+        assert isinstance(self._driver, SimulatedDriver)
+        return Truth(place, *self._driver.truth())
+
+    @property
+    def sensors(self) -> SensorReading | None:
+        """What its sensors say; None where they say nothing, and where its driver has lost it."""
+        return None if self._health.failed else self._health.reading.sensors
+
+    def say(self) -> None:
+        """Say in the log what there is to complain about."""
+        self._health.say()
+
+    def close(self) -> None:
+        """Motors off at once, driver closed. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            try:
+                self._driver.write(STOP)
+            except DriverError as error:
+                self._health.complain(f"its wheels did not get the last stop command: {error}")
+            finally:
+                self._driver.close()
+                self._health.say()
+
+    def _inputs(
+        self,
+        command: gate.Command | None = None,
+        permission: gate.Permission | None = None,
+        lease: tuple[int, LeaseAction] | None = None,
+    ) -> Inputs:
+        reading = self._health.reading
+        turning = max(abs(reading.left_speed), abs(reading.right_speed)) > TURNING_RAD_S
+        return Inputs(command, permission, lease, self._health.latch, turning)
+
+    def _adopt(self, inputs: Inputs, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
+        """Do what the gate decided; ``again`` tells the robot also what it was told before."""
+        self._gate, self._status, self._deadline_ns = state, output.status, output.deadline_ns
+        if self._witness is not None:
+            self._witness(self._robot, now_ns, inputs, state, output)
+        if again or output.output != self._written:
+            self._told, self._told_ns, self._telling = self._told_until(now_ns), now_ns, output.output
+            self._write(output.output)
+        if self._health.latch > state.latch:  # just now
+            inputs = self._inputs()
+            self._adopt(inputs, *gate.step(state, self._drive, inputs, now_ns), now_ns)
+
+    def _told_until(self, now_ns: int) -> tuple[float, float]:
+        """Return how far the wheels were told to turn [rad]."""
+        (left, right), (told_left, told_right), since_s = self._telling, self._told, (now_ns - self._told_ns) * 1e-9
+        return told_left + left * since_s, told_right + right * since_s
+
+    def _write(self, wheels: WheelSpeeds) -> None:
+        try:
+            self._driver.write(wheels)
+            self._written = wheels
+        except Exception as error:  # noqa: BLE001 - whatever a driver does, it is its own robot that stops
+            self._health.fail(error)
+            self._written = None
+
+    def status(self, now_ns: int, refused: int) -> RobotStatus:
+        """Return its part of a status; ``refused``: messages of the unit that nobody could read."""
+        state, reading = self._gate, self._health.reading
+        self._told_latch = (state.latch, state.latch_id)
+        battery = reading.battery if math.isfinite(reading.battery) else -1.0
+        return RobotStatus(
+            state.epoch, state.session, *self._applied, state.refused + refused, self._status, state.latch,
+            state.latch_id, self._health.faults(state.latch), state.target_after_ns, state.output_after_ns,
+            reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output,
+            *self._told_until(now_ns), battery,
+        )  # fmt: skip
+
+
+def _commands(head: NDArray[Any], items: NDArray[Any]) -> list[tuple[gate.Command | None, int]]:
+    """Return what is said to each robot, and the exposure behind it."""
+    said = UnitCommand._make([*head[0].item()[1:-1], ()])
+    return [
+        (
+            gate.Command(epoch, said.session, said.seq, said.boot_id, said.nonce, WheelSpeeds(left, right))
+            if epoch
+            else None,
+            said.exposure_ns,
+        )
+        for epoch, left, right in items.tolist()
+    ]
+
+
+def _permissions(head: NDArray[Any], items: NDArray[Any]) -> list[gate.Permission]:
+    """Return each robot's permission; a latch of another version is the emergency stop."""
+    said = UnitEnable._make([*head[0].item()[1:-1], ()])
+    return [
+        gate.Permission(
+            epoch, said.seq, said.boot_id, said.nonce, _LATCHES.get(latch, Latch.EMERGENCY_STOP), clear, limit
+        )
+        for epoch, latch, clear, limit in items.tolist()
+    ]

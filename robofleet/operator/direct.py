@@ -1,0 +1,105 @@
+"""The commands for which an operator is in a hurry: they need no Typer, which takes longer to load than they take.
+
+A command line that has nothing but the command and an arena's name is done by ``run``. Typer reads all others (options,
+help, mistakes, a shell's completions), and then calls the same functions. Each of them returns an exit code.
+"""
+
+import gc
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from robofleet.core.log_lines import never_raise
+from robofleet.core.valid_json import dumps
+from robofleet.operator.terminal.plain_terminal import speak_its_language
+
+# what is asked of the supervisor, and what that does
+REQUESTS = {
+    "arm": "Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.",
+    "start": "Start a fleet that waits for its operator (run.start: operator).",
+    "hold": "Let every robot stand; `robofleet resume` goes on.",
+    "resume": "Continue after a hold.",
+    "park": "Let every robot drive to its place to park; the run ends there.",
+    "reset": "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.",
+}
+_THEN = {"park": "every robot drives to its place to park; the run ends there"}
+_WORDS = 2  # a command, and an arena
+_COLLECT_AFTER = 50_000  # objects: loading libraries makes many, and hardly any garbage
+
+
+def run(words: Sequence[str]) -> int | None:
+    """Do what a plain command line says, and return the exit code; None where Typer must read it."""
+    if not 1 <= len(words) <= _WORDS or words[0] not in _COMMANDS or words[-1].startswith("-"):
+        return None
+    gc.set_threshold(_COLLECT_AFTER)
+    speak_its_language()
+    never_raise()
+    try:
+        return _COMMANDS[words[0]](words[1] if len(words) == _WORDS else None)
+    except KeyboardInterrupt:
+        print(file=sys.stderr)
+        return 1
+
+
+def stop(arena: str | None) -> int:
+    """Ask for the emergency stop of an arena, or of every run of this user."""
+    from robofleet.operator import elsewhere  # noqa: PLC0415
+    from robofleet.operator import requests as operator  # noqa: PLC0415
+
+    try:
+        there = elsewhere.joined_arena(arena)
+        answers = operator.stop_all(arena) if there is None else [elsewhere.stop(there)]
+    except operator.NoArenaError as error:
+        return _refused(error)
+    return max(_answered(done, what) for done, what in answers)
+
+
+def request(what: str, arena: str | None) -> int:
+    """Ask the supervisor of an arena."""
+    from robofleet.operator import elsewhere  # noqa: PLC0415
+    from robofleet.operator import requests as operator  # noqa: PLC0415
+
+    try:
+        there = elsewhere.joined_arena(arena)
+        done, answer = operator.ask(operator.chosen(arena), what) if there is None else elsewhere.ask(there, what)
+    except operator.NoArenaError as error:
+        return _refused(error)
+    then = _THEN.get(what)
+    return _answered(done, f"{answer}: {then}" if done and then else answer)
+
+
+def status(arena: str | None, *, as_json: bool = False) -> int:
+    """Show the state of an arena."""
+    from robofleet.operator import requests as operator  # noqa: PLC0415
+
+    try:
+        found = operator.status(operator.chosen(arena))
+    except operator.NoArenaError as error:
+        return _refused(error)
+    except operator.UnreachableError as error:
+        return _answered(False, str(error))
+    if as_json:
+        print(dumps(found))
+    else:
+        from rich.console import Console  # noqa: PLC0415
+
+        from robofleet.reports.tables import status_table  # noqa: PLC0415
+
+        Console().print(status_table(found))
+        print(found["next"] or "")
+    return 0
+
+
+def _answered(done: bool, what: str) -> int:
+    """Print what came of a command, and return its exit code."""
+    print(what, file=sys.stdout if done else sys.stderr)
+    return 0 if done else 1
+
+
+def _refused(error: Exception) -> int:
+    print(error, file=sys.stderr)
+    return 2
+
+
+_COMMANDS: dict[str, Callable[[str | None], int]] = {"stop": stop, "status": status}
+_COMMANDS |= {what: partial(request, what) for what in REQUESTS}

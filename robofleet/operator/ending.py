@@ -1,0 +1,105 @@
+"""What ``robofleet run`` says and leaves in the end: why it ended, the table, the files, and the exit code."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robofleet.config.yamlfile import printable
+from robofleet.core.files import write_text
+from robofleet.core.valid_json import dumps
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
+    from robofleet.operator.run import Result
+
+
+class Ending:
+    """The end of a run whose summary is made; results that cannot be kept are in ``lost``, a line each."""
+
+    def __init__(self, config: "Config", folder: Path, result: "Result", *, as_json: bool) -> None:
+        self._config, self._folder, self._as_json = config, folder, as_json
+        self._summary, self._columns = result
+        self.lost: list[str] = []
+
+    def tell(self) -> None:
+        """Say why the run ended, then what it measured; write summary and report."""
+        summary, completed = self._summary, self._summary["outcome"] == "completed"
+        if not completed:
+            print(f"{summary['outcome']}: {summary['cause']}", file=sys.stderr)
+        if dropped := summary["recording"]["dropped"]:
+            many = f"{dropped:,} message{'s' * (dropped > 1)} of the run"
+            self._lose(self._folder / "run.mcap", f"it lacks {many}: make room, and run it again")
+        kept = self._summary_kept()
+        if self._as_json or not kept:
+            print(dumps(summary))
+        elif completed or summary["ticks"]:
+            self._show_table()
+        page = self._report()
+        if not self._as_json:
+            for file in (self._folder / "summary.json" if kept else None, page):
+                if file is not None:
+                    print(printable(str(file)))
+        self._judge()
+
+    def write_junit(self, file: Path) -> None:
+        """Write the bounds for a CI."""
+        from robofleet.reports import junit  # noqa: PLC0415
+
+        try:
+            junit.write(self._summary, self.lost, file)
+        except OSError as error:
+            self._lose(file, f"cannot be written: {error.strerror}: make room")
+
+    def bad(self, *, strict: bool) -> bool:
+        """Return whether the exit code is 1."""
+        missed = strict and not all(bound["pass"] for bound in self._summary["bounds"])
+        return self._summary["outcome"] != "completed" or bool(self.lost) or missed
+
+    def _lose(self, file: Path, why: str) -> None:
+        self.lost.append(printable(f"results are lost: {file}: {why}"))
+        print(self.lost[-1], file=sys.stderr)
+
+    def _summary_kept(self) -> bool:
+        file = self._folder / "summary.json"
+        try:
+            write_text(file, dumps(self._summary, indent=1) + "\n")
+        except OSError as error:
+            self._lose(file, f"cannot be written: {error.strerror}: it is printed instead")
+            return False
+        return True
+
+    def _show_table(self) -> None:
+        from rich.console import Console  # noqa: PLC0415
+
+        from robofleet.reports.tables import summary_table  # noqa: PLC0415
+
+        Console().print(summary_table(self._summary, self._config))
+
+    def _report(self) -> Path | None:
+        """Write the run's report; where that fails, the run and its summary are there all the same."""
+        if not self._summary["recording"]["messages"]:  # the operator ended it before it began
+            return None
+        from robofleet.config import groups  # noqa: PLC0415
+        from robofleet.recording.reading import RecordingError  # noqa: PLC0415
+        from robofleet.reports import after  # noqa: PLC0415
+
+        try:
+            made = after.report(self._folder, imports=groups.own(self._config).__contains__, columns=self._columns)
+        except OSError as error:
+            self._lose(self._folder / "report.html", f"cannot be written: {error.strerror}: make room")
+            return None
+        except RecordingError as error:
+            if self._summary["ticks"]:
+                self._lose(self._folder / "report.html", f"there is none: {error}")
+            else:
+                print("there is no report: the run ended before anything was recorded", file=sys.stderr)
+            return None
+        if made.trouble is not None:
+            self._lose(self._folder / "run.mcap", f"it {made.trouble}: `robofleet repair` mends it")
+        return made.page
+
+    def _judge(self) -> None:
+        from robofleet.reports.bounds import complaints  # noqa: PLC0415
+
+        for line in complaints(self._summary):
+            print(line, file=sys.stderr)

@@ -1,0 +1,132 @@
+"""A person's hand on a robot: commands of a group whose behaviour is ``teleop``, by the ticks that the person has seen.
+
+Nothing is sent but while the dead-man's button is held; when it is let go, and when it is seen up for the first time,
+the robots are told at once that they stand.
+Silence does the same: a command that is older than the behaviour's ``silent_s`` counts for nothing.
+
+In a held run the person may drive one robot of the group out, at a crawl. A button that was held for something else,
+as when the run is held, or before this hand began, counts for nothing until it was let go.
+"""
+
+import math
+import secrets
+from typing import NamedTuple
+
+import numpy as np
+
+from robofleet.behaviours.interface import WishKind
+from robofleet.behaviours.teleop import Teleop
+from robofleet.bus.bus import Bus
+from robofleet.bus.keys import TELEOP
+from robofleet.bus.messages import SCRIPT_WISH
+from robofleet.config import groups
+from robofleet.config.tree import Config
+
+_EPOCH_BITS = 30  # as of scripts
+_MOST_TICKS = 1 << 32  # in a wish
+
+
+class Stick(NamedTuple):
+    """What a person does with a gamepad."""
+
+    forward: float  # -1 to 1
+    turn: float  # to the left, -1 to 1
+    held: bool  # the dead-man's button
+
+    @property
+    def sound(self) -> bool:
+        """Whether it can be one: its numbers are finite."""
+        return math.isfinite(self.forward) and math.isfinite(self.turn)
+
+
+def driven(config: Config) -> tuple[str, ...]:
+    """Return the groups that a person drives."""
+    return groups.wishing(config, Teleop)
+
+
+class Hand:
+    """Commands one group."""
+
+    def __init__(self, bus: Bus, config: Config, group: str) -> None:
+        its = next(one for one in config.groups if one.title == group)
+        settings = Teleop.Settings.model_validate(its.settings)
+        self._most = {
+            WishKind.BODY: (settings.max_speed_m_s, settings.max_turn_rad_s),
+            WishKind.RESCUE: (min(settings.crawl_m_s, settings.max_speed_m_s), settings.max_turn_rad_s),
+        }
+        self._ids = its.robots
+        self._publish = bus.publisher(TELEOP, group)
+        self._robots = np.zeros(len(its.robots), SCRIPT_WISH.item_dtype)
+        self._values = SCRIPT_WISH.floats(self._robots)  # of the same memory (N, 3)
+        self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
+        self._tick = 0
+        self._held: tuple[WishKind, int] | None = None  # what the button is held for, and of which robot
+        self._spent = True  # the button may be held for something else, and was not seen let go since
+
+    def drive(self, stick: Stick, tick: int) -> None:
+        """Command what the stick says by a tick that the person's computer has seen; the release, once."""
+        self._do(WishKind.BODY, 0, stick, tick)
+
+    def drive_out(self, robot: str, stick: Stick, tick: int) -> bool:
+        """Command one robot of a held run, as ``drive``; returns whether it is one of the group's."""
+        if robot not in self._ids:
+            return False
+        self._do(WishKind.RESCUE, self._ids.index(robot), stick, tick)
+        return True
+
+    def _do(self, kind: WishKind, row: int, stick: Stick, tick: int) -> None:
+        self._tick = max(self._tick, tick)
+        if not stick.held:
+            if self._spent:
+                self._stand()
+                self._spent = False
+            self.let_go()
+            return
+        if tick <= 0:
+            self.let_go()
+            return
+        if self._held not in (None, (kind, row)):
+            self.let_go()
+            self._spent = True
+        if self._spent:
+            return
+        forward, turn = (min(max(value, -1.0), 1.0) for value in stick[:2])
+        self._robots["told"] = np.arange(len(self._robots)) == row
+        self._values[row, :2] = np.multiply((forward, turn), self._most[kind])
+        self._say(kind, tick)
+        self._held = kind, row
+
+    def let_go(self) -> None:
+        """Let the robots stand, if they were driven."""
+        if self._held is not None:
+            self._stand()
+
+    def _stand(self) -> None:
+        self._values[:, :2] = 0.0
+        self._say(WishKind.STAND, self._tick)
+        self._held = None
+
+    def _say(self, kind: WishKind, tick: int) -> None:
+        self._seq += 1
+        self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._robots))
+
+
+class Hands:
+    """One person's hand on each group that a person can drive, by a page."""
+
+    def __init__(self, bus: Bus, config: Config) -> None:
+        self._hands = {group: Hand(bus, config, group) for group in driven(config)}
+
+    def drive(self, group: str, stick: Stick, tick: int, out: str | None = None) -> bool:
+        """Command a group, or drive its robot ``out`` of a held run; returns whether that made sense."""
+        if group not in self._hands or not stick.sound or not 0 <= tick < _MOST_TICKS:
+            return False
+        if out is not None:
+            return self._hands[group].drive_out(out, stick, tick)
+        self._hands[group].drive(stick, tick)
+        return True
+
+    def let_go(self) -> None:
+        """Let all of them stand."""
+        for hand in self._hands.values():
+            hand.let_go()

@@ -1,0 +1,120 @@
+"""The computers of an arena's robots, as they answer within some seconds: during a run, and where the router stays."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from robofleet.bus.keys import HOST, STATUS, key
+from robofleet.bus.messages import UNIT_STATUS, UnitStatus
+from robofleet.bus.zenoh_bus import ZenohBus
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.core.patterns import unit_of_role
+from robofleet.operator.elsewhere import Elsewhere, reached
+from robofleet.operator.requests import answering
+from robofleet.safety.gate import GateStatus
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_CONNECT_WITHIN_S = 1.0
+_LISTEN_NS = 2 * S
+_POLL_NS = MS
+
+
+def hosts(config: Config) -> dict[str, Any]:
+    """Return every unit of an arena: what its computer says of itself, and how well it is heard.
+
+    UnreachableError where no router answers.
+    """
+    clock, arena = WallClock(), config.arena.name
+    silent = f"no router of {arena} answers at {config.bus.endpoint}: start a run, or one that stays (bus.router)"
+    with answering(silent, arena, config.bus.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
+        return {"arena": arena, "units": _asked(bus, clock, arena, config.units, config.daemons)}
+
+
+def hosts_elsewhere(there: Elsewhere) -> dict[str, Any]:
+    """Return the units of another computer's arena that are linked now: only its configuration knows the others.
+
+    UnreachableError where no router answers.
+    """
+    clock = WallClock()
+    with reached(there, clock) as bus:
+        linked = sorted(unit for role in bus.roles() if (unit := unit_of_role(role)) is not None)
+        return {"arena": there.arena, "units": _asked(bus, clock, there.arena, dict.fromkeys(linked, ()), linked)}
+
+
+def _asked(
+    bus: ZenohBus, clock: WallClock, arena: str, units: Mapping[str, Sequence[str]], daemons: Sequence[str]
+) -> list[dict[str, Any]]:
+    said: dict[str, list[UnitStatus]] = {unit: [] for unit in units}
+    answers: dict[str, tuple[float, dict[str, Any]]] = {}
+    keys = {key(arena, STATUS, unit): unit for unit in units}
+    statuses = bus.stream(*keys, capacity=1024 * len(keys))
+    clock.sleep_until(clock.now_ns() + S // 5)  # who serves what is heard of first
+    asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in daemons}
+    end_ns = clock.now_ns() + _LISTEN_NS
+    while (now_ns := clock.now_ns()) < end_ns:
+        for unit, (asked_ns, answer) in asked.items():
+            if unit not in answers and (reply := answer.take()) is not None:
+                answers[unit] = (now_ns - asked_ns) / MS, _read(reply)
+        for _, full, payload in statuses.drain():
+            if (status := UNIT_STATUS.decode(payload)) is not None:
+                said[keys[full]].append(status)
+        clock.sleep_until(now_ns + _POLL_NS)
+    return [_unit(unit, units[unit], said[unit], answers.get(unit), daemon=unit in daemons) for unit in units]
+
+
+def _read(reply: bytes) -> dict[str, Any]:
+    try:
+        told = json.loads(reply)
+    except ValueError:
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
+def _unit(
+    unit: str, robots: Sequence[str], said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None, *,
+    daemon: bool,
+) -> dict[str, Any]:  # fmt: skip
+    trip_ms, told = answer or (None, {})
+    seqs = [status.seq for status in said]
+    sent = max(seqs) - min(seqs) + 1 if seqs else 0
+    charges = [robot.battery for robot in said[-1].robots if robot.battery >= 0.0] if said else []
+    return {
+        "unit": unit, "robots": list(robots),
+        "state": _state(said, daemon=daemon, answers=answer is not None),
+        **{name: told.get(name) for name in ("host", "version", "certificate_ends", "since")},
+        "round_trip_ms": None if trip_ms is None else round(trip_ms, 1),
+        "loss": round(1.0 - len(set(seqs)) / sent, 3) if sent > 1 else None,
+        "battery": round(min(charges), 3) if charges else None,
+    }  # fmt: skip
+
+
+def _state(said: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
+    """Return what a unit does: where it is silent, somebody must look."""
+    if daemon and not answers:
+        return "no answer" if said else "silent"
+    if not daemon and not said:
+        return "silent"
+    drives = bool(said) and any(robot.gate == GateStatus.OPEN for robot in said[-1].robots)
+    return ("drives" if drives else "waits") + ("" if daemon else ", on this computer")
+
+
+def table(found: dict[str, Any]) -> "Table":
+    """Return what a terminal shows."""
+    from rich.table import Table  # noqa: PLC0415
+
+    shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
+    for name in ("unit", "state", "host", "version", "certificate", "round trip", "loss", "battery", "since"):
+        shown.add_column(name)
+    for one in found["units"]:
+        state = f"[red]{one['state']}[/]" if one["state"] in ("silent", "no answer") else one["state"]
+        shown.add_row(
+            one["unit"], state, one["host"] or "", one["version"] or "", one["certificate_ends"] or "",
+            "" if one["round_trip_ms"] is None else f"{one['round_trip_ms']:.1f} ms",
+            "" if one["loss"] is None else f"{100 * one['loss']:.1f} %",
+            "" if one["battery"] is None else f"{100 * one['battery']:.0f} %",
+            (one["since"] or "")[5:16].replace("T", " "),
+        )  # fmt: skip
+    return shown

@@ -1,0 +1,130 @@
+"""Who may do what at the page's server.
+
+On this computer a token stands in the address, and who has it is an operator. Beyond it an address carries a ticket
+that one browser takes; that browser has a cookie then, as long as this process lives. The terminal's addresses are for
+an operator and for a viewer, and an operator's page makes more of them.
+"""
+
+import secrets
+from collections import deque
+from typing import Protocol
+
+from starlette.requests import HTTPConnection
+from starlette.responses import RedirectResponse, Response
+from starlette.types import Scope
+
+from robofleet.bus.permissions import OPERATOR, VIEWER
+from robofleet.bus.requests import SAFE
+from robofleet.operator.page.certificate import PageKeys
+from robofleet.operator.page.page_address import Addresses
+from robofleet.operator.page.refused import LOGIN, TICKET, TOKEN, USED, Words
+from robofleet.operator.page.ticket import Taker, Ticket
+
+ROLES = OPERATOR, VIEWER
+OPEN = "/open"  # takes a ticket
+_MOST_INVITED = 16  # addresses that no browser has opened yet; the oldest ends
+_SEE_OTHER = 303
+_ENTERING = (  # not a redirection: a browser that came from another site would send no cookie of ours along
+    '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta http-equiv="refresh" content="0;url=/">'
+    '<link rel="icon" href="data:,"><title>robofleet</title></head><body><a href="/">The page</a></body></html>\n'
+)
+_POLICY = "default-src 'none'; img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+
+
+def permits(role: str, what: str) -> bool:
+    """Return whether a role may ask for something: a viewer for what makes nothing move."""
+    return role == OPERATOR or (role == VIEWER and what.encode() in SAFE)
+
+
+class Access(Protocol):
+    """What the guard asks of the two ways in."""
+
+    scheme: str
+    stranger: Words  # what somebody reads who opens a page without the right to
+    used: Words  # ... who opens an address whose ticket is taken
+
+    def addresses(self) -> Addresses:
+        """Return what the terminal shows."""
+
+    def role(self, scope: Scope) -> str | None:
+        """Return the role in which something is asked; None: a stranger asks."""
+
+    def open(self, scope: Scope, shown: str) -> Response | None:
+        """Return the answer to who shows a ticket; None where it is not good."""
+
+
+class TokenAccess:
+    """On this computer: who has the token is the operator."""
+
+    scheme, stranger, used = "http", TOKEN, TICKET
+
+    def __init__(self, root: str, port: int) -> None:
+        self._root, self._port = root, port
+        self._token, self._ticket = new_secret(), Ticket()
+
+    def addresses(self) -> Addresses:
+        """Return the address with the token, and the one for a browser's command line."""
+        return Addresses(f"{self._root}/?token={self._token}", _with_ticket(self._root, self._ticket))
+
+    def role(self, scope: Scope) -> str | None:
+        """Return the operator's role for the token: of a POST in its header, else in its address."""
+        asked = HTTPConnection(scope)
+        posted = scope["type"] == "http" and scope["method"] == "POST"
+        tokens = asked.headers.getlist("x-token") if posted else asked.query_params.getlist("token")
+        fits = len(tokens) == 1 and secrets.compare_digest(tokens[0].encode(), self._token.encode())
+        return OPERATOR if fits else None
+
+    def open(self, scope: Scope, shown: str) -> Response | None:
+        """Send a browser with the ticket to the page."""
+        if not self._ticket.take(shown, scope.get("client"), self._port):
+            return None
+        return RedirectResponse(f"/?token={self._token}", _SEE_OTHER)
+
+
+class CookieAccess:
+    """Beyond this computer: a ticket gives a cookie, and the cookie is a role."""
+
+    scheme, stranger, used = "https", LOGIN, USED
+
+    def __init__(self, root: str, port: int, keys: PageKeys) -> None:
+        self._root, self._port, self._keys = root, port, keys
+        self._name = f"__Host-robofleet-{port}"  # cookies know no ports: two runs' pages must not share one
+        self._printed = [
+            Ticket(OPERATOR, Taker.ANYBODY), Ticket(VIEWER, Taker.ANYBODY), Ticket(OPERATOR, Taker.USER_HERE),
+        ]  # fmt: skip
+        self._invited: deque[Ticket] = deque(maxlen=_MOST_INVITED)
+        self._sessions: dict[str, str] = {}  # roles by their cookies
+
+    def addresses(self) -> Addresses:
+        """Return an operator's address, the one for a browser's command line, and a viewer's."""
+        operator, viewer, once = (_with_ticket(self._root, ticket) for ticket in self._printed)
+        return Addresses(operator, once, viewer, self._keys.fingerprint)
+
+    def invite(self, role: str) -> str:
+        """Return a new address, which opens the page in one browser in this role."""
+        self._invited.append(Ticket(role, Taker.ANYBODY))
+        return _with_ticket(self._root, self._invited[-1])
+
+    def role(self, scope: Scope) -> str | None:
+        """Return the role of the cookie."""
+        return self._sessions.get(HTTPConnection(scope).cookies.get(self._name, ""))
+
+    def open(self, scope: Scope, shown: str) -> Response | None:
+        """Give a browser its cookie; one that has its cookie may open its address again."""
+        page = Response(_ENTERING, 200, {"Content-Security-Policy": _POLICY}, "text/html")
+        for ticket in (*self._printed, *self._invited):
+            if ticket.take(shown, scope.get("client"), self._port):
+                session = new_secret()
+                self._sessions[session] = ticket.role
+                page.set_cookie(self._name, session, secure=True, httponly=True, samesite="strict")
+                return page
+        return page if self.role(scope) is not None else None
+
+
+def new_secret() -> str:
+    """Draw 128 bits."""
+    return secrets.token_hex(16)
+
+
+def _with_ticket(root: str, ticket: Ticket) -> str:
+    return f"{root}{OPEN}?ticket={ticket.secret}"

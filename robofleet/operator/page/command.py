@@ -1,0 +1,119 @@
+"""``robofleet web``: finds the run that is meant, joins it, and serves its page until it is over."""
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from rich.console import Console
+
+from robofleet.bus.arena_file import ArenaFile, Search, running
+from robofleet.bus.endpoint import listens
+from robofleet.config.tree import Config
+from robofleet.core.clock import S, WallClock
+from robofleet.core.refusal import RefusedError
+from robofleet.operator.page.browser import open_page
+from robofleet.operator.page.page_address import Addresses, address_lines
+from robofleet.operator.page.verdict import REPORT, verdict_of
+from robofleet.operator.terminal.qr_code import qr_code
+
+if TYPE_CHECKING:  # whether a run has ended is said without the server's packages: they take their time
+    from robofleet.operator.page.certificate import PageKeys
+
+_CONFIG = "config.yaml"
+_ANSWERS_WITHIN_S, _BEGINS_WITHIN_S = 1.5, 15.0  # a bus that nobody has started here; one that a launcher brings now
+_LOOK_NS = S // 4  # between two looks whether a launcher lives
+
+
+class There(NamedTuple):
+    """The run whose page is served."""
+
+    config: Config
+    folder: Path
+    run: ArenaFile | None  # None: its processes were started one by one
+
+
+def there(named: str | None, running: Callable[[str | None], ArenaFile], load: Callable[[Path], Config]) -> There:
+    """Return the run that is meant: of an arena, or of a configuration; RefusedError where it has ended."""
+    file = None if named is None else Path(named)
+    if file is None or not (file.exists() or file.suffix):
+        run = running(named)
+        folder = Path(run.folder)
+        return There(load(folder / _CONFIG), folder, run)
+    file = file / _CONFIG if file.is_dir() else file
+    config, folder = load(file), file.absolute().parent
+    mine = [*Search(config.arena.name).own()]
+    if mine and Path(mine[0].folder) == folder:
+        return There(config, folder, mine[0])
+    if (verdict := verdict_of(folder)) is not None:
+        raise RefusedError(f"the run in {folder} has ended: {verdict.headline}{_report(folder)}")
+    if mine:  # its own file, resolved: this one may have been changed meanwhile
+        return There(load(Path(mine[0].folder) / _CONFIG), Path(mine[0].folder), mine[0])
+    return There(config, folder, None)
+
+
+def serve(
+    there: There, listening: socket.socket, host: str, keys: "PageKeys | None", *, browser: bool
+) -> tuple[bool, str]:
+    """Serve the page; returns whether it could be, and the last words. ``keys``: None on this computer."""
+    from robofleet.bus.joining import joined  # noqa: PLC0415
+    from robofleet.operator.page.process import by_hand  # noqa: PLC0415
+
+    config, folder, run = there
+    over = Over(there)
+
+    def still_there() -> None:
+        if over():
+            raise RefusedError(_ended(config, folder))
+
+    def announce(at: Addresses) -> str:
+        console = Console(stderr=True)
+        opened = browser and console.is_terminal and open_page(at.once)
+        if at.viewer and (code := qr_code(at.page, console)) is not None:
+            console.print(code)
+        return address_lines(at, opened=opened)
+
+    clock, arena, endpoint = WallClock(), config.arena.name, config.bus.endpoint
+    within_s = _ANSWERS_WITHIN_S if run is None else _BEGINS_WITHIN_S
+    try:
+        bus = joined(arena, endpoint, "web", clock, within_s, still_there)
+    except TimeoutError as error:
+        if run is not None:
+            return False, f"the bus of {arena} at {endpoint} does not answer: end the run with `kill {run.pid}`"
+        raise RefusedError(
+            f"no run of {arena} answers at {endpoint}: start one with `robofleet run CONFIG --web`"
+        ) from error
+    try:
+        ending = by_hand(config, folder, bus, listening, host, keys, over, announce)
+    finally:
+        bus.close()
+    return True, "" if ending.frame is None else _ended(config, folder)
+
+
+class Over:
+    """Whether a run's launcher is gone, or its router: that is the last process it ends."""
+
+    def __init__(self, there: There) -> None:
+        self._endpoint, self._run, self._clock = there.config.bus.endpoint, there.run, WallClock()
+        self._met = self._over = False
+        self._looked_ns = 0
+
+    def __call__(self) -> bool:
+        """Look, four times a second at most."""
+        now_ns = self._clock.now_ns()
+        if self._run is not None and not self._over and now_ns - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now_ns
+            meets = listens(self._endpoint)
+            self._met = self._met or meets is True
+            self._over = self._run not in running(self._run.arena) or (self._met and meets is False)
+        return self._over
+
+
+def _ended(config: Config, folder: Path) -> str:
+    verdict = verdict_of(folder)
+    how = f": {verdict.headline}" if verdict is not None else ""
+    return f"the run of {config.arena.name} has ended{how}{_report(folder)}"
+
+
+def _report(folder: Path) -> str:
+    return f"; its report: {folder / REPORT}" if (folder / REPORT).is_file() else f"; it is kept in {folder}"

@@ -1,0 +1,221 @@
+"""From the bus to every open page. All of it runs in the event loop's thread, but for Zenoh's ``wake``.
+
+A page is owed the newest tick and no other: it says which it has drawn, and one that draws slowly, or sleeps, is sent
+fewer. So nothing grows behind a slow page, and no other page waits for it.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+
+from robofleet.bus.bus import Bus
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock, S
+from robofleet.core.valid_json import dumps
+from robofleet.operator.page import frames
+from robofleet.operator.page.diary import Diary
+from robofleet.operator.page.frames import Frame
+from robofleet.operator.page.hearing import Hearing
+from robofleet.operator.page.words import phase_name
+from robofleet.recording.notes import Marks
+from robofleet.tracking.outlines import TagOutlines
+
+_IDLE_NS = 100 * MS  # between two looks when nothing comes
+_BEAT_NS = 90 * MS  # then the next look brings a beat: at least one in 200 ms
+_UNDRAWN = 4  # ticks on their way to a page, at most: 130 ms of a distant phone
+_ANYWAY_NS = S  # a page that draws nothing is sent a tick so often, and when the phase changes
+_ANSWERS = 16
+
+Say = Callable[[str], Awaitable[None]]
+
+
+class Feed:
+    """Hears the run, and wakes the pages when there is something to show."""
+
+    def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, said: Callable[[], str]) -> None:
+        """``said``: what the launcher does, for as long as the supervisor has not spoken."""
+        self.config, self.bus, self._clock, self._said = config, bus, clock, said
+        self.folder = folder
+        self.ended: Frame | None = None  # how the run did, once it has
+        self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
+        self._groups = groups.descriptions(config)
+        self.hello = dumps(frames.hello(config, self._groups, folder))
+        self._marks = [Marks() for _ in self._groups]  # of each group's scripts
+        self.marked = 0  # changes of them
+        self.hearing = Hearing(config, bus, clock, self._wake)
+        self.diary = Diary(config.ids)
+        self.pages: set[Page] = set()
+        self.seq = 0  # of the newest tick frame
+        self.record_ns = 0  # arrival of the record that made it; 0: none did
+        self._looked_ns = 0
+        self._tick: tuple[int, str] = (-1, "")
+        self._pictures: dict[str, tuple[int, str]] = {}  # the newest of each camera that somebody looked at
+
+    async def run(self) -> None:
+        """Look whenever something comes, and ten times a second in any case; for ever."""
+        while True:
+            try:
+                async with asyncio.timeout(_IDLE_NS / S):
+                    await self._woken.wait()
+            except TimeoutError:
+                pass
+            self._woken.clear()
+            self._look()
+
+    def end(self, frame: Frame | None) -> None:
+        """Tell every page how the run ended, those too that come later."""
+        self.ended = frame
+        for page in self.pages:
+            page.wake()
+
+    def tick(self) -> str:
+        """Return the newest tick, made once for all pages."""
+        if self._tick[0] != self.seq:
+            now_ns = self._clock.now_ns()
+            frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._said())
+            self._tick = self.seq, dumps(frame, compact=True)
+        return self._tick[1]
+
+    def picture(self, camera: str) -> tuple[int, str]:
+        """Return a camera's newest picture's exposure [ns], 0 while there is none, and its frame."""
+        shown = next((heard.shown for heard in self.hearing.cameras if heard.name == camera), None)
+        before = self._pictures.get(camera, (0, ""))
+        if shown is not None and shown.picture.exposure_ns != before[0]:
+            frame = frames.picture(camera, shown, self.hearing.tags, self._outlines[camera])
+            before = self._pictures[camera] = shown.picture.exposure_ns, dumps(frame, compact=True)
+        return before
+
+    def shapes(self) -> str:
+        """Return what is drawn on the floor now."""
+        return dumps(frames.shapes(self._groups, [marks.shapes for marks in self._marks]), compact=True)
+
+    def _mark(self) -> None:
+        """Take the scripts' new marks."""
+        places = {group.name: k for k, group in enumerate(self._groups)}
+        for group, note in self.hearing.notes:
+            if note.mark is not None:
+                self.marked += self._marks[places[group]].take(note.mark)
+
+    def beat(self) -> str:
+        """Return the ages of the newest words."""
+        return dumps(frames.beat(self.hearing, self._clock.now_ns()))
+
+    @property
+    def phase(self) -> str:
+        """The run's phase."""
+        return phase_name(self.hearing.state)
+
+    def now_ns(self) -> int:
+        """Return the clock's instant."""
+        return self._clock.now_ns()
+
+    @cached_property
+    def _outlines(self) -> dict[str, TagOutlines]:
+        return {view.camera.name: TagOutlines(view) for view in self.config.views}
+
+    def _wake(self, _arrival_ns: int) -> None:
+        """Say that something came (from Zenoh's thread)."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._woken.set)
+
+    def _look(self) -> None:
+        now_ns, before_ns = self._clock.now_ns(), self.hearing.record_ns
+        new = self.hearing.hear()
+        if not new and now_ns - self._looked_ns < _IDLE_NS:
+            return
+        self._looked_ns = now_ns
+        self.diary.look(self.hearing, self.hearing.hear_the_rest())
+        self._mark()
+        self.seq += 1
+        self.record_ns = self.hearing.record_ns if self.hearing.record_ns != before_ns else 0
+        for page in self.pages:
+            page.wake()
+
+
+class Page:
+    """One open page: what it was sent, and what it has drawn."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._woken = asyncio.Event()
+        self._answers: deque[Frame] = deque(maxlen=_ANSWERS)
+        self._undrawn: deque[tuple[int, int]] = deque()  # ticks sent: number, and arrival of its record [ns]
+        self._seq = -1  # of the newest tick sent
+        self._sent_ns = 0
+        self._phase = ""  # that it was sent last
+        self._beat_ns = 0
+        self._marked = 0  # of the feed's changes of marks that it was sent
+        self._marked_ns = 0
+        self._written = 0  # lines of the diary sent
+        self._pictured = "", 0  # camera and exposure of the newest picture sent
+        self._ended: Frame | None = None  # that it was told
+        self._left = False
+        self.wants_picture = ""  # the camera's name; empty: none
+
+    def wake(self) -> None:
+        """Say that there is something to send."""
+        self._woken.set()
+
+    def tell(self, frame: Frame) -> None:
+        """Send an answer."""
+        self._answers.append(frame)
+        self.wake()
+
+    def drawn(self, seq: int) -> None:
+        """Take note of a tick that the page has drawn, and with it all before."""
+        while self._undrawn and self._undrawn[0][0] <= seq:
+            self._undrawn.popleft()
+        self.wake()
+
+    def leave(self) -> None:
+        """Let ``follow`` return, when what is owed is sent."""
+        self._left = True
+        self.wake()
+
+    async def follow(self, say: Say) -> None:
+        """Send what the page is owed, until it is left."""
+        await say(self._feed.hello)
+        while True:
+            for text in self._owed():
+                await say(text)
+            if self._left:
+                return
+            await self._woken.wait()
+            self._woken.clear()
+
+    def _owed(self) -> Iterator[str]:
+        """Yield what is to be sent; each is made when the one before is gone, so that it is the newest."""
+        feed = self._feed
+        while self._answers:
+            yield dumps(self._answers.popleft())
+        if feed.ended is not None and feed.ended is not self._ended:
+            self._ended = feed.ended
+            yield dumps(feed.ended)
+        if self._tick_due():
+            self._seq, self._sent_ns, self._phase = feed.seq, feed.now_ns(), feed.phase
+            self._undrawn.append((feed.seq, feed.record_ns))
+            yield feed.tick()
+        if feed.marked != self._marked and feed.now_ns() - self._marked_ns >= _BEAT_NS:
+            self._marked, self._marked_ns = feed.marked, feed.now_ns()
+            yield feed.shapes()
+        if feed.now_ns() - self._beat_ns >= _BEAT_NS:
+            self._beat_ns = feed.now_ns()
+            yield feed.beat()
+        lines, self._written = feed.diary.since(self._written), feed.diary.written
+        yield from map(dumps, lines)
+        exposure_ns, picture = feed.picture(self.wants_picture) if self.wants_picture else (0, "")
+        if exposure_ns and (self.wants_picture, exposure_ns) != self._pictured:
+            self._pictured = self.wants_picture, exposure_ns
+            yield picture
+
+    def _tick_due(self) -> bool:
+        if self._feed.seq == self._seq:
+            return False
+        if len(self._undrawn) >= _UNDRAWN:
+            if self._feed.phase == self._phase and self._feed.now_ns() - self._sent_ns < _ANYWAY_NS:
+                return False
+            self._undrawn.popleft()
+        return True

@@ -1,0 +1,300 @@
+"""What is said to the page: JSON objects, each with its ``type``. Lengths in m, angles in rad, unless a name says else.
+
+A value that is not known is null, never 0.
+"""
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from robofleet.behaviours.described import Group
+from robofleet.behaviours.interface import Dots, Figure, Pose, Shape, with_unit
+from robofleet.bus.messages import FleetPoses, RobotStatus, RobotTick, RunState, TickRecord
+from robofleet.config import barrier, obstacles
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S
+from robofleet.core.figures import robot_colours
+from robofleet.operator.hand import driven
+from robofleet.operator.page.hearing import CameraHearing, Hearing, Shown
+from robofleet.operator.page.words import phase_name, phase_word, stage, what_next
+from robofleet.operator.terminal import live_figures
+from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.recording import busy_machine
+from robofleet.recording.causes import named, own_state
+from robofleet.safety.distances import apart
+from robofleet.safety.gate import GateStatus, Latch
+from robofleet.tracking.outlines import TagOutlines
+
+Frame = dict[str, Any]
+
+COLUMNS = (
+    "x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "reference_x_m", "reference_y_m", "left_rad_s", "right_rad_s",
+    "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "to_go_m",
+    "figures",
+)  # fmt: skip
+_LONGEST_MS = 1000.0  # two hosts' stamps give any number: more is no latency
+_DIGITS = 6  # of a figure that is shown
+
+
+def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
+    """Return what does not change in a run."""
+    camera = config.camera
+    seen = config.tracker.source == "camera"
+    bounds = config.run.bounds.model_dump(exclude_none=True)
+    return {
+        "type": "hello",
+        "arena": {
+            "name": config.arena.name,
+            "size_m": config.arena.size_m,
+            "floor_m": config.arena.floor_m,
+            "obstacles": [
+                {"name": solid.name, "points": solid.outline.round(_DIGITS).tolist()}
+                for solid in obstacles.standing(config.arena)
+            ],
+        },
+        "robots": [
+            {**_robot(config, row), "colour": colour} for row, colour in enumerate(robot_colours(len(config.bodies)))
+        ],
+        "groups": [
+            {
+                "name": group.name,
+                "behaviour": group.behaviour,
+                "robots": group.robots,
+                "by_hand": group.name in driven(config),
+                "shapes": [_shape(shape) for shape in group.shapes],
+            }
+            for group in groups
+        ],
+        "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
+        "places": {phase_word(phase): _places(places) for phase, places in OnTheWay(config).places.items()},
+        "tick_ms": config.controller.tick_s * 1e3,
+        "duration_s": config.run.duration_s,
+        "camera": {"width": camera.width, "height": camera.height} if seen else None,
+        "cameras": [
+            {"name": view.camera.name, "width": view.camera.width, "height": view.camera.height}
+            for view in (config.views if seen else ())
+        ],
+        "config": str(folder / "config.yaml"),
+        "folder": str(folder),
+        "columns": COLUMNS,
+    }
+
+
+def shapes(groups: Sequence[Group], marks: Sequence[Sequence[Shape]]) -> Frame:
+    """Return what is drawn for each group, with its scripts' marks: it takes the place of what ``hello`` said."""
+    both = zip(groups, marks, strict=True)
+    return {"type": "shapes", "groups": [[_shape(one) for one in (*group.shapes, *its)] for group, its in both]}
+
+
+def _places(places: Sequence[Pose | None]) -> list[list[float | None] | None]:
+    return [None if place is None else [_rounded(value, 4) for value in place] for place in places]
+
+
+def _shape(shape: Shape) -> Frame:
+    """Return what is drawn on the floor; points that are not finite are left out."""
+    points = [[_rounded(x, 4), _rounded(y, 4)] for x, y in shape.points.tolist() if math.isfinite(x + y)]
+    if isinstance(shape, Dots):
+        return {"kind": "dots", "name": shape.name, "points": points}
+    return {"kind": "line", "name": shape.name, "points": points, "closed": shape.closed, "directed": shape.directed}
+
+
+def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -> Frame:
+    """Return what a column of the table and a plot are named, whose they are, and the bounds of their figure."""
+    unit, key = live_figures.unit(figure), figure.shown_key
+    robots = [group.robots for group in groups if key in (its.shown_key for its in group.figures if its.live)]
+    return {
+        "key": key,
+        "title": live_figures.title(figure),
+        "unit": unit,
+        "meaning": figure.meaning,
+        "digits": live_figures.digits(figure),
+        "robots": [robot for own in robots for robot in own],
+        "bounds": {of: bounds.get(with_unit(f"{figure.name}_{of}", unit)) for of in ("mean", "max")},
+    }
+
+
+def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
+    """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
+    state, robots, way = hearing.state, config.ids, hearing.way
+    to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
+    return {
+        "type": "tick",
+        "seq": seq,
+        "tick": 0 if hearing.record is None else hearing.record.tick,
+        "t_s": _rounded(hearing.t_s, 3),
+        "phase": phase_name(state),
+        "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
+        "stage": stage(state, robots) if state is not None else launcher or None,
+        "what_next": what_next(state, hearing.busy, hearing.statuses, config, way.phase, way.words(to_go_m)),
+        "way": None if way.phase is None else phase_word(way.phase),
+        "health": _health(hearing),
+        "robots": _rows(hearing, groups, state, to_go_m, now_ns),
+    }
+
+
+def beat(hearing: Hearing, now_ns: int) -> Frame:
+    """Return how long ago the supervisor and the controller were heard [ms]: the link to the robots, not the page's."""
+    return {
+        "type": "beat",
+        "supervisor": _age_ms(hearing.state_ns, now_ns),
+        "controller": _age_ms(hearing.record_ns, now_ns),
+    }
+
+
+def event(at_s: float | None, level: str, text: str) -> Frame:
+    """Return something that happened; ``at_s`` is of the run."""
+    return {"type": "event", "at": _rounded(at_s, 2), "level": level, "text": text}
+
+
+def answer(to: str, ok: bool, text: str) -> Frame:
+    """Return what came of something that the page asked for."""
+    return {"type": "answer", "to": to, "ok": ok, "text": text}
+
+
+def picture(camera: str, shown: Shown, tags: Mapping[int, str], outlines: TagOutlines) -> Frame:
+    """Return a camera's picture, and where its tags were seen [px of the camera's image]; ``tags``: the robots'."""
+    seen, poses = shown
+    return {
+        "type": "picture",
+        "camera": camera,
+        "exposure_ns": seen.exposure_ns,
+        "width": seen.width,
+        "height": seen.height,
+        "jpeg": base64.b64encode(seen.jpeg).decode(),
+        "tags": [
+            {
+                "id": tag,
+                "robot": tags.get(tag),
+                "corners": [[_rounded(u, 1), _rounded(v, 1)] for u, v in corners],
+            }
+            for tag, corners in outlines.of(poses).items()
+        ],
+    }
+
+
+def _robot(config: Config, row: int) -> Frame:
+    robot = config.bodies[row]
+    body = barrier.body(config, robot)
+    return {
+        "id": robot.id,
+        "tag": robot.tag,
+        "reality": robot.reality,
+        "driven": row < len(config.members),
+        "group": config.ids.group_of(row) or None,
+        "body_radius_m": body.radius,
+        "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
+    }
+
+
+def _health(hearing: Hearing) -> Frame:
+    record = None if hearing.controller_silent() else hearing.record
+    now_ns, several = hearing.now_ns(), len(hearing.cameras) > 1
+    each = [(camera, *_tracker(list(camera.images), len(hearing.tags))) for camera in hearing.cameras]
+    rate, seen = each[0][1:]
+    if several:  # no camera sees all robots
+        rates = [its for _, its, _ in each if its is not None]
+        rate, seen = min(rates, default=None), _measured_pct(record)
+    return {
+        "compute_us": None if record is None else record.compute_ns // 1000,
+        "late_us": None if record is None else record.lateness_ns // 1000,
+        "overruns": None if record is None else hearing.overruns,
+        "latency_ms": _latency_ms(hearing),
+        "tracker_hz": rate,
+        "seen_pct": seen,
+        **({"cameras": [_camera(camera, its, now_ns) for camera, its, _ in each]} if several else {}),
+    }
+
+
+def _camera(camera: CameraHearing, rate_hz: float | None, now_ns: int) -> Frame:
+    return {"name": camera.name, "hz": rate_hz, "age_ms": _age_ms(camera.heard_ns, now_ns)}
+
+
+def _measured_pct(record: TickRecord | None) -> float | None:
+    """Return how many of the robots the newest tick measured, whoever saw them [%]."""
+    if record is None or not record.robots:
+        return None
+    return _rounded(100.0 * sum(robot.measured for robot in record.robots) / len(record.robots), 1)
+
+
+def _latency_ms(hearing: Hearing) -> float | None:
+    """Return the longest time from an image to the wheels that it moves, of the robots' newest commands."""
+    applied = [
+        (status.applied_ns - status.applied_exposure_ns) / MS
+        for status in hearing.statuses
+        if status is not None and status.applied_exposure_ns and status.gate == GateStatus.OPEN
+    ]
+    return _rounded(max(applied), 1) if applied and 0.0 <= max(applied) <= _LONGEST_MS else None
+
+
+def _tracker(images: list[FleetPoses], robots: int) -> tuple[float | None, float | None]:
+    """Return the images' rate [Hz] and how many of the tags are measured in them [%]."""
+    if len(images) < 2 or images[-1].exposure_ns <= images[0].exposure_ns:
+        return None, None
+    rate = (images[-1].seq - images[0].seq) * S / (images[-1].exposure_ns - images[0].exposure_ns)
+    newest = images[-1]
+    measured = sum(pose.coasted_ns == 0 for pose in newest.poses)
+    return _rounded(rate, 1), _rounded(100.0 * min(1.0, measured / robots), 1)
+
+
+def _rows(
+    hearing: Hearing, groups: Sequence[Group], state: RunState | None, to_go_m: Sequence[float | None], now_ns: int
+) -> list[list[Any]]:
+    ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
+    told = live_figures.told(groups, ticks)
+    unknown = [None] * told.figures.shape[1]
+    rows: list[list[Any]] = []
+    for row, status in enumerate(hearing.statuses):
+        its = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
+        driven, placed = row < len(told.references), its is not None and hearing.placed[row]
+        rows.append([
+            *(_place(its) if its is not None and placed else _standing(hearing, row)),
+            *([_known(value, 4) for value in told.references[row]] if driven else [None] * 2),
+            *(_drive(its) if its is not None else [None] * 2),
+            *_gate(status), own_state(state, row, its) or None, _battery(status),
+            _age_ms(hearing.heard_ns[row], now_ns),
+            *((int(its.measured), int(its.lost), int(its.filtered)) if its is not None else [None] * 3),
+            _rounded(to_go_m[row], 3) if driven else None,
+            [_known(value, _DIGITS) for value in told.figures[row]] if driven else unknown,
+        ])  # fmt: skip
+    return rows
+
+
+def _place(its: RobotTick) -> list[float | None]:
+    pose = its.x_m, its.y_m, its.psi_rad, its.point_x_m, its.point_y_m
+    return [_rounded(value, 4) for value in pose]
+
+
+def _standing(hearing: Hearing, row: int) -> list[float | None]:
+    """Return where a bystander was seen last; a robot whose place is not known has none."""
+    pose = hearing.standing.get(row)
+    if pose is None:
+        return [None] * 5
+    return [_rounded(pose.x_m, 4), _rounded(pose.y_m, 4), _rounded(pose.psi_rad, 4), None, None]
+
+
+def _drive(its: RobotTick) -> list[float | None]:
+    return [_rounded(its.left_rad_s, 2), _rounded(its.right_rad_s, 2)]
+
+
+def _gate(status: RobotStatus | None) -> tuple[str | None, str | None]:
+    if status is None:
+        return None, None
+    return named(GateStatus, status.gate), named(Latch, status.latch) if status.latch else None
+
+
+def _battery(status: RobotStatus | None) -> float | None:
+    return None if status is None or status.battery < 0.0 else _rounded(status.battery, 3)
+
+
+def _age_ms(heard_ns: int, now_ns: int) -> int | None:
+    return (now_ns - heard_ns) // MS if heard_ns else None
+
+
+def _known(value: float, digits: int) -> float | None:
+    return _rounded(value, digits) if math.isfinite(value) else None
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(float(value), digits)

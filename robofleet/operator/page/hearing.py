@@ -1,0 +1,159 @@
+"""What the operator's page hears of a run: the newest of everything, and when it came."""
+
+from collections import deque
+from typing import NamedTuple
+
+from robofleet.bus.bus import Bus, Inbox, Wake
+from robofleet.bus.keys import BUSY, NEWS, NOTE, PICTURE, POSES, STATE, TICK, key
+from robofleet.bus.messages import (
+    BUSY_MACHINE,
+    FLEET_POSES,
+    RUN_STATE,
+    TICK_RECORD,
+    TRACKER_NEWS,
+    BusyMachine,
+    FleetPoses,
+    Picture,
+    RobotStatus,
+    RunState,
+    TagPose,
+    TickRecord,
+    TrackerNews,
+)
+from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.bus.statuses import Statuses
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, Clock, S
+from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.recording.notes import Noted, noted
+from robofleet.safety.supervisor import Phase
+
+_IMAGES = 64  # two seconds of a camera, by which its rate is told
+_NEWS = 64
+_NOTES = 256  # of a group's script, between two looks
+_POSES_WITHIN_NS = 200 * MS  # of a picture's arrival; it is shown without outlines then
+_SILENT_NS = S  # a controller that says nothing for so long is not there
+
+
+class Shown(NamedTuple):
+    """A picture, and the poses of the same image."""
+
+    picture: Picture
+    poses: tuple[TagPose, ...]
+
+
+class CameraHearing:
+    """What is heard of one camera."""
+
+    def __init__(self, config: Config, bus: Bus, camera: str) -> None:
+        arena = config.arena.name
+        self.name = camera
+        self._frames = bus.stream(key(arena, POSES, camera), capacity=_IMAGES)
+        self._news = bus.stream(key(arena, NEWS, camera), capacity=_NEWS)
+        self._pictures = bus.newest(PICTURE, camera)
+        self._pending: tuple[int, Picture] | None = None  # and when it came
+        self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
+        self.heard_ns = 0  # the newest image's arrival; 0: none yet
+        self.shown: Shown | None = None
+
+    def hear(self, now_ns: int) -> tuple[list[FleetPoses], list[TrackerNews]]:
+        """Take what came; returns the new images and the tracker's news."""
+        new = [image for *_, payload in self._frames.drain() if (image := FLEET_POSES.decode(payload)) is not None]
+        self.images.extend(new)
+        self.heard_ns = now_ns if new else self.heard_ns
+        self._show(now_ns)
+        news = (TRACKER_NEWS.decode(payload) for *_, payload in self._news.drain())
+        return new, [item for item in news if item is not None]
+
+    def _show(self, now_ns: int) -> None:
+        """Wait for the poses of a picture's image; they may come after it."""
+        payload = self._pictures.take()
+        if payload is not None and (picture := PICTURE_LAYOUT.decode(payload)) is not None:
+            self._pending = now_ns, picture
+        if self._pending is not None:
+            came_ns, picture = self._pending
+            same = next((image for image in self.images if image.exposure_ns == picture.exposure_ns), None)
+            if same is not None or now_ns - came_ns > _POSES_WITHIN_NS:
+                self.shown = Shown(picture, same.poses if same is not None else ())
+                self._pending = None
+
+
+class Hearing:
+    """``wake`` is called, from any thread, when a tick's record or a state of the run came."""
+
+    def __init__(self, config: Config, bus: Bus, clock: Clock, wake: Wake) -> None:
+        robots, arena, driven = config.bodies, config.arena.name, len(config.members)
+        self._clock, self._tick_s = clock, config.controller.tick_s
+        self.tags = {robot.tag: robot.id for robot in robots}
+        self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
+        self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
+        self.statuses: list[RobotStatus | None] = [None] * len(robots)  # the newest ones
+        self.cameras = [CameraHearing(config, bus, camera) for camera in config.camera_names]
+        self._notes = {group: bus.stream(key(arena, NOTE, group), capacity=_NOTES) for group in groups.scripted(config)}
+        self.notes: list[tuple[str, Noted]] = []  # that came since the look before, and of which group
+        self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE.decode)
+        self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
+        self.record: TickRecord | None = None
+        self.record_ns = 0  # its arrival; 0: none yet
+        self.overruns = 0  # in this run: what the start of all processes cost does not count
+        self._overruns_before = 0
+        self.state: RunState | None = None
+        self.state_ns = 0
+        self.heard_ns = [0] * len(robots)  # newest status of each
+        self.placed = [False] * driven  # it was seen at least once: its estimate is one
+        self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
+        self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
+        self.way = OnTheWay(config)
+        self.t_s: float | None = None  # of the run; stays while it is held
+
+    def hear(self) -> bool:
+        """Take what came of the tick and of the run's state; returns whether there is something new to show."""
+        record = None if (payload := self._ticks.take()) is None else TICK_RECORD.decode(payload)
+        state = None if (payload := self._states.take()) is None else RUN_STATE.decode(payload)
+        if record is not None and len(record.robots) == len(self.placed):
+            self._take(record)
+        self.busy = self._busy.take() or self.busy
+        changed = False
+        if state is not None:
+            changed = self.state is None or self.state._replace(seq=0) != state._replace(seq=0)
+            self.state, self.state_ns = state, self._states.arrival_ns
+            self.way.hear(state.phase)
+            if state.phase in (Phase.IDLE, Phase.ARMED):
+                self.t_s = None
+        return changed or record is not None
+
+    def hear_the_rest(self) -> list[tuple[str, TrackerNews]]:
+        """Take what else came: the robots' words, the images', a picture; returns each camera's news, with its name."""
+        now_ns = self._clock.now_ns()
+        for unit in self._statuses.take():
+            for row in self._statuses.units[unit].numbers.tolist():
+                self.heard_ns[row] = now_ns
+                self.statuses[row] = RobotStatus._make(self._statuses.robots[row].item())
+        news = []
+        for camera in self.cameras:
+            images, told = camera.hear(now_ns)
+            news += [(camera.name, item) for item in told]
+            for image in images:
+                seen = (pose for pose in image.poses if pose.tag in self._parked and pose.coasted_ns == 0)
+                self.standing.update((self._parked[pose.tag], pose) for pose in seen)
+        came = ((group, noted(payload)) for group, notes in self._notes.items() for *_, payload in notes.drain())
+        self.notes = [(group, note) for group, note in came if note is not None]
+        return news
+
+    def now_ns(self) -> int:
+        """Return the clock's instant."""
+        return self._clock.now_ns()
+
+    def controller_silent(self) -> bool:
+        """Whether what is known of the tick is of the past."""
+        return not self.record_ns or self._clock.now_ns() - self.record_ns > _SILENT_NS
+
+    def _take(self, record: TickRecord) -> None:
+        if record.run_tick < 0 or self.record is None:
+            self._overruns_before = record.overruns
+        self.overruns = record.overruns - self._overruns_before
+        self.record, self.record_ns = record, self._ticks.arrival_ns
+        self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
+        if record.run_tick >= 0:
+            self.t_s = record.run_tick * self._tick_s

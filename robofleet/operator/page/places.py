@@ -1,0 +1,176 @@
+"""Places at the page's server: a connection that asks for nothing keeps its place for seconds, and gives way before.
+
+Whoever comes is let in, so the emergency stop always is; where there are too many, one goes that only waits: the
+oldest of the address that has the most. Who has not sent a whole request after a few seconds goes as well.
+"""
+
+import asyncio
+import fcntl
+import sys
+import termios
+from collections import Counter
+from typing import Any, Protocol
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from robofleet.core.clock import Clock, S
+
+MOST = 256  # connections at once, beside the pages' WebSockets
+ASKED_WITHIN_S = 3.0  # a whole request, from the connection's beginning or the answer before
+_ANSWERED_WITHIN_S = 10.0  # an answer, taken by who asked
+
+
+class Complaints:
+    """Counts what is refused and writes a line, at most one a second: who tries again and again fills no disk."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.count = 0
+        self._logged_ns = -S
+
+    def add(self, what: str) -> None:
+        """Count one, and say what it was."""
+        self.count += 1
+        now_ns = self._clock.now_ns()
+        if now_ns - self._logged_ns >= S:
+            self._logged_ns = now_ns
+            line = f"refused ({self.count} so far): {what}"
+            print(line.encode("ascii", "backslashreplace").decode(), file=sys.stderr)
+
+
+class Guest(Protocol):
+    """Who has a place."""
+
+    @property
+    def host(self) -> str:
+        """Whose it is."""
+
+    @property
+    def acts(self) -> bool:
+        """Whether it asks for something to be done, and is not answered yet."""
+
+    def is_idle(self) -> bool:
+        """Return whether it asks for nothing, and has said nothing that is not read yet."""
+
+    def drop(self, why: str) -> None:
+        """Close it at once."""
+
+
+def unread(transport: asyncio.Transport) -> bool:
+    """Return whether something has come that is not read yet."""
+    if (its := transport.get_extra_info("socket")) is None:  # it is closed
+        return False
+    try:
+        return any(fcntl.ioctl(its.fileno(), termios.FIONREAD, bytes(4)))
+    except OSError:
+        return False
+
+
+class Places:
+    """The connections that are no WebSockets, oldest first."""
+
+    def __init__(self, complaints: Complaints) -> None:
+        self.complaints = complaints
+        self._taken: dict[Guest, None] = {}
+        self._crowds: Counter[str] = Counter()
+
+    def take(self, connection: Guest) -> None:
+        """Let a connection in; another one goes where there are too many."""
+        self._taken[connection] = None
+        self._crowds[connection.host] += 1
+        if len(self._taken) <= MOST:
+            return
+        ((crowd, _),) = self._crowds.most_common(1)
+        its = [one for one in self._taken if one.host == crowd and not one.acts]
+        if (goes := next((one for one in its if one.is_idle()), next(iter(its), None))) is not None:
+            goes.drop("more connections than there are places")
+
+    def leave(self, connection: Guest) -> None:
+        """Take note that a connection is closed, or a WebSocket now."""
+        if connection in self._taken:
+            del self._taken[connection]
+            self._crowds -= Counter([connection.host])
+
+
+class Connection(H11Protocol):
+    """A connection that has a place, and a deadline for what it does next."""
+
+    def __init__(self, places: Places, **of_uvicorn: Any) -> None:
+        super().__init__(**of_uvicorn)
+        self._places = places
+        self._deadline: asyncio.TimerHandle | None = None
+
+    @property
+    def host(self) -> str:
+        """Whose it is."""
+        return self.client[0] if self.client else "?"
+
+    @property
+    def acts(self) -> bool:
+        """Whether it asks for something to be done, and is not answered yet."""
+        return self._asks and self.scope["method"] == "POST"
+
+    def is_idle(self) -> bool:
+        """Return whether it asks for nothing, and has said nothing that is not read yet."""
+        return not self._asks and not unread(self.transport)
+
+    def drop(self, why: str) -> None:
+        """Close it at once."""
+        self._places.complaints.add(f"a connection of {self.host}: {why}")
+        self._leave()
+        self.transport.abort()
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a place."""
+        super().connection_made(transport)
+        self._wait(ASKED_WITHIN_S)
+        self._places.take(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Leave it."""
+        self._leave()
+        super().connection_lost(exc)
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Leave it: pages have places of their own."""
+        self._leave()
+        super().handle_websocket_upgrade(event)
+        self.loop.call_later(ASKED_WITHIN_S, self._end_without_page)
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        self._wait(ASKED_WITHIN_S)
+        super().on_response_complete()
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what is not HTTP."""
+        self._places.complaints.add(f"what {self.host} says is not HTTP")
+        super().send_400_response(msg)
+
+    @property
+    def _asks(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _wait(self, for_s: float, *, for_answer: bool = False) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = self.loop.call_later(for_s, self._late, for_answer)
+
+    def _late(self, for_answer: bool) -> None:
+        if self._asks and not for_answer:
+            self._wait(_ANSWERED_WITHIN_S, for_answer=True)
+        else:
+            self.drop("it does not take its answer" if for_answer else "no whole request for seconds")
+
+    def _end_without_page(self) -> None:
+        if self.transport.is_closing():  # one of TLS knows no protocol then
+            return
+        page = self.transport.get_protocol()
+        if not (isinstance(page, WebSocketsSansIOProtocol) and page.handshake_complete and not page.close_sent):
+            self.transport.abort()
+
+    def _leave(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._places.leave(self)

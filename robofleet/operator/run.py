@@ -1,0 +1,108 @@
+"""A run as the operator sees it: the live view, the terminal's keys, and the summary in the end."""
+
+import sys
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.core.clock import WallClock, utc_now
+from robofleet.core.refusal import RefusedError
+from robofleet.operator.terminal.live import LiveView
+from robofleet.operator.terminal.terminal import Terminal, hangup_interrupts
+from robofleet.recording.beside import LogBeside
+from robofleet.recording.log import FILE
+from robofleet.recording.reading import RecordingError
+from robofleet.recording.run import SHOWN, Recording, Run, Watch
+from robofleet.reports.metrics import summary
+from robofleet.reports.sampled import look
+from robofleet.runs.launcher import Launcher
+from robofleet.runs.page_process import PageWanted
+from robofleet.vehicles.interface import DriverError
+
+if TYPE_CHECKING:
+    from robofleet.runs.lockstep import Lockstep
+
+
+class Result(NamedTuple):
+    """What a run left."""
+
+    summary: dict[str, Any]
+    columns: Run  # of its file
+
+
+def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> Result:
+    """Run on a simulated clock."""
+    from robofleet.runs.lockstep import Lockstep  # noqa: PLC0415 - it loads all that its processes need
+
+    began = _now()
+    view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
+    with hangup_interrupts(), view_of as view, closing(LogBeside(folder / FILE, config)) as log:
+        try:
+            run = Lockstep(config, log=log)
+        except DriverError as error:
+            raise RefusedError(str(error)) from error
+
+        def watch(recording: Recording, phase: str) -> None:
+            view(recording, phase)
+            recording.keep_newest(SHOWN)  # all of it is in the file
+
+        outcome, cause = driven(run, watch)
+        log.end(run.recording.ending())
+    columns = _look(config, folder)
+    columns.recording.dropped = log.dropped
+    return _result(columns, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
+
+
+def driven(run: "Lockstep", watch: Watch) -> tuple[str, str | None]:
+    """Run to the end and return (outcome, cause): a driver that fails is a fault of the run."""
+    try:
+        outcome, cause = run.run(watch)
+    except* DriverError as raised:  # of a step, or of closing afterwards
+        outcome, cause = "fault", _first(raised)
+        run.recording.outcome, run.recording.cause = outcome, cause
+    return outcome, cause
+
+
+def _now() -> str:
+    """Return the date, UTC, for the summary: no message and no file of a run in lockstep depends on it."""
+    return f"{utc_now():%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _first(raised: BaseException) -> str:
+    """Return the first complaint of a group."""
+    while isinstance(raised, BaseExceptionGroup):
+        raised = raised.exceptions[0]
+    return str(raised)
+
+
+def in_real_time(
+    config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None,
+    viewers: Mapping[str, str] | None = None,
+) -> Result:  # fmt: skip
+    """Run with real processes."""
+    began = _now()
+    with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
+        run = Launcher(
+            config, folder, view, terminal, reset=reset, take_over=take_over, web=web, viewers=viewers
+        )  # fmt: skip
+        outcome, cause = run.run()
+    columns = _look(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
+    columns.recording.elapsed_s = run.recording.elapsed_s
+    return _result(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+
+
+def _result(columns: Run, **ended: Any) -> Result:
+    return Result(summary(columns.recording, run=columns, **ended), columns)
+
+
+def _look(config: Config, folder: Path) -> Run:
+    """Return what is in the run's file, whatever became of the recorder; nothing, if it never came to write."""
+    try:
+        return look(folder, groups.own(config).__contains__)
+    except RecordingError as error:
+        if (folder / FILE).exists() or not folder.exists():  # a run that never began has a folder and no file
+            print(error, file=sys.stderr)
+        return Run(Recording(config))

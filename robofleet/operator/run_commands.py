@@ -1,0 +1,284 @@
+"""The commands that look at a run afterwards, from the file that it left."""
+
+import errno
+import gc
+import os
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from robofleet.config.yamlfile import printable
+from robofleet.core.clock import S, stopwatch_ns
+from robofleet.core.files import write_bytes
+from robofleet.core.refusal import RefusedError, bad_input, how_to_install, new_file, new_place
+
+if TYPE_CHECKING:
+    from robofleet.config.tree import Config
+    from robofleet.recording.reading import Imports
+
+app = typer.Typer()
+_NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
+
+Modules = Annotated[
+    Path | None,
+    typer.Option(
+        "--behaviours", metavar="DIR", help="Folder of your own behaviours' modules: else what they measure is missing."
+    ),
+]
+ReplayedModules = Annotated[
+    Path | None,
+    typer.Option("--behaviours", metavar="DIR", help="Folder of your own behaviours' modules, if the run has such."),
+]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
+
+
+@app.command()
+def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
+    """Give today's controller a recording's inputs, tick by tick, and compare each command.
+
+    Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
+    different, or could not be compared. It runs the groups' behaviours: one that the recording names as `module:Class`
+    is imported only from the folder that you name.
+
+    $ robofleet replay runs/20260102T030405Z-platoon
+
+    $ robofleet replay runs/20260102T030405Z-swirl --behaviours configs
+    """
+    from robofleet.nodes.controller import compile_kernels  # noqa: PLC0415
+    from robofleet.recording.reading import read  # noqa: PLC0415
+    from robofleet.runs import replay as replaying  # noqa: PLC0415
+
+    times_ns = [stopwatch_ns()]
+    with _readable():
+        recording = read(run, partial(_needed, run, behaviours))
+        _load_behaviours(run, recording.config)
+        times_ns.append(stopwatch_ns())
+        compile_kernels(recording.config)
+        times_ns.append(stopwatch_ns())
+        verdict = replaying.replay(recording, replaying.tolerance(recording))
+    times_ns.append(stopwatch_ns())
+    reading_s, loading_s, driving_s = ((after - before) / S for before, after in pairwise(times_ns))
+    lasted_s, took_s = verdict.ticks * recording.config.controller.tick_s, reading_s + driving_s
+    speed = f"{lasted_s:.1f} s in {took_s:.2f} s, {lasted_s / took_s:.0f} x real time; kernels in {loading_s:.1f} s"
+    print("\n".join(verdict.lines()), f"({speed})")
+    if recording.trouble is not None:
+        print(printable(f"{run}: {recording.trouble}: it was replayed as far as it goes"), file=sys.stderr)
+    if not verdict.equal:
+        raise typer.Exit(1)
+
+
+def _load_behaviours(run: Path, config: "Config") -> None:
+    """Load the recording's behaviours; RefusedError where one is not here."""
+    from robofleet.config import groups  # noqa: PLC0415
+    from robofleet.core.plugins import PluginError  # noqa: PLC0415
+
+    for group in config.groups:
+        try:
+            groups.kind(group)
+        except PluginError as error:
+            raise RefusedError(f"{run}: {error}") from error
+
+
+@app.command()
+def repair(run: RunFolder) -> None:
+    """Complete the recording of a run that was killed: all that was written stays, and gets an index.
+
+    $ robofleet repair runs/20260102T030405Z-platoon
+    """
+    from robofleet.recording.repair import repair as mend  # noqa: PLC0415
+
+    with _readable():
+        try:
+            done = mend(run)
+        except OSError as error:
+            if error.errno not in _NO_ROOM:
+                raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
+            print(printable(f"{run}: {error.strerror}: make room; the recording is as it was"), file=sys.stderr)
+            raise typer.Exit(1) from error
+    there = f"{done.messages} messages over {done.span_ns / S:.1f} s"
+    if done.trouble is None:
+        print(printable(f"{done.file}: needs no repair: {there}"))
+        return
+    lost = f"; {done.lost} bytes after them are lost" if done.lost else ""
+    print(printable(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}"))
+    if done.kept is not None:
+        print(printable(f"The damaged file is kept: {done.kept}"))
+
+
+@app.command()
+def report(
+    run: RunFolder,
+    other: Annotated[
+        Path | None, typer.Argument(metavar="RUN", help="A second run, to compare with the first.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The page of two runs; default: RUN/compare-<other>.html.")
+    ] = None,
+    figures: Annotated[Path | None, typer.Option(metavar="DIR", help="Each figure as SVG and as PDF.")] = None,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
+    behaviours: Modules = None,
+) -> None:
+    """Write RUN/report.html and RUN/metrics.csv; of two runs, a page with both side by side.
+
+    Exit 1 if the run did not meet one of its bounds.
+
+    $ robofleet report runs/20260102T030405Z-platoon
+
+    $ robofleet report runs/20260102T030405Z-platoon --figures paper/figures --junit bounds.xml
+    """
+    with _keeping_garbage(), _readable():
+        _refuse_misplaced(other, out, figures, junit)
+        try:
+            with _importing(behaviours) as imports:
+                if other is None:
+                    page, lines = _made(run, figures, junit, imports)
+                else:
+                    page, lines = _compared(run, other, out, imports), []
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    print(printable(str(page)))
+    for line in lines:
+        print(line, file=sys.stderr)
+    if lines:
+        raise typer.Exit(1)
+
+
+@app.command()
+def layout(
+    viewer: Annotated[str, typer.Argument(metavar="VIEWER", help="foxglove, lichtblick, plotjuggler or rerun.")],
+    run: RunFolder,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: in the run's folder.")] = None,
+    behaviours: Modules = None,
+) -> None:
+    """Write a viewer's layout for a run: the groups' own figures, wheels, poses and latency, robot by robot.
+
+    $ robofleet layout foxglove runs/20260102T030405Z-platoon
+    """
+    with _readable():
+        from robofleet.recording.reading import about, file_of  # noqa: PLC0415
+        from robofleet.reports.layouts.layouts import VIEWERS  # noqa: PLC0415
+
+        if viewer not in VIEWERS:
+            raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
+        chosen, file = VIEWERS[viewer], file_of(run)
+        try:
+            with _importing(behaviours) as imports:
+                written = chosen.make(about(run, imports), file)
+        except ModuleNotFoundError as error:
+            if not (error.name or "").startswith("rerun"):
+                raise
+            raise RefusedError(f"rerun: its package is missing, or too old: {how_to_install('rerun')}") from error
+        place = out or file.with_name(chosen.file)
+        try:
+            write_bytes(place, written)
+        except OSError as error:
+            raise RefusedError(f"{place}: cannot be written: {error.strerror}: name another file with --out") from error
+    print(printable(str(place)))
+    for line in chosen.opening:
+        print("Next:", printable(line.format(run=shlex.quote(str(file)), layout=shlex.quote(str(place)))))
+
+
+def _refuse_misplaced(other: Path | None, out: Path | None, figures: Path | None, junit: Path | None) -> None:
+    if out is not None and other is None:
+        raise RefusedError("--out: one run's report stands in its folder; name two runs to compare them")
+    if out is not None and os.path.lexists(out) and (out.is_symlink() or not out.is_file()):
+        raise RefusedError(f"--out: {out} exists already and is not a file: name another one")
+    for option, value in (("--figures", figures), ("--junit", junit)):
+        if value is not None and other is not None:
+            raise RefusedError(f"{option}: it is made of one run: name one run")
+    if figures is not None:
+        new_place("--figures", figures)
+    if junit is not None:
+        new_file("--junit", junit)
+
+
+def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports") -> tuple[Path, list[str]]:
+    """Write a run's report; returns the page, and a line for every bound that was not met."""
+    from robofleet.reports import after  # noqa: PLC0415
+    from robofleet.reports import junit as xml  # noqa: PLC0415
+    from robofleet.reports.bounds import complaints  # noqa: PLC0415
+
+    made = after.report(run, figures, imports)
+    if junit is not None:
+        xml.write(made.summary, [] if made.trouble is None else [f"{run}: {made.trouble}"], junit)
+    return made.page, complaints(made.summary)
+
+
+def _compared(run: Path, other: Path, out: Path | None, imports: "Imports") -> Path:
+    from robofleet.reports import after  # noqa: PLC0415
+
+    return after.compare(run, other, out, imports)
+
+
+@contextmanager
+def _importing(folder: Path | None) -> Iterator["Imports"]:
+    """Yield what imports a behaviour whose module stands in the user's folder; any other is told of at the end.
+
+    RefusedError where a module in that folder cannot be used.
+    """
+    left_out: set[str] = set()
+
+    def imports(name: str) -> bool:
+        imported = _imported(folder, name)
+        if not imported:
+            left_out.add(name)
+        return imported
+
+    yield imports
+    for name in sorted(left_out):
+        print(printable(_left_out(folder, name, "what it measures is missing")), file=sys.stderr)
+
+
+def _needed(run: Path, folder: Path | None, name: str) -> bool:
+    """Import a behaviour from the user's folder; RefusedError where its module is not there."""
+    if not _imported(folder, name):
+        raise RefusedError(printable(f"{run}: {_left_out(folder, name, 'it cannot be replayed')}"))
+    return True
+
+
+def _imported(folder: Path | None, name: str) -> bool:
+    """Import a behaviour whose module stands in the user's folder; False: it does not."""
+    from robofleet.config import groups  # noqa: PLC0415
+    from robofleet.core.plugins import PluginError, reach  # noqa: PLC0415
+
+    try:
+        if folder is None or not reach(folder, name):
+            return False
+        groups.load_kind(name)
+    except PluginError as error:
+        raise RefusedError(f"--behaviours: {error}") from error
+    return True
+
+
+def _left_out(folder: Path | None, name: str, effect: str) -> str:
+    mend = "name its folder with --behaviours" if folder is None else f"its module is not in {folder}"
+    return f"{name} is not imported because a recording names it: {effect}: {mend}"
+
+
+@contextmanager
+def _keeping_garbage() -> Iterator[None]:
+    """Collect no garbage: it takes a fifth of the time to find that there is hardly any."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+@contextmanager
+def _readable() -> Iterator[None]:
+    """Refuse a recording that cannot be read."""
+    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
+
+    with bad_input():
+        try:
+            yield
+        except RecordingError as error:
+            raise RefusedError(printable(str(error))) from error

@@ -1,0 +1,242 @@
+"""The live view of a run, drawn by the launcher's process from what it hears on the bus."""
+
+import sys
+from functools import cached_property
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from robofleet.bus.keys import BUSY, NEWS, POSES, STATE, TICK, key
+from robofleet.bus.messages import (
+    BUSY_MACHINE,
+    FLEET_POSES,
+    RUN_STATE,
+    TICK_RECORD,
+    TRACKER_NEWS,
+    BusyMachine,
+    FleetPoses,
+    RunState,
+    TickRecord,
+)
+from robofleet.config.tree import Config
+from robofleet.core.clock import Clock, S
+from robofleet.operator.terminal import live_robots
+from robofleet.operator.terminal.live_state import READY, UNDER_WAY, WAITING, arming, banner, compiling_line, keys
+from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.operator.terminal.qr_code import qr_code
+from robofleet.operator.terminal.terminal import Terminal
+from robofleet.recording import busy_machine
+from robofleet.recording.run import Recording
+from robofleet.safety.supervisor import Phase
+from robofleet.tracking.events import describe
+
+_REFRESH_NS = S // 5
+_PLAIN_NS = 10 * S
+_SHOWN_NS = 5 * S  # how long the tracker's news stay
+_DOING = WAITING | UNDER_WAY
+_COLOURS = {"running": "bold green", "positioning": "bold green", "parking": "bold green", "emergency stop": "bold red"}
+_WINDOW = 300  # ticks, for the percentiles
+_BAR = 50  # columns of the progress bar, at most
+
+
+class LiveView:
+    """Call it with what came so far; it draws five times a second, or writes lines where stderr is no terminal."""
+
+    def __init__(self, config: Config, clock: Clock, terminal: Terminal, *, quiet: bool) -> None:
+        self._config, self._clock, self._terminal, self._quiet = config, clock, terminal, quiet
+        self._ids = config.ids
+        self._console = Console(stderr=True)
+        self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
+        self._next_ns = 0
+        self._phase = self._page = self._code = ""
+        self._viewers: dict[str, str] = {}
+        self._reached_s = 0.0
+        self._overruns_before: int | None = None
+        self._shown: tuple[str, bool] = ("", False)  # the phase, and whether it goes on by itself
+        self._noticed = False  # that the machine is busy
+
+    def __enter__(self) -> Self:
+        """Take the terminal."""
+        if self._live is not None and not self._quiet:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        """Give the terminal back."""
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, recording: Recording, phase: str) -> None:
+        """Show the run as it stands, if it is time to."""
+        if phase == READY and not self._quiet:
+            _ = recording.groups, self._way  # loads the behaviours: a launcher that stalls later is no operator
+        now_ns = self._clock.now_ns()
+        if self._terminal.page != self._page and (self._quiet or self._live is None):
+            print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
+        viewers = dict(self._terminal.viewers)
+        for viewer, line in viewers.items():
+            if line != self._viewers.get(viewer) and (self._quiet or self._live is None):
+                print(line, file=sys.stderr)
+        self._page, self._viewers = self._terminal.page, viewers
+        self._show_code()
+        if phase == "compiling" != self._phase and (self._quiet or self._live is None):
+            print(self._terminal.compiling[0].words(), file=sys.stderr)  # also for who wants no live view: it lasts
+        if not (self._quiet or self._noticed or self._live is not None):
+            self._notice(recording)
+        if self._quiet:
+            self._phase = phase
+        shown = phase, phase == "held" and self._goes_on(recording)
+        if self._quiet or (now_ns < self._next_ns and shown == self._shown):
+            return
+        changed, self._shown, self._phase = shown != self._shown, shown, phase
+        self._next_ns = now_ns + (_PLAIN_NS if self._live is None else _REFRESH_NS)
+        if self._live is not None:
+            self._live.update(self.picture(recording, phase), refresh=True)
+        elif (changed and phase != "compiling") or phase == "running":
+            print(self._line(recording), file=sys.stderr)
+
+    def _show_code(self) -> None:
+        """Show the page's address once to a phone: above the picture, which does not repeat it."""
+        if self._terminal.code not in ("", self._code):
+            self._code = self._terminal.code
+            if (code := qr_code(self._code, self._console)) is not None:
+                self._console.print(code)
+
+    def _notice(self, recording: Recording) -> None:
+        """Say once that the machine is busy, as soon as that is known."""
+        if (busy := self._newest(recording, BUSY, BUSY_MACHINE)) is not None:
+            self._noticed = True
+            print(busy_machine.notice(busy, self._ids), file=sys.stderr)
+
+    def _goes_on(self, recording: Recording) -> bool:
+        state, busy = self._newest(recording, STATE, RUN_STATE), self._newest(recording, BUSY, BUSY_MACHINE)
+        if state is not None and state.phase != Phase.HOLD:
+            return self._shown[1]  # it goes on just now: the phase that is shown follows
+        return state is not None and busy_machine.goes_on(state, busy)
+
+    def _line(self, recording: Recording) -> str:
+        tick = self._tick(recording)
+        state = self._newest(recording, STATE, RUN_STATE)
+        if self._phase == "held" and state is not None:
+            busy = self._newest(recording, BUSY, BUSY_MACHINE)
+            cause = busy_machine.told(state, busy, self._ids)
+            if busy_machine.goes_on(state, busy):
+                return f"held: {cause}; the run goes on by itself"
+            return f"held: {cause}: `robofleet resume` goes on, Ctrl-C ends the run"
+        if self._phase in _DOING:
+            return f"{self._phase}: {_DOING[self._phase]}"
+        if self._phase != "running" or tick is None:
+            return self._phase
+        when = f"{self._time(tick):5.1f} s of {self._config.run.duration_s:g} s"
+        said = "; ".join([*live_robots.lines(recording.groups, tick), f"{self._overruns(tick)} overruns"])
+        return f"running {when}: {said}"
+
+    def picture(self, recording: Recording, phase: str) -> Group:
+        """Return what the terminal shows."""
+        tick = self._tick(recording)
+        duration_s = self._config.run.duration_s
+        if tick is not None and tick.run_tick >= 0:
+            self._reached_s = min(self._time(tick), duration_s)
+        state = self._newest(recording, STATE, RUN_STATE)
+        if state is not None:
+            self._way.hear(state.phase)
+        to_go_m = self._way.to_go_m(tick)
+        head = Text(f"{phase:<12}", _COLOURS.get(phase, "bold yellow"))
+        doing = arming(state, self._ids) if phase == "arming" and state is not None else _DOING.get(phase)
+        doing = (self._way.words(to_go_m) or doing) if phase in UNDER_WAY else doing
+        when = (
+            "  " if phase in UNDER_WAY else f"{self._reached_s:5.1f} s of {duration_s:g} s   "
+        )  # on the way it stands
+        head.append(when, "default not bold")
+        line = Table.grid()
+        line.add_column(no_wrap=True)
+        line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=_BAR))
+        compiling: list[Any] = [
+            compiling_line(progress) for progress in self._terminal.compiling if phase == "compiling"
+        ]
+        parts: list[Any] = [*(compiling or [line]), keys(self._terminal, phase)]  # what a low terminal cuts off is last
+        busy = self._newest(recording, BUSY, BUSY_MACHINE)
+        if state is not None and (seen := self._banner(state, busy)) is not None:
+            parts += ["", seen]
+        elif busy is not None:
+            parts += ["", Text(busy_machine.notice(busy, self._ids), "yellow")]
+        if tick is not None:
+            statuses = [recording.newest_status(robot.id) for robot in self._config.members]
+            way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None
+            robots = live_robots.tables(recording.groups, tick, statuses, state, way)
+            parts += ["", self._health(recording, tick), *robots]
+        return Group(*parts)
+
+    def _tick(self, recording: Recording) -> TickRecord | None:
+        """Return the newest tick; None where it is not about this configuration's robots."""
+        tick: TickRecord | None = self._newest(recording, TICK, TICK_RECORD)
+        return tick if tick is not None and len(tick.robots) == len(self._config.members) else None
+
+    @cached_property
+    def _way(self) -> OnTheWay:
+        return OnTheWay(self._config)
+
+    def _banner(self, state: RunState, busy: BusyMachine | None) -> Panel | None:
+        return banner(state, busy, self._ids, by_key=self._terminal.present, way=self._way.phase)
+
+    def _health(self, recording: Recording, tick: TickRecord) -> Table:
+        arena = self._config.arena.name
+        payloads = recording.messages.get(key(arena, TICK), [])[-_WINDOW:]
+        heads = [head for payload in payloads if (head := TICK_RECORD.decode_head(payload)) is not None]
+        compute, late = [head.compute_ns / 1e6 for head in heads], [head.lateness_ns / 1e6 for head in heads]
+        ticks = Text(f"p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
+        overruns = self._overruns(tick)
+        ticks.append(f"{overruns} overruns", "red" if overruns else "")
+        table = Table.grid(padding=(0, 3, 0, 0))
+        table.add_row("tick", ticks)
+        cameras = self._config.camera_names
+        for camera in cameras:
+            table.add_row("tracker" if len(cameras) == 1 else camera, self._tracker(recording, camera))
+        return table
+
+    def _tracker(self, recording: Recording, camera: str) -> Text:
+        """Return how a camera's tracker does, and its news."""
+        frames = [
+            frame
+            for payload in recording.messages.get(key(self._config.arena.name, POSES, camera), [])[-_WINDOW:]
+            if (frame := FLEET_POSES.decode(payload)) is not None
+        ]
+        tracker = Text(_tracker_line(frames, len(self._config.robots)))
+        news = self._newest(recording, NEWS, TRACKER_NEWS, camera)
+        if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
+            tracker.append(f"\n{describe(news.event, news.tag, news.value)}", "yellow")
+        return tracker
+
+    def _overruns(self, tick: TickRecord) -> int:
+        """Return the ticks missed since the run started: what the start of all processes cost does not count."""
+        if tick.run_tick < 0 or self._overruns_before is None:
+            self._overruns_before = tick.overruns
+        return tick.overruns - self._overruns_before
+
+    def _time(self, tick: TickRecord) -> float:
+        return max(0, tick.run_tick) * self._config.controller.tick_s
+
+    def _newest(self, recording: Recording, topic: Any, layout: Any, name: str = "") -> Any:
+        messages = recording.messages.get(key(self._config.arena.name, topic, name))
+        return layout.decode(messages[-1]) if messages else None
+
+
+def _tracker_line(frames: list[FleetPoses], robots: int) -> str:
+    if len(frames) < 2:
+        return "no image yet"
+    rate = (len(frames) - 1) * S / max(1, frames[-1].exposure_ns - frames[0].exposure_ns)
+    found = sum(pose.coasted_ns == 0 for frame in frames for pose in frame.poses) / (len(frames) * robots)
+    work = np.percentile([frame.work_ns / 1e6 for frame in frames], (50, 99))
+    return (
+        f"{rate:.1f} Hz, {100 * found:.1f} % of the tags seen, "
+        f"{work[0]:.1f} ms each (p99 {work[1]:.1f}), {frames[-1].refused} refused"
+    )

@@ -1,0 +1,69 @@
+"""On the way to the start and to the park: where each robot goes, and how far it has to go, for people who look on."""
+
+import math
+from collections.abc import Sequence
+
+from robofleet.behaviours.interface import Pose
+from robofleet.bus.messages import RobotTick, TickRecord
+from robofleet.config import groups
+from robofleet.config.tree import Config
+from robofleet.nodes.fleet import drives
+from robofleet.safety.supervisor import Phase
+
+_WHERE = {Phase.POSITIONING: "its start", Phase.PARKING: "the park"}
+_THERE = {Phase.POSITIONING: "at its start", Phase.PARKING: "parked"}
+_ALL_THERE = {Phase.POSITIONING: "at their start", Phase.PARKING: "parked"}
+_NEAR_M, _NEAR_RAD = 0.01, math.radians(3.0)  # who is nearer is there: a pose is estimated, and a robot settles
+
+
+class OnTheWay:
+    """The places of a configuration, and the way that its robots are on; rows are members."""
+
+    def __init__(self, config: Config) -> None:
+        """Load the behaviours where the configuration lets robots drive to their start."""
+        ids = [robot.id for robot in config.members]
+        starts = groups.starts_of(config) if config.run.begin == "go_to_start" else {}
+        parks = groups.parks_of(config)
+        self.places: dict[Phase, list[Pose | None]] = {
+            Phase.POSITIONING: [starts.get(robot) for robot in ids],
+            Phase.PARKING: [parks.get(robot) for robot in ids],
+        }
+        self.phase: Phase | None = None  # whose way this is; None: they are on no way
+        self._ids, self._speeds = ids, [drive.max_speed for drive in drives(config)]
+
+    def hear(self, phase: int) -> None:
+        """Take note of the run's phase. A way that is held goes on later."""
+        if phase != Phase.HOLD:
+            self.phase = next((way for way in self.places if way == phase), None)
+
+    def to_go_m(self, record: TickRecord | None) -> list[float | None]:
+        """Return how far each robot is from its place in a straight line [m]; 0: it is there; None: nobody knows."""
+        if self.phase is None or record is None or len(record.robots) != len(self._ids):
+            return [None] * len(self._ids)
+        return [_to_go_m(its, place) for its, place in zip(record.robots, self.places[self.phase], strict=True)]
+
+    def robot_words(self, to_go_m: float) -> str:
+        """Return a robot's part of the way in words."""
+        assert self.phase is not None
+        return f"{to_go_m:.2f} m to {_WHERE[self.phase]}" if to_go_m else _THERE[self.phase]
+
+    def words(self, to_go_m: Sequence[float | None]) -> str:
+        """Return how many are there, and who has the longest way; an empty string where they are on no way."""
+        if self.phase is None or None in to_go_m:
+            return ""
+        left = [m or 0.0 for m in to_go_m]
+        there = left.count(0.0)
+        if there == len(left):
+            return f"every robot is {_THERE[self.phase]}"
+        last = max(range(len(left)), key=lambda row: left[row])
+        seconds = math.ceil(max(m / speed for m, speed in zip(left, self._speeds, strict=True)))
+        farthest = f"{self._ids[last]} has {left[last]:.2f} m to go, at least {seconds} s"
+        return f"{_ALL_THERE[self.phase]}: {there} of {len(left)} robots; {farthest}"
+
+
+def _to_go_m(its: RobotTick, place: Pose | None) -> float | None:
+    if place is None or its.lost:
+        return None
+    away = math.hypot(its.x_m - place[0], its.y_m - place[1])
+    turned = abs(math.remainder(its.psi_rad - place[2], math.tau))
+    return 0.0 if away < _NEAR_M and turned < _NEAR_RAD else max(away, _NEAR_M)

@@ -1,0 +1,156 @@
+"""The operator's terminal: single keys, signals, and whether it is still there.
+
+Keys are heard by a thread of their own, so nothing that keeps the run's own thread delays the emergency stop.
+"""
+
+import os
+import select
+import signal
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Any, Self
+
+from robofleet.core.clock import Clock, S
+from robofleet.core.compiling import Progress
+
+EMERGENCY_KEYS = frozenset("e ")
+_MOST = 64  # keys at once
+_INPUT = 0  # place of the input modes in what termios returns
+
+
+class Terminal:
+    """Keys without Enter while this is open; the terminal is given back as it was, whatever happens.
+
+    Where stdin is not a terminal, or belongs to another command's foreground, there are no keys. Ctrl-S stops nothing.
+    """
+
+    def __init__(self) -> None:
+        self.lost = False  # it was closed
+        self.note = ""  # what the operator should read
+        self.compiling: tuple[Progress, ...] = ()  # what each process compiles, before the run begins
+        self.page = ""  # where the operator's page is, or that it is gone
+        self.viewers: dict[str, str] = {}  # where viewers of each kind find the run, or that they find it no more
+        self.code = ""  # its address, where a phone can use it: shown once as a QR code
+        self.emergency: Callable[[], object] = lambda: None  # called at once, by the thread that hears the keys
+        self._before: list[Any] | None = None
+        self._descriptor = -1
+        self._keys = ""  # that nobody has taken
+        self._heard = threading.Condition()
+        self._hearing: threading.Thread | None = None
+        self._end: tuple[int, int] | None = None  # a pipe that ends the thread
+
+    @property
+    def present(self) -> bool:
+        """Whether somebody can press a key."""
+        return self._before is not None and not self.lost
+
+    def __enter__(self) -> Self:
+        """Take single keys, without echo; signals stay."""
+        try:
+            self._descriptor = sys.stdin.fileno()
+            if os.tcgetpgrp(self._descriptor) == os.getpgrp():  # in the background the first read would stop us
+                before = termios.tcgetattr(self._descriptor)
+                _take_keys(self._descriptor)
+                self._before = before
+        except (OSError, ValueError, AttributeError, termios.error):  # no terminal, or no stdin at all
+            self._before = None
+        if self._before is not None:
+            self._end = os.pipe()
+            self._hearing = threading.Thread(target=self._hear, args=(self._end[0],), daemon=True)
+            self._hearing.start()
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        """Give it back."""
+        if self._hearing is not None and self._end is not None:
+            os.close(self._end[1])
+            self._hearing.join()
+            os.close(self._end[0])
+            self._hearing = self._end = None
+        if self._before is not None:
+            with suppress(termios.error):  # there may be no terminal any more
+                termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
+
+    def keys(self, clock: Clock, until_ns: int) -> str:
+        """Return the keys pressed by an instant, as soon as there is one."""
+        if not self.present and not self._keys:
+            clock.sleep_until(until_ns)
+            return ""
+        with self._heard:
+            self._heard.wait_for(lambda: self._keys or self.lost, max(0, until_ns - clock.now_ns()) / S)
+            keys, self._keys = self._keys, ""
+        return keys
+
+    def _hear(self, end: int) -> None:
+        """Hear keys until this is closed or the terminal is."""
+        while not self.lost:
+            readable, _, _ = select.select([self._descriptor, end], [], [])
+            if end in readable:
+                return
+            try:
+                pressed = os.read(self._descriptor, _MOST)
+            except OSError:
+                pressed = b""
+            keys = pressed.decode("ascii", "ignore")
+            with self._heard:
+                self._keys += keys
+                self.lost = not pressed
+                self._heard.notify_all()
+            if EMERGENCY_KEYS.intersection(keys):
+                self.emergency()
+
+
+def _take_keys(descriptor: int) -> None:
+    """Set a terminal's mode, without waiting for what it has not shown yet; drop what was typed before."""
+    tty.setcbreak(descriptor, termios.TCSANOW)
+    mode = termios.tcgetattr(descriptor)
+    mode[_INPUT] &= ~termios.IXON
+    termios.tcsetattr(descriptor, termios.TCSANOW, mode)
+    termios.tcflush(descriptor, termios.TCIFLUSH)
+
+
+class Interrupts:
+    """Ctrl-C, SIGTERM, a closed terminal and Ctrl-Z (a stopped launcher would leave the robots driving), counted."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.hung_up = False
+
+    def __call__(self, number: int, _frame: object) -> None:
+        """Count a signal."""
+        self.count += 1
+        self.hung_up = self.hung_up or number == signal.SIGHUP
+
+
+@contextmanager
+def interrupts() -> Iterator[Interrupts]:
+    """Count the terminal's signals instead of ending by them; nohup's wish stands."""
+    counted = Interrupts()
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, counted) for number in numbers}
+    try:
+        yield counted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def hangup_interrupts() -> Iterator[None]:
+    """Let a terminal that is closed interrupt as Ctrl-C does; nohup's wish stands."""
+    before = signal.getsignal(signal.SIGHUP)
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)

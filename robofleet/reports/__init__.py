@@ -1,0 +1,1 @@
+"""What a run was: metrics, bounds, plots, report, comparison."""

@@ -1,0 +1,150 @@
+"""What the plots of a run have in common: their size, the axis of time, one colour a robot, lines that fit a screen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+from numpy.typing import NDArray
+
+from robofleet.config.tree import Bounds, Config
+from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
+from robofleet.recording.run import Array, Recording
+from robofleet.recording.series import Series, line
+from robofleet.reports.timeline import Timeline
+from robofleet.safety.supervisor import Phase
+
+WIDTH = 7.6  # of a plot [inch]
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.68, 0.14, 0.1, 0.42  # margins [inch]: equal, so that times stand below each other
+_TITLE = 0.3  # above axes that stand side by side [inch]
+_LABEL = 0.52  # from the axis to its label [inch]
+_COLUMNS = 700  # of pixels that a line is thinned to
+_MANY = 10_000  # points of a plot
+
+_PHASES = {
+    Phase.IDLE: "#efefef",
+    Phase.ARMED: "#d9e6f2",
+    Phase.RUNNING: "#d8ebdb",
+    Phase.HOLD: "#f7e3b5",
+    Phase.FAULT: "#f0c4b8",
+    Phase.POSITIONING: "#bfe3dd",
+    Phase.PARKING: "#dcdcec",
+    Phase.ESTOP: "#e59a88",
+}
+ALARM = "#b3261e"
+
+
+@dataclass(frozen=True)
+class View:
+    """What there is to draw."""
+
+    recording: Recording
+    series: Series
+    timeline: Timeline
+
+    @property
+    def config(self) -> Config:
+        """The run's configuration."""
+        return self.series.run.config
+
+    @property
+    def bounds(self) -> Bounds:
+        """What the run is judged by."""
+        return self.config.run.bounds
+
+    @property
+    def colours(self) -> tuple[str, ...]:
+        """Each robot's own colour."""
+        return robot_colours(len(self.series.robots))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From the run's first tick to its last [s]."""
+        return 0.0, float(self.series.t.max(initial=self.config.controller.tick_s))
+
+    def counted(self, settle_s: float) -> NDArray[np.bool_]:
+        """Which ticks count after a settling time; all, where none does."""
+        after = self.series.run.after(settle_s)
+        return after if after.any() else np.ones_like(after)
+
+
+def sheet(height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """Return a figure of so many inches and its axes, row by row."""
+    figure = Figure(figsize=(WIDTH, height))
+    grid = figure.subplots(rows, columns, squeeze=False, sharex="col" if rows > 1 else False)
+    right = 1 - _RIGHT / WIDTH
+    top = 1 - (_TOP if columns == 1 else _TITLE) / height
+    figure.subplots_adjust(_LEFT / WIDTH, _BOTTOM / height, right, top, wspace=0.22, hspace=0.12)
+    return figure, list(grid.flat)
+
+
+def strips(view: View, labels: Sequence[str], height: float = 1.9) -> tuple[Figure, list[Axes]]:
+    """Return axes over the run's time, one below the other, with what interrupted the run behind them."""
+    figure, axes = sheet(height * len(labels) + 0.3, len(labels))
+    for each, label in zip(axes, labels, strict=True):
+        each.set_ylabel(label)
+        each.yaxis.set_label_coords(-_LABEL / (WIDTH - _LEFT - _RIGHT), 0.5)
+        interruptions(each, view.timeline)
+    axes[-1].set(xlabel="time since the start, s", xlim=view.span)
+    return figure, axes
+
+
+def interruptions(axes: Axes, timeline: Timeline) -> None:
+    """Shade what is no running, and mark every stop of a robot."""
+    for phase in timeline.phases:
+        if phase.phase != Phase.RUNNING and phase.until_s > 0:
+            axes.axvspan(phase.t_s, phase.until_s, color=phase_colour(phase.phase), alpha=0.6, lw=0)
+    for t in sorted({round(entry.t_s, 2) for entry in timeline.entries if entry.stop}):
+        axes.axvline(t, color=ALARM, lw=0.7, ls=(0, (1, 2)))
+
+
+def phase_colour(phase: int) -> str:
+    """Return the colour of a phase of the run."""
+    return {int(known): colour for known, colour in _PHASES.items()}.get(phase, FAINT)
+
+
+def settling(axes: Axes, until_s: float) -> None:
+    """Shade the time that is not counted."""
+    axes.axvspan(0.0, until_s, color="#f3f3f3", lw=0, zorder=0)
+
+
+def lines(axes: Axes, t: Array, values: Array, span: tuple[float, float], colours: Sequence[str]) -> None:
+    """Draw the columns of values (K, N) over time; of so many points that a page would be heavy, as pixels."""
+    points = 0
+    for column, colour in zip(values.T, colours, strict=True):
+        x, y = line(t, column, span, _COLUMNS)
+        points += len(x)
+        axes.plot(x, y, color=colour, lw=0.9)
+    if points > _MANY:
+        for drawn in axes.get_lines():
+            drawn.set_rasterized(True)
+
+
+def level(axes: Axes, value: float | None, label: str = "") -> None:
+    """Draw a line across that says what it is; nothing where there is none."""
+    if value is not None:
+        axes.axhline(value, color=QUIET, lw=0.9, ls=(0, (5, 3)))
+        axes.annotate(
+            label, (1.0, value), (-2, 2), xycoords=("axes fraction", "data"), textcoords="offset points",
+            ha="right", color=INK, fontsize=8, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
+        )  # fmt: skip
+
+
+def logarithmic(axes: Axes, lowest: float) -> None:
+    """Make the y axis logarithmic, from a value up."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(numticks=8))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.set_ylim(bottom=lowest)
+
+
+def zoomed(axes: Axes, values: Array, *also: float | None) -> None:
+    """Let the y axis show these values, zero and others that are there, and nothing far beyond."""
+    there = values[np.isfinite(values)]
+    shown = [float(v) for v in (there.min(initial=0.0), there.max(initial=0.0), *also) if v is not None]
+    low, high = min(shown), max(shown)
+    room = 0.06 * (high - low or 1.0)
+    axes.set_ylim(low - room * (low < 0), high + room)

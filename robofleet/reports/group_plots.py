@@ -1,0 +1,117 @@
+"""The plots of a group's own figures and measures, whatever its behaviour is."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from robofleet.core.figures import robot_colours
+from robofleet.recording.gauge import Curve
+from robofleet.recording.run import Array, Part
+from robofleet.reports.canvas import View, level, lines, logarithmic, settling, strips, zoomed
+from robofleet.reports.paper import CONTROL_ERROR_MM, is_papers
+from robofleet.reports.plot import Legend, Plot, few
+
+_WIDE = 30.0  # times its median: a figure that is so much larger at times has a logarithmic axis
+_ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure
+_BOUNDS = {  # by the figures' keys: which bound stands in the plot, and what it is of
+    "control_error_mm": ("control_error_mean_mm", "bound of the mean"),
+    "timed_error_mm": ("timed_error_mean_mm", "bound of the first robot's mean"),
+    "path_error_mm": ("path_error_mean_mm", "bound of the mean"),
+    "spacing_mm": ("spacing_max_deviation_mm", "bound"),
+}
+NO_TRUTH = "true poses are known of simulated robots only."
+_PAPERS = {"control_error_mm": (CONTROL_ERROR_MM, "the paper's mean, on hardware")}
+
+
+def of_group(part: Part, *, alone: bool) -> list[Plot]:
+    """Return a plot for each figure and each measure; ``alone``: no other group has figures."""
+    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.told}
+    return [
+        Plot(
+            curve.title if alone else f"{curve.title} of {part.said.name}", partial(_draw, part, k), _caption(curve),
+            partial(_legend, part, k), _missing(part, curve),
+        )
+        for k, curve in enumerate(part.curves)
+        if curve.live and curve.name not in better
+    ]  # fmt: skip
+
+
+def colours(view: View, part: Part, curve: Curve) -> list[str]:
+    """Return the colour of each column: its robot's own, where it is about one."""
+    own, other = view.colours[part.rows], robot_colours(len(curve.of))
+    return [other[k] if row is None else own[row] for k, row in enumerate(curve.rows)]
+
+
+def wide(values: Array, counted: Array) -> float | None:
+    """Return from where a logarithmic axis shows values; None where a linear one is better."""
+    known = values[np.isfinite(values)]
+    settled = counted[np.isfinite(counted)]
+    if not settled.size or known.min() < 0.0 or (middle := float(np.median(settled))) <= 0.0:
+        return None
+    return float(10.0 ** np.floor(np.log10(middle / 10.0))) if known.max() > _WIDE * middle else None
+
+
+def _draw(part: Part, k: int, view: View) -> Figure | None:
+    curve = part.curves[k]
+    if not np.isfinite(curve.values).any():
+        return None
+    run = view.config.run
+    settle_s = run.settle_s if curve.told else run.spacing_settle_s
+    key, words = _BOUNDS.get(curve.key, ("", ""))
+    bound = getattr(view.bounds, key, None)
+    if curve.asked is None:
+        figure, (axes,) = strips(view, [curve.label], 2.4)
+        settling(axes, settle_s)
+        _lines(axes, view, part, curve, settle_s, bound)
+        level(axes, bound, words)
+        if is_papers(view.config) and curve.key in _PAPERS:
+            level(axes, *_PAPERS[curve.key])
+        return figure
+    figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
+    lines(whole, view.series.t, curve.values, view.span, colours(view, part, curve))
+    level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
+    deviation = curve.values - curve.asked
+    settling(off, settle_s)
+    lines(off, view.series.t, deviation, view.span, colours(view, part, curve))
+    zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
+    level(off, bound, words)
+    level(off, bound and -bound)
+    return figure
+
+
+def _lines(axes: Axes, view: View, part: Part, curve: Curve, settle_s: float, bound: float | None) -> None:
+    """Draw a curve: of a figure that was told all of it, of a measure what counts."""
+    counted = curve.values[view.counted(settle_s)]
+    lowest = wide(curve.values, counted) if curve.told else None
+    values = curve.values if lowest is None else np.maximum(curve.values, lowest)
+    lines(axes, view.series.t, values, view.span, colours(view, part, curve))
+    if lowest is not None:
+        logarithmic(axes, lowest)
+    else:
+        zoomed(axes, counted, bound)
+
+
+def _missing(part: Part, curve: Curve) -> str:
+    if not curve.of:
+        return "Not measured: the group has nothing that it could be measured of."
+    return "Not measured." if curve.told or part.past.known.all() else f"Not measured: {NO_TRUTH}"
+
+
+def _caption(curve: Curve) -> str:
+    meaning = f"{curve.meaning[:1].upper()}{curve.meaning[1:]}. " if curve.meaning else ""
+    if curve.asked is not None:
+        return (
+            f"{meaning}Above all of it, below the difference from what the behaviour asks for, large enough to see "
+            "what counts. In the grey part it is not counted."
+        )
+    if curve.told:
+        return f"{meaning}The behaviour told it at each tick. In the grey part it is not counted."
+    return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
+
+
+def _legend(part: Part, k: int, view: View) -> Legend:
+    curve = part.curves[k]
+    known = np.atleast_1d(np.isfinite(curve.values).any(axis=0))
+    return few([(of, c) for of, c, seen in zip(curve.of, colours(view, part, curve), known, strict=True) if seen])

@@ -1,0 +1,1 @@
+"""Layouts that viewers open beside a recording."""

@@ -1,0 +1,177 @@
+"""The plots of a run's report: each is a function and its entry in a section; the groups' own are ``group_plots.py``.
+
+A function is given a run with at least one tick, but the first one of all; it returns None where what it would show
+was not measured.
+"""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from robofleet.config import slices
+from robofleet.recording.run import Array
+from robofleet.reports.canvas import View, level, lines, phase_colour, settling, sheet, strips, zoomed
+from robofleet.reports.group_plots import NO_TRUTH, of_group
+from robofleet.reports.overview import happened, paths
+from robofleet.reports.plot import Plot, few
+from robofleet.reports.timing import delays, latency, ticks
+
+
+def _robots_lines(axes: Axes, view: View, values: Array) -> None:
+    lines(axes, view.series.t, values, view.span, view.colours)
+
+
+def wheels(view: View) -> Figure | None:
+    """Draw each robot's faster wheel."""
+    items = view.series.run.items
+    drives = [slices.drive(robot) for robot in view.config.members]
+    figure, (axes,) = strips(view, ["faster wheel, rad/s"])
+    _robots_lines(axes, view, np.maximum(abs(items["left_rad_s"]), abs(items["right_rad_s"])))
+    limit = min(drive.max_wheel_speed for drive in drives)
+    axes.set_ylim(0.0, 1.08 * max(drive.max_wheel_speed for drive in drives))
+    level(axes, limit, f"the slowest wheels' limit, {limit:g} rad/s")
+    return figure
+
+
+def references(view: View) -> Figure | None:
+    """Draw the references' speeds |rho'|."""
+    run, tick_s = view.series.run, view.config.controller.tick_s
+    if np.isnan(run.references).all():
+        return None
+    figure, (axes,) = strips(view, ["|ρ′|, m/s"])
+    speed = np.linalg.norm(np.diff(run.references, axis=0, prepend=run.references[:1]), axis=-1) / tick_s
+    speed[:1] = np.nan
+    speed[1:][np.diff(run.ticks["run_tick"]) != 1] = np.nan
+    _robots_lines(axes, view, speed)
+    fastest = min(slices.drive(robot).max_speed for robot in view.config.members)
+    settling(axes, view.config.run.settle_s)
+    zoomed(axes, speed[view.counted(view.config.run.settle_s)], fastest)
+    level(axes, fastest, f"the slowest body's limit, {fastest:g} m/s")
+    return figure
+
+
+def poses(view: View) -> Figure | None:
+    """Draw the filter's poses against the true ones over time."""
+    off, turn = view.series.pose_mm, view.series.heading_deg
+    if off is None or turn is None:
+        return None
+    figure, (position, heading) = strips(view, ["position off, mm", "heading off, deg"])
+    _robots_lines(position, view, off)
+    zoomed(position, off, view.bounds.pose_error_rms_mm)
+    level(position, view.bounds.pose_error_rms_mm, "bound of the rms")
+    _robots_lines(heading, view, turn)
+    return figure
+
+
+def pose_distribution(view: View) -> Figure | None:
+    """Draw which share of the ticks had a pose error below which size."""
+    off, turn = view.series.pose_mm, view.series.heading_deg
+    if off is None or turn is None:
+        return None
+    figure, (position, heading) = sheet(2.4, 1, 2)
+    share = np.linspace(0.0, 100.0, 201)
+    for axes, values in ((position, off), (heading, np.abs(turn))):
+        for column, colour in zip(values.T, view.colours, strict=True):
+            if (known := column[np.isfinite(column)]).size:
+                axes.plot(np.percentile(known, share), share, color=colour, lw=1.2)
+        axes.set(ylim=(0, 100), xlim=(0, None))
+    position.set(xlabel="position off, mm", ylabel="share of ticks, %")
+    heading.set(xlabel="heading off, deg")
+    return figure
+
+
+def _robots(view: View) -> list[tuple[str, str]]:
+    return few(list(zip(view.series.robots, view.colours, strict=True)))
+
+
+def _referring(view: View) -> list[tuple[str, str]]:
+    """Return the robots that had references."""
+    had = np.atleast_1d(np.isfinite(view.series.run.references).any(axis=(0, 2)))
+    return few(
+        [robot for robot, its in zip(zip(view.series.robots, view.colours, strict=True), had, strict=True) if its]
+    )
+
+
+def _known(view: View) -> list[tuple[str, str]]:
+    """Return the robots whose truth is known."""
+    every = zip(view.series.robots, view.colours, view.series.run.known, strict=True)
+    return few([(robot, colour) for robot, colour, known in every if known])
+
+
+def _phases(view: View) -> list[tuple[str, str]]:
+    return list({span.name: (span.name, phase_colour(span.phase)) for span in view.timeline.phases}.values())
+
+
+_NO_TRUTH = f"Not measured: {NO_TRUTH}"
+
+HAPPENED = {
+    "What happened": (
+        Plot(
+            "On the time axis",
+            happened,
+            "Phases on top. A cross is a stop of a robot; a bar is something that lasted: a fault that was injected, "
+            "ticks that were missed, the barrier changing a command; a stroke is news of the tracker. Dotted red lines "
+            "and coloured bands stand at the same times in every plot below.",
+            _phases,
+        ),
+        Plot(
+            "Paths of the points",
+            paths,
+            "Trails of the points p: a ring is a start, a disc a robot's body at the end, a red cross a stop. Where "
+            "trails lie over each other, the first robot's is the widest. Dashed lines and small dots are what the "
+            "behaviour has on the floor, dotted lines its references.",
+            _robots,
+            long=False,
+        ),
+    ),
+}
+FLEET = {
+    "Driving": (
+        Plot(
+            "Wheels", wheels,
+            "The faster wheel of each robot as commanded: where it touches the limit the robot cannot do what it is "
+            "asked for.",
+            _robots,
+        ),
+        Plot(
+            "Reference speed", references,
+            "How fast the references move. A robot whose reference is faster than its body cannot follow.",
+            _referring, "Not measured: no behaviour has references.",
+        ),
+    ),
+    "Poses": (
+        Plot(
+            "The filter against the truth", poses,
+            "How far the controller's idea of each robot is from where it really was at the tick. Peaks are moments "
+            "without an image, or with a slip that the filter did not expect.",
+            _known, _NO_TRUTH,
+        ),
+        Plot(
+            "Distribution", pose_distribution,
+            "Which share of the ticks had an error below a size: steep and far left is good, a long tail to the right "
+            "means rare, large errors.",
+            _known, _NO_TRUTH,
+        ),
+    ),
+    "Timing": (
+        Plot(
+            "From the image to the wheel", latency,
+            "How old an image is when its poses are sent, when a tick takes them, and when a wheel is given the "
+            "command. Narrow and left is good; a tail to the right is a late message.",
+            delays, "Not measured: no command reached a wheel.",
+        ),
+        Plot(
+            "Ticks", ticks,
+            "How long each tick computed, and how late it began; both axes are logarithmic, so that one bad tick in "
+            "thousands can be seen. In lockstep no time passes while a process computes: no tick is late.",
+        ),
+    ),
+}  # fmt: skip
+
+
+def sections(view: View) -> dict[str, list[Plot]]:
+    """Return all plots of a run, by section: what happened, each group's own, the whole fleet's."""
+    alone = len(view.series.run.parts) == 1
+    groups = {f"Group {part.said.name}": of_group(part, alone=alone) for part in view.series.run.parts}
+    plots = {**HAPPENED, **groups, **FLEET}
+    return {section: list(its) for section, its in plots.items() if its}

@@ -1,0 +1,246 @@
+"""What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
+
+import shlex
+from collections.abc import Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+from robofleet.behaviours.interface import scale
+from robofleet.config import groups
+from robofleet.config.load import resolved_yaml
+from robofleet.core.figures import STYLE
+from robofleet.recording.columns import CSV, write_csv
+from robofleet.recording.run import Recording, Run
+from robofleet.recording.series import series
+from robofleet.reports import sensors
+from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
+from robofleet.reports.canvas import View
+from robofleet.reports.own_figures import OwnFigure, asked, heading, own_figures
+from robofleet.reports.pages import Marked, Page, Tile
+from robofleet.reports.paper_figures import FigureFiles
+from robofleet.reports.plots import HAPPENED, sections
+from robofleet.reports.stops import together
+from robofleet.reports.timeline import Timeline
+
+Summary = dict[str, Any]
+
+PAGE = "report.html"
+_ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
+_WHO = {True: "the operator", False: "-"}
+_OWN_TILES = 6  # of a group
+_SHOWN = 80  # entries of a table; a run that is worse shows its first ones
+
+
+def write(
+    recording: Recording, summary: Summary, folder: Path, figures: Path | None = None, run: Run | None = None,
+    parts: Iterable[Run] | None = None,
+) -> Path:  # fmt: skip
+    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be.
+
+    ``figures``: a folder for every plot as a file of its own, which the page links. ``run``: the recording in columns,
+    where somebody has it; ``parts``: the same with every tick, part by part, where it has only some.
+    """
+    view = view_of(recording, summary, run)
+    page = Page(summary["config"], _subtitle(summary))
+    _verdict(page, recording, summary)
+    if summary["ticks"]:
+        page.tiles(_tiles(summary))
+        if summary["estimated"]:
+            page.note(
+                f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
+            )
+        _bounds(page, summary)
+    if (every := view.series.run.every) > 1:
+        page.note(
+            f"The run is long: curves, and the means of the groups' own figures, are of every {every}th tick. "
+            "All other figures, and the largest values, are of every tick."
+        )
+    with mpl.rc_context(STYLE):
+        _plots(page, view, None if figures is None else FigureFiles(figures, folder / PAGE))
+    _stops(page, summary)
+    _entries(page, view.timeline)
+    _robots(page, summary)
+    _origin(page, recording, folder, linked=figures is not None)
+    write_csv([view.series] if parts is None else map(series, parts), folder / CSV)
+    if recording.config.sensing:
+        sensors.write_csv(recording, folder / sensors.CSV)
+    page.write(folder / PAGE)
+    return folder / PAGE
+
+
+def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> View:
+    """Return what there is to draw of a run."""
+    run = run or Run(recording)
+    return View(recording, series(run), Timeline(run, summary["stops"]))
+
+
+def _subtitle(summary: Summary) -> str:
+    mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
+    robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
+    said = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+    began = summary["began"]
+    return said if began is None else f"{began.removesuffix('Z').replace('T', ' ')} UTC; {said}"
+
+
+def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
+    """Say what became of the run, and why."""
+    missed = failures(summary)
+    good: bool | None = not missed and summary["outcome"] == "completed"
+    if summary["outcome"] == "completed":
+        of = len(summary["bounds"])
+        said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
+        said += ", every bound met" if of and not missed else ""
+    else:
+        ended = _ENDS.get(summary["outcome"], "How it ended was not recorded")
+        said = ended if summary["ticks"] else "Did not start"
+        said += f": {summary['cause']}" if summary["cause"] else ""
+    lines = list(_stopped(summary)) if summary["ticks"] else ["Nothing was measured."]
+    lines += missed
+    if summary["ticks"] and (rest := unjudged(summary)):
+        lines.append(f"{rest}.")
+    if not summary["bounds"]:
+        lines.append("No bounds are configured: nothing was judged.")
+    if (busy := summary["busy_machine"]) is not None:
+        lines.append(busy["words"])
+    lines += summary.get("remarks", [])
+    if recording.trouble:
+        lines.append(f"The recording is not whole: the file {recording.trouble}.")
+    if recording.dropped:
+        lines.append(f"The recorder did not get {recording.dropped:,} messages: the figures lack them.")
+    page.verdict(said, good=good, detail="\n".join(lines))
+
+
+def _stopped(summary: Summary) -> Iterator[str]:
+    """Yield who stopped on the way, and whom the operator stopped."""
+    own = sum(not stop["by_operator"] for stop in summary["stops"])
+    yield f"{own} stop{'s' * (own > 1)} of a robot by itself." if own else "No robot stopped by itself."
+    yield from (f"The operator stopped {line}." for line in together(summary["stops"]))
+
+
+def _tiles(summary: Summary) -> list[Tile]:
+    verdicts = {bound["figure"]: bound for bound in summary["bounds"]}
+    tiles = []
+    for name, figure in JUDGED.items():
+        value, bound = figure.of(summary), verdicts.get(name)
+        if figure.own and value is None and bound is None:
+            continue
+        note = Marked("no bound", None)
+        if bound is not None:
+            asked = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
+            good = bound["pass"] if is_judged(summary, bound) else None
+            note = Marked({True: "✓ ", False: "✗ ", None: ""}[good] + asked, good)
+        shown = "–" if value is None else _short(value)
+        tiles.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
+    return [*tiles, *_own_tiles(summary)]
+
+
+def _own_tiles(summary: Summary) -> Iterator[Tile]:
+    """Yield the groups' own figures that no bound judges."""
+    for name, group in summary["groups"].items():
+        of = f" of {name}" if len(summary["groups"]) > 1 else ""
+        shown = [own for own in own_figures(group) if own.mean is not None and own.key not in JUDGED_KEYS]
+        for own in shown[:_OWN_TILES]:
+            words = f"{own.label}, mean{of}" if own.each else f"{own.label}{of}"
+            yield Tile(words, _short(own.mean or 0), own.unit, Marked("no bound", None))
+
+
+def _short(value: float) -> str:
+    """Return a number as it is read at a glance."""
+    digits = 0 if isinstance(value, int) or abs(value) >= 100 else 1 if abs(value) >= 10 else 2
+    return f"{value:,.{digits}f}"
+
+
+def _bounds(page: Page, summary: Summary) -> None:
+    if not summary["bounds"]:
+        page.note("To have runs judged, write bounds into the configuration, e.g.")
+        has = {key for group in summary["groups"].values() for key in group}
+        own = "control_error_mean_mm: 1.0, " if "control_error_mm" in has else ""
+        page.listing(f"run:\n  bounds: {{{own}min_gap_mm: 10, stops: 0}}")
+        return
+    completed = summary["outcome"] == "completed"
+    rest = "has not met its bound" if completed else "was not judged: the run ended too early"
+    page.section("Bounds", f"What run.bounds asks for. A figure that was not measured {rest}.")
+    rows = []
+    for bound in summary["bounds"]:
+        verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)
+        verdict = verdict if is_judged(summary, bound) else Marked("not judged", None)
+        label = JUDGED[bound["figure"]].label
+        rows.append((label, verdict, bound["value"], limit(bound), f"run.bounds.{bound['figure']}"))
+    page.table(("figure", "verdict", "value", "bound", "key"), rows)
+
+
+def _plots(page: Page, view: View, files: FigureFiles | None) -> None:
+    ran = len(view.series.t) > 0
+    for section, plots in (sections(view) if ran else HAPPENED).items():
+        page.section(section)
+        for plot in plots if ran else plots[:1]:
+            figure = plot.draw(view)
+            if figure is None:
+                page.note(f"{plot.title}. {plot.missing}")
+            else:
+                legend = plot.legend(view)
+                kept = tuple if files is None else partial(files.write, plot.title, figure, legend)
+                page.figure(figure, plot.caption, title=plot.title, legend=legend, long=plot.long, files=kept)
+        if not ran:
+            page.note("The fleet was never running: there is nothing more to show.")
+            return
+
+
+def _stops(page: Page, summary: Summary) -> None:
+    if summary["stops"]:
+        page.section("Stops", "Times after the stop: from the newest word heard to a target, and to an output of zero.")
+        rows = [
+            (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"], _WHO[s["by_operator"]])
+            for s in summary["stops"][:_SHOWN]
+        ]
+        page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms", "asked for by"), rows)
+
+
+def _entries(page: Page, timeline: Timeline) -> None:
+    page.section("Events", "Everything that happened, in order; before the start at times below 0.")
+    rows = [(f"{entry.t_s:.2f}", entry.who, entry.what) for entry in timeline.entries[:_SHOWN]]
+    page.table(("t, s", "who", "what"), rows)
+    if (more := len(timeline.entries) - _SHOWN) > 0:
+        page.note(f"And {more} more.")
+
+
+def _robots(page: Page, summary: Summary) -> None:
+    page.section("Robots", "Means over the time that counts.")
+    own = [stop["robot"] for stop in summary["stops"] if not stop["by_operator"]]
+    for name, group in summary["groups"].items():
+        columns = dict(_column(group, figure) for figure in own_figures(group) if figure.each)
+        rows = [
+            (robot, *(values[k] for values in columns.values()), own.count(robot), summary["rejected"][robot])
+            for k, robot in enumerate(group["robots"])
+        ]
+        if len(summary["groups"]) > 1:
+            page.note(heading(name, group["behaviour"]))
+        page.table(("robot", *columns, "stops by itself", "messages refused"), rows)
+
+
+def _column(group: Summary, figure: OwnFigure) -> tuple[str, tuple[float | None, ...]]:
+    """Return a figure's title and its value of each robot, in the unit of what it should be."""
+    should = asked(group, figure)
+    if should is None:
+        return figure.title, figure.each
+    value, unit = should
+    factor = scale(figure.unit, unit)
+    each = tuple(None if mean is None else mean * factor for mean in figure.each)
+    return f"{figure.label}, {unit} (of {value:g})", each
+
+
+def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:
+    page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
+    modules = " --behaviours DIR" if any(":" in name for name in groups.own(recording.config)) else ""
+    page.listing(f"robofleet replay {shlex.quote(str(folder))}{modules}")
+    if not linked:
+        page.note("To have every figure as SVG and as PDF, for a paper:")
+        page.listing(f"robofleet report {shlex.quote(str(folder))} --figures figures")
+    made = recording.provenance
+    if made is not None:
+        rows = [("processor", made.processor), ("architecture", made.architecture), *made.versions.items()]
+        page.table(("made with", ""), [*rows, *((f"sha256 of {name}", value) for name, value in made.hashes.items())])
+    page.listing(resolved_yaml(recording.config), folded="The configuration, all of it")

@@ -1,0 +1,1 @@
+"""What puts nodes together: the table of processes, launcher, lockstep, checks, replay."""

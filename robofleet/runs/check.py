@@ -1,0 +1,292 @@
+"""What is refused before a wheel turns: settings that are right one by one and cannot work together."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+import numpy as np
+
+from robofleet.behaviours.interface import Behaviour, Bound, Refusal
+from robofleet.config import groups, obstacles, slices, units
+from robofleet.config.faults import Complaint
+from robofleet.config.load import Change, ConfigFile, Files
+from robofleet.config.robots import Robot, StartPose
+from robofleet.config.tree import Config
+from robofleet.core.clock import S
+from robofleet.core.plugins import PluginError, load
+from robofleet.nodes import views
+from robofleet.runs import check_drivers, check_faults, check_poses, check_starts, reality
+from robofleet.safety.distances import least_room_m
+from robofleet.safety.gate import VALID_NS
+from robofleet.safety.supervisor import Phase
+from robofleet.tracking.sources import AdjustableCamera, ScheduledCamera
+from robofleet.vehicles.solids import distances
+
+_LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
+
+
+class Study(NamedTuple):
+    """What many configurations of one study share, so that each file is read once, and each robot opened once."""
+
+    files: Files
+    opened: dict[str, list[Complaint]]  # what was wrong when something was opened, by the settings it depends on
+
+    def unreachable(self, config: Config, opens: Callable[[Config], list[Complaint]], *keys: str) -> list[Complaint]:
+        """Return what is wrong with what ``opens`` opens; it is opened again only if one of the keys has changed."""
+        settings = opens.__module__ + config.model_dump_json(include=set(keys))
+        if settings not in self.opened:
+            self.opened[settings] = opens(config)
+        return self.opened[settings]
+
+
+def load_checked(
+    file: FilePath,
+    overrides: Sequence[str | Change] = (),
+    faults_file: FilePath | None = None,
+    *,
+    lockstep: bool = False,
+    change: Callable[[Config], Config] | None = None,
+    study: Study | None = None,
+) -> Config:
+    """Read a configuration that can work; ConfigError with every fault at its line and column.
+
+    Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too. ``change``
+    makes another one of it before it is judged: its groups do something else, for example. ``study``: of many like it.
+    """
+    shared = study or Study({}, {})
+    source = ConfigFile(file, overrides, faults_file, shared.files)
+    config = source.config if change is None else change(source.config)
+    complaints = refusals(config, lockstep=lockstep)
+    if not any(path.startswith("robots.") for path, _ in complaints):
+        complaints += shared.unreachable(config, check_drivers.unreachable, "arena", "bus", "drivers", "robots")
+    if not any(path.startswith(("robots.", "tracker.")) for path, _ in complaints):
+        complaints += shared.unreachable(
+            config, check_poses.unreachable, "arena", "robots", "tracker", "camera", "cameras"
+        )
+    source.refuse(complaints)
+    return config
+
+
+def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
+    """Return what cannot work: (dotted path, what is wrong and how to mend it).
+
+    Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
+    """
+    faults = check_faults.complaints(config, lockstep=lockstep)
+    complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality.complaints(config), *faults]
+    complaints += check_poses.complaints(config, lockstep=lockstep)
+    if config.tracker.source == "camera":
+        for (path, _), view in zip(config.camera_keys, config.views, strict=True):
+            complaints += _camera_source(view, path, lockstep)
+        complaints += views.complaints(config)
+    if impossible := list(_impossible(config)):
+        return complaints + impossible
+    for bound in _worst(bound for bound in _bounds(config) if not bound.holds):
+        relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
+        value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
+        key = bound.path.rpartition(".")[2]
+        itself = bound.what.startswith(key) and not bound.at_least  # not something that it brings about
+        hint = units.meant(bound.value, bound.limit, key) if itself else ""
+        complaints.append((bound.path, f"{bound.what} is {value}{hint}, must be {relation} {limit}: {bound.mend}"))
+    complaints += _ways(config)
+    if not any(path.startswith(("robots.", "groups.")) for path, _ in complaints):
+        complaints += [
+            (_absolute(config, where, refusal.key), refusal.message)
+            for where, behaviour in _behaviours(config)
+            for refusal in behaviour.refusals()
+        ]
+    return complaints
+
+
+def proofs(config: Config) -> list[tuple[str, str, str, str]]:
+    """Return what was proved: (what, the tightest value, its limit, how much of it is used)."""
+    tightest: dict[str, Bound] = {}
+    for bound in _bounds(config):
+        if bound.what not in tightest or bound.tightness > tightest[bound.what].tightness:
+            tightest[bound.what] = bound
+    return [
+        (
+            b.what,
+            _shown(b.value, b.unit),
+            ("≥ " if b.at_least else "< " if b.strict else "≤ ") + _shown(b.limit, b.unit),
+            f"{b.tightness:.0%}",
+        )
+        for b in tightest.values()
+    ] + check_starts.rows(config)
+
+
+def _worst(broken: Iterable[Bound]) -> list[Bound]:
+    """Return one bound of those on one number that mending it mends all: the tightest of each direction."""
+    kept: dict[object, Bound] = {}
+    for bound in broken:
+        one = bound.path.endswith(("path_rate", "spacing_m"))
+        key = (bound.path, bound.at_least) if one else (bound.path, bound.what, bound.mend)
+        if key not in kept or bound.tightness > kept[key].tightness:
+            kept[key] = bound
+    return list(kept.values())
+
+
+def _bounds(config: Config) -> Iterator[Bound]:
+    yield from _controller(config)
+    for where, behaviour in _behaviours(config):
+        for bound in behaviour.bounds():
+            what = f"{behaviour.team.name}: {bound.what}" if len(config.groups) > 1 else bound.what
+            yield replace(bound, path=_absolute(config, where, bound.path), what=what)
+    yield from _start(config)
+    if config.tracker.source == "camera":
+        for (path, _), view in zip(config.camera_keys, config.views, strict=True):
+            yield from _camera(view, path)
+
+
+def _impossible(config: Config) -> Iterator[Complaint]:
+    for i, group in enumerate(config.groups):
+        try:
+            groups.behaviour(config, group)
+        except ValueError as error:
+            yield f"groups.{i}.settings", f"{group.behaviour} cannot be made of them: {error}"
+
+
+def _behaviours(config: Config) -> Iterator[tuple[int, Behaviour]]:
+    """Yield each group's number and behaviour."""
+    yield from enumerate(groups.behaviours(config))
+
+
+def _ways(config: Config) -> Iterator[Complaint]:
+    """Refuse a start or a park to which the robots cannot go by themselves."""
+    ways = (
+        (config.run.begin == "go_to_start", Phase.POSITIONING, "start", groups.starts_of(config)),
+        (config.run.end == "park", Phase.PARKING, "park", groups.parks_of(config)),
+    )
+    rows = {robot.id: row for row, robot in enumerate(config.robots)}
+    for wanted, phase, key, known in ways:
+        if not wanted:
+            continue
+        missing = [robot.id for robot in config.members if robot.id not in known]
+        for name in missing:
+            option = "run.begin: go_to_start" if phase is Phase.POSITIONING else "run.end: park"
+            mend = f"add `{key}: {{x_m: ..., y_m: ..., heading_deg: ...}}`"
+            yield f"robots.{rows[name]}.{key}", f"is missing: {option} must know where {name} is to go: {mend}"
+        if missing:
+            continue
+        way = groups.on_the_way(config, phase)
+        for refusal in (*way.refusals(), *_refused(way.bounds())):
+            name = refusal.key.removeprefix("settings.goals.")
+            if name in rows:
+                yield f"robots.{rows[name]}.{key}", refusal.message
+            else:
+                yield f"run.{'begin' if phase is Phase.POSITIONING else 'end'}", f"{key}: {refusal.message}"
+
+
+def _refused(bounds: Iterable[Bound]) -> Iterator[Refusal]:
+    for bound in bounds:
+        if not bound.holds:
+            relation = "at least" if bound.at_least else "at most"
+            value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
+            yield Refusal(bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}")
+
+
+def _absolute(config: Config, group: int, key: str) -> str:
+    """Return where in the configuration a behaviour's key is."""
+    first, _, rest = key.partition(".")
+    ids = [robot.id for robot in config.robots]
+    if first in ids:
+        return f"robots.{ids.index(first)}.{rest}".rstrip(".")
+    return f"groups.{group}.{key}" if first in ("settings", "robots", "behaviour", "") else key
+
+
+def _controller(config: Config) -> Iterator[Bound]:
+    controller = config.controller
+    if controller.integrator == "euler":
+        mend = f"lower alpha below {2 / controller.tick_s:.3g}, or take the exact integrator"
+        gain = controller.alpha * controller.tick_s
+        yield Bound("controller.alpha", "Euler's gain, alpha * tick_s,", gain, 2.0, "", mend, strict=True)
+    mend = f"lower it below {1 / controller.tick_s:.3g}, or a distance is used up within a tick"
+    used = controller.barrier.rate_per_s * controller.tick_s
+    yield Bound("controller.barrier.rate_per_s", "rate_per_s * tick_s", used, 1.0, "", mend, strict=True)
+    mend = "a command is valid for 120 ms and at each tick up to 30 ms old, so the gates would close between two ticks"
+    yield Bound("controller.tick_s", "tick_s", controller.tick_s, _LONGEST_TICK_S, "s", mend)
+
+
+def _start(config: Config) -> Iterator[Bound]:
+    """Every robot stands inside, clear of the others, with room for its wheels to be tried."""
+    placed = [(i, robot, robot.start) for i, robot in enumerate(config.robots) if robot.start is not None]
+    driven = {robot.id for robot in config.members}
+    for i, robot, start in placed:
+        for axis, (name, at) in enumerate((("x", start.x_m), ("y", start.y_m))):
+            what = f"a start pose's reach in {name} with the body's radius"
+            room = least_room_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
+            reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2 - room
+            yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
+    yield from _beside_solids(config, placed)
+    for (i, one, here), (j, other, there) in itertools.combinations(placed, 2):
+        apart = math.hypot(here.x_m - there.x_m, here.y_m - there.y_m)
+        bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
+        tried = [robot for robot in (one, other) if robot.id in driven]
+        room = bodies + max((least_room_m(slices.drive(robot).wheel_radius) for robot in tried), default=0.0)
+        if len(tried) == 1:
+            k, moves = (i, other) if one.id not in driven else (j, one)
+            what = "the distance of a robot that is not in the group from one that is, at the start"
+            mend = f"{moves.id}'s wheels are tried before a start, so move {config.robots[k].id} away from it"
+            yield Bound(f"robots.{k}.start", what, apart, room, "m", mend, at_least=True)
+        else:
+            what, mend = "the distance between two robots at the start", f"move {one.id} and {other.id} apart"
+            yield Bound(f"robots.{j}.start", what, apart, room, "m", mend, at_least=True)
+
+
+def _beside_solids(config: Config, placed: Sequence[tuple[int, Robot, StartPose]]) -> Iterator[Bound]:
+    """Every robot starts on the floor and beside the obstacles, with room for its wheels to be tried."""
+    solids, driven = obstacles.every(config.arena), {robot.id for robot in config.members}
+    away = distances(solids, np.array([(start.x_m, start.y_m) for _, _, start in placed]).reshape(-1, 2))
+    for solid, row in zip(solids, away.tolist(), strict=True):
+        for (i, robot, _), left in zip(placed, row, strict=True):
+            room = least_room_m(slices.drive(robot).wheel_radius) if robot.id in driven else 0.0
+            what = f"a start's distance from {'the edge of floor_m' if solid.floor else 'an obstacle'}"
+            near = "its wheels are tried there" if robot.id in driven else "its body stands there"
+            mend = f"{near}, so move {robot.id}" + ("" if solid.floor else f" or {solid.name}")
+            least = robot.vehicle.body_radius_m + room
+            yield Bound(f"robots.{i}.start", what, left, least, "m", mend, at_least=True)
+
+
+def _camera(view: Config, path: str) -> Iterator[Bound]:
+    camera = view.camera
+    period = view.controller.tick_s if camera.trigger == "tick" else 1 / camera.rate_hz
+    taken = camera.exposure_s + camera.readout_s
+    mend = "the next frame begins before, so shorten the exposure"
+    yield Bound(f"{path}.exposure_s", "exposure and readout of a frame", taken, period, "s", mend)
+    if camera.adjusts_exposure:
+        from robofleet.tracking.exposure import longest_exposure  # noqa: PLC0415 - loads OpenCV
+
+        longest = longest_exposure(view)
+        what, mend = f"the first exposure, with {longest.why}", "shorten it, or set camera.exposure_control to fixed"
+        yield Bound(f"{path}.exposure_s", what, camera.exposure_s, longest.time_s, "s", mend)
+    if camera.trigger == "tick":
+        needed = camera.exposure_s / 2 + camera.readout_s
+        what, mend = "the time from mid-exposure to the tick", "half the exposure and the readout go first"
+        lead = camera.trigger_lead_s
+        yield Bound(f"{path}.trigger_lead_s", what, lead, needed, "s", mend, at_least=True)
+
+
+def _camera_source(view: Config, path: str, lockstep: bool) -> Iterator[Complaint]:
+    source = view.camera.source
+    try:
+        found = load("robofleet.cameras", source)
+    except PluginError as error:
+        yield f"{path}.source", str(error)
+    else:
+        if lockstep and not issubclass(found, ScheduledCamera):
+            yield f"{path}.source", f"{source!r} keeps real time, and lockstep does not: run without --lockstep"
+        if view.camera.adjusts_exposure and not issubclass(found, AdjustableCamera):
+            yield f"{path}.exposure_control", f"the exposure of {source!r} cannot be adjusted: set it to fixed"
+        for where, message in getattr(found, "refusals", _none)(view):
+            yield where.replace("camera", path, 1) if where.startswith("camera.") else where, message
+
+
+def _none(_config: Config) -> tuple[Complaint, ...]:
+    return ()
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit}".rstrip()

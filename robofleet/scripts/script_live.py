@@ -1,0 +1,300 @@
+"""A script's run in real time: the script is one more client of the run's bus."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from robofleet.behaviours import described
+from robofleet.bus.arena_file import ArenaFile, running
+from robofleet.bus.credentials import Credentials
+from robofleet.bus.joining import joined
+from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH
+from robofleet.bus.messages import RUN_STATE, TICK_RECORD
+from robofleet.bus.permissions import SCRIPT
+from robofleet.bus.requests import asked
+from robofleet.config import groups
+from robofleet.config.load import load_config, resolved_yaml
+from robofleet.config.tree import Config
+from robofleet.core.clock import S, WallClock
+from robofleet.reports.after import SUMMARY
+from robofleet.runs.children import ended_by
+from robofleet.safety.supervisor import Phase, RunStatus
+from robofleet.scripts import script_own
+from robofleet.scripts.script_link import FleetError, ended, held, refuse
+
+_JOINED_WITHIN_S = 3.0
+_POLL_S = 0.02
+_WORD_WITHIN_S = 5.0  # of a run that is there: a tick, the supervisor's word
+_READY_WITHIN_S = 300.0  # of all processes of a run that begins: they may compile kernels
+_OVER_WITHIN_S = 5.0  # after the script's last wish
+_ENDED_WITHIN_S = 120.0  # of a launcher: on a busy machine it writes the report for long
+_SAID_S = 0.1  # for which a script says good-bye: one word may be lost on a radio
+_HEARD_WITHIN_S = 0.3  # of a parting wish
+_OVER = Phase.IDLE, Phase.FAULT, Phase.ESTOP
+
+
+class LiveLink:
+    """A run that is on: an arena's, which stays when the script leaves."""
+
+    folder: Path | None = None
+    ends = False
+
+    def __init__(
+        self, config: Config, group: str, endpoint: str | Sequence[str], credentials: Credentials | None = None,
+        within_s: float = _JOINED_WITHIN_S,
+    ) -> None:  # fmt: skip
+        """Join; FleetError where nobody answers, or where the run has other robots than the configuration."""
+        self.config, self._clock = config, WallClock()
+        self._came = threading.Condition()
+        self._tick, self._ticks = b"", 0  # the newest one, and how many came
+        self._taken = 0
+        self._state: RunStatus | None = None  # as the supervisor said last
+        self._statuses: dict[str, bytes] = {}
+        self._sensors: dict[str, bytes] = {}
+        try:
+            self._bus = joined(config.arena.name, endpoint, SCRIPT, self._clock, within_s, self._check, credentials)
+        except TimeoutError as error:
+            raise FleetError(f"the run of {config.arena.name}: {error}") from error
+        try:
+            self._bus.listen(TICK, "", self._heard_tick)
+            self._bus.listen(STATE, "", self._heard_state)
+            for unit in config.units:
+                self._bus.listen(STATUS, unit, partial(self._heard_status, unit))
+            for unit in config.sensing:
+                self._bus.listen(SENSORS, unit, partial(self._heard_sensors, unit))
+            self._publish = self._bus.publisher(WISH, group)
+            self.wish = self._publish
+            self.note = self._bus.publisher(NOTE, group)
+            if not self._until(lambda: bool(self._tick) and self._state is not None, within_s):
+                raise FleetError(f"the run of {config.arena.name} says nothing: see its logs")
+            wanted = TICK_RECORD.dtype(
+                len(config.members), described.size(groups.descriptions(config), len(config.camera_names))
+            )
+            if len(self._tick) != wanted.itemsize:
+                raise FleetError(f"the run of {config.arena.name} has other robots than this configuration")
+        except BaseException:
+            self._bus.close()
+            raise
+
+    def begin(self) -> None:
+        """Wait until the robots may drive; FleetError where the run ends before."""
+        while self.status.phase is not Phase.RUNNING:
+            self._check()
+            if self.status.phase in (Phase.FAULT, Phase.ESTOP):
+                raise ended(self.status, self.config)
+            if self.status.phase is Phase.HOLD:
+                raise held(self.status, self.config)
+            self._pause()
+
+    @property
+    def status(self) -> RunStatus:
+        """Where the run is."""
+        return self._state or RunStatus()
+
+    @property
+    def tick(self) -> bytes:
+        """The newest tick's record."""
+        return self._tick
+
+    def next_tick(self) -> bytes:
+        """Wait for a tick that was not returned yet; of several the newest."""
+        with self._came:
+            came = self._came.wait_for(lambda: self._ticks > self._taken, _WORD_WITHIN_S)
+            self._taken = self._ticks
+        self._check()
+        if not came or (TICK_RECORD.head_of(self._tick, "run_tick") < 0 and self.status.phase in _OVER):
+            raise ended(self.status, self.config)
+        return self._tick
+
+    def unit_status(self, unit: str) -> bytes | None:
+        """Return the newest status of a unit."""
+        return self._statuses.get(unit)
+
+    def unit_sensors(self, unit: str) -> bytes | None:
+        """Return what the sensors of a unit's robots said last."""
+        return self._sensors.get(unit)
+
+    def ask(self, what: bytes) -> None:
+        """Ask the supervisor."""
+        try:
+            answer = asked(self._bus, self._clock, "supervisor", what, role=SCRIPT).decode(errors="replace")
+        except TimeoutError as error:
+            raise FleetError(f"{what.decode()}: {error}") from error
+        if not answer.startswith("ok"):
+            refuse(answer, what)
+
+    def done(self, parting: bytes) -> dict[str, Any] | None:
+        """Leave; the robots stand, and the run goes on."""
+        self._part(parting, lambda: False, _SAID_S)
+        self._bus.close()
+        return None
+
+    def failed(self, parting: bytes, why: str) -> dict[str, Any] | None:
+        """Leave; the run is held."""
+        self._part(parting, lambda: self.status.phase is not Phase.RUNNING)
+        self._bus.close()
+        return None
+
+    def _part(self, parting: bytes, heard: Callable[[], bool], within_s: float = _HEARD_WITHIN_S) -> bool:
+        """Say the last wish again and again, tick by tick, until it is heard; returns whether it was."""
+        end_ns = self._clock.now_ns() + round(within_s * S)
+        while not heard() and self._clock.now_ns() < end_ns:
+            self._publish(parting)
+            self._pause()
+        return heard()
+
+    def _check(self) -> None:
+        """Raise where the run is gone."""
+
+    def _until(self, true: Callable[[], bool], within_s: float) -> bool:
+        end_ns = self._clock.now_ns() + round(within_s * S)
+        while not true() and self._clock.now_ns() < end_ns:
+            self._check()
+            self._pause()
+        return true()
+
+    def _pause(self) -> None:
+        self._clock.sleep_until(self._clock.now_ns() + round(_POLL_S * S))
+
+    def _heard_tick(self, _at_ns: int, payload: bytes) -> None:
+        if TICK_RECORD.view(payload) is not None and len(payload) == len(self._tick or payload):
+            with self._came:
+                self._tick = payload
+                self._ticks += 1
+                self._came.notify_all()
+
+    def _heard_status(self, unit: str, _at_ns: int, payload: bytes) -> None:
+        self._statuses[unit] = payload
+
+    def _heard_sensors(self, unit: str, _at_ns: int, payload: bytes) -> None:
+        self._sensors[unit] = payload
+
+    def _heard_state(self, _at_ns: int, payload: bytes) -> None:
+        head = RUN_STATE.decode_head(payload)
+        if head is not None and (status := RunStatus.read(*head[2:6])) is not None:
+            self._state = status
+
+
+class OwnRun:
+    """``robofleet run`` in a process of its own, without a terminal."""
+
+    def __init__(self, config: Config, name: str, folder: Path | None) -> None:
+        """Start it; without ``folder`` it leaves nothing."""
+        self._kept = tempfile.TemporaryDirectory(prefix="robofleet-")
+        place = Path(self._kept.name)
+        self.folder = place / "run" if folder is None else folder
+        file = place / f"{name}.yaml"
+        file.write_text(resolved_yaml(config))
+        self._said = (place / "stderr").open("w+b")
+        theirs, self._lifeline = os.pipe()
+        command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
+        self._process = subprocess.Popen(
+            [*command, "--out", str(self.folder.absolute())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=self._said, start_new_session=True, pass_fds=[theirs],
+        )  # fmt: skip
+        os.close(theirs)
+
+    def check(self) -> None:
+        """Raise FleetError where it has ended."""
+        if self.over:
+            raise FleetError(self.why())
+
+    def joinable(self, arena: str) -> ArenaFile:
+        """Wait until its processes can be reached, and return where; FleetError where it ends before."""
+        while True:
+            self.check()
+            mine = [
+                there for there in running() if there.own and (there.arena, there.pid) == (arena, self._process.pid)
+            ]
+            if mine and (self.folder / "config.yaml").is_file():
+                return mine[0]
+            threading.Event().wait(_POLL_S)
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended."""
+        return self._process.poll() is not None
+
+    def why(self) -> str:
+        """Return what it said last."""
+        self._said.seek(0)
+        lines = self._said.read().decode(errors="replace").strip().splitlines()[-5:]
+        code = self._process.returncode
+        return "\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"])
+
+    def interrupt(self) -> None:
+        """End it as Ctrl-C does: a controlled stop."""
+        with suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGINT)
+
+    def summary(self) -> dict[str, Any] | None:
+        """Wait for its end, and return what it measured; None where there is nothing."""
+        try:
+            self._process.wait(_ENDED_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()  # its processes end with it
+            self._process.wait()
+        file = self.folder / SUMMARY
+        found = json.loads(file.read_text()) if file.is_file() else None
+        os.close(self._lifeline)
+        self._said.close()
+        self._kept.cleanup()
+        return found
+
+
+class OwnRunLink(LiveLink):
+    """A run of the script's own, which ends with the script."""
+
+    ends = True
+
+    def __init__(self, config: Config, group: str, name: str, folder: Path | None) -> None:
+        """Start it, and join; FleetError where it does not come to it."""
+        self._run = OwnRun(config, name, folder)
+        try:
+            there = self._run.joinable(config.arena.name)
+            own = load_config(self._run.folder / "config.yaml")
+            super().__init__(own, group, there.endpoint, within_s=_READY_WITHIN_S)
+        except BaseException:
+            self._run.interrupt()
+            self._run.summary()
+            raise
+        self.folder = folder
+
+    def _check(self) -> None:
+        self._run.check()
+
+    def begin(self) -> None:
+        """Wait until the robots may drive."""
+        try:
+            super().begin()
+        except BaseException:
+            self._end()
+            raise
+
+    def done(self, parting: bytes) -> dict[str, Any] | None:
+        """End the run."""
+        with suppress(FleetError):
+            self._part(parting, lambda: self._run.over or self.status.phase in _OVER, _OVER_WITHIN_S)
+        return self._end()
+
+    def failed(self, parting: bytes, why: str) -> dict[str, Any] | None:
+        """End the run: the robots stand at once."""
+        self._part(parting, lambda: self._run.over or self.status.phase is not Phase.RUNNING)
+        return self._end()
+
+    def _end(self) -> dict[str, Any] | None:
+        """End the run, where it has not ended."""
+        if self.status.phase not in _OVER:
+            self._run.interrupt()
+        summary = self._run.summary()
+        self._bus.close()
+        return summary

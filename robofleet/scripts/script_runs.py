@@ -1,0 +1,103 @@
+"""Begins a script's run, or joins one that is on."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from robofleet.behaviours.script import Script
+from robofleet.bus.permissions import SCRIPT
+from robofleet.config import groups
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.core.clock import utc_now
+from robofleet.core.patterns import CONFIGURATIONS
+from robofleet.core.refusal import RefusedError, new_folder
+from robofleet.operator.requests import NoArenaError, chosen
+from robofleet.runs.check import load_checked
+from robofleet.scripts.script_link import FleetError, Link, first, scripted
+from robofleet.vehicles.interface import DriverError
+
+Out = str | Path | Literal[False] | None
+
+
+def opened(
+    where: str | Path, changes: Sequence[str], out: Out, group: str | None, copy: str | Path | None, *,
+    lockstep: bool, robots: int | None = None,
+) -> Link:  # fmt: skip
+    """Return a run that is on; ConfigError or FleetError where there is none."""
+    file = Path(where)
+    try:
+        if file.suffix not in CONFIGURATIONS:
+            if lockstep or changes or robots is not None:
+                raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
+            return _joined(str(where), group, copy)
+        config = load_checked(file, changes, lockstep=lockstep, change=partial(_as_driven, robots=robots))
+        mine = group_of(config, group)
+        if lockstep:
+            return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
+        return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
+    except (RefusedError, DriverError, NoArenaError) as error:
+        raise FleetError(str(error)) from None  # the words say all, and a chain of tracebacks hides them
+
+
+def _as_driven(config: Config, robots: int | None) -> Config:
+    return scripted(first(config, robots))
+
+
+def group_of(config: Config, wanted: str | None) -> str:
+    """Return which group the script drives; FleetError where that is not clear."""
+    there = groups.wishing(config, Script)
+    if wanted is None and len(there) == 1:
+        return there[0]
+    if wanted not in there:
+        known = ", ".join(there) or "none: give one the behaviour `script`"
+        asked = "several groups take wishes: name one in `group`" if wanted is None else f"no group {wanted!r} does"
+        raise FleetError(f"{asked}: {known}")
+    return wanted
+
+
+def _folder(out: Out, name: str) -> Path | None:
+    """Return a new folder for what a run leaves; None: it leaves nothing."""
+    if out is False:
+        return None
+    folder = Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}" if out is None else Path(out)
+    new_folder(folder, "out")
+    return folder
+
+
+def _in_lockstep(config: Config, group: str, name: str, folder: Path | None) -> Link:
+    from robofleet.scripts.script_lockstep import LockstepLink  # noqa: PLC0415 - it loads all that a run needs
+
+    link = LockstepLink(config, group, name, folder)
+    link.begin()
+    return link
+
+
+def _in_real_time(config: Config, group: str, name: str, folder: Path | None) -> Link:
+    from robofleet.scripts.script_live import OwnRunLink  # noqa: PLC0415 - it loads Zenoh
+
+    link = OwnRunLink(config, group, name, folder)
+    link.begin()
+    return link
+
+
+def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:
+    """Return a run of this user on this computer, or of an arena of another computer that this one has joined."""
+    from robofleet.operator.elsewhere import joined_arena  # noqa: PLC0415
+    from robofleet.scripts.script_live import LiveLink  # noqa: PLC0415
+
+    there = joined_arena(arena)
+    if there is None:
+        run = chosen(arena, own=True)
+        config = load_config(Path(run.folder) / "config.yaml" if copy is None else Path(copy))
+        return LiveLink(config, group_of(config, group), run.endpoint)
+    if copy is None:
+        raise FleetError(f"{arena} is another computer's: name a copy of its configuration in `config`")
+    if there.role != SCRIPT:
+        raise FleetError(
+            f"this computer has joined {arena} as {there.role}: join as a script: "
+            f"`robofleet keys add {arena} NAME --kind {SCRIPT}` there, then bundle and `robofleet join`"
+        )
+    config = load_config(Path(copy))
+    return LiveLink(config, group_of(config, group), there.router, there.credentials)
