@@ -108,7 +108,7 @@ def test_a_robot_reads_its_keys_without_the_library_that_makes_them(lab: Authori
 import sys
 sys.modules["cryptography"] = sys.modules["pydantic"] = None
 from pathlib import Path
-from robofleet import folders
+from robofleet.core import folders
 from robofleet.bus import credentials
 folders.SYSTEM = Path("nowhere")
 print(credentials.credentials("lab", "r1").name)
