@@ -51,7 +51,7 @@ PROGRAMS = {*SHELL, "robofleet", "python", "python3", "pip", "pytest", "ruff", "
 LABORATORY = {"calibrate": "measure", "sheet": "sheet"}  # commands with commands of their own: their module
 SCRIPTS = {"calibrate.py": "calibrate", "tag_sheet.py": "sheet"}  # of tools/: the same
 SHOWN = (  # blocks that show what something looks like, by their beginning
-    "running ", "robot ", "kernels <", "camera ->", "script ->", "# yaml-language-server", "ros2 launch ",
+    "running ", "robot ", "core <", "camera ->", "script ->", "# yaml-language-server", "ros2 launch ",
 )  # fmt: skip
 
 
