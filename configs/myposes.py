@@ -58,13 +58,13 @@ class UdpPoses:
                 continue
             arrival_ns = self._clock.now_ns()  # better, where it is known: when the poses were measured
             try:
-                said = {name: tuple(map(float, pose)) for name, pose in json.loads(line).items()}
+                by_name = {name: tuple(map(float, pose)) for name, pose in json.loads(line).items()}
             except (AttributeError, TypeError, ValueError):
                 continue  # not for us
             poses = [
                 TagPose(self._numbers[name], 0, 0, pose[0], pose[1], math.remainder(pose[2], math.tau))
-                for name, pose in said.items()
+                for name, pose in by_name.items()
                 if name in self._numbers and len(pose) == 3 and all(map(math.isfinite, pose))
             ]
-            self._newest = Observation(arrival_ns, tuple(poses), len(said) - len(poses))
+            self._newest = Observation(arrival_ns, tuple(poses), len(by_name) - len(poses))
             self._wake(0)

@@ -87,7 +87,7 @@ class ArduinoBridge:
         self._frame_ns = settings.frame_s * 1e9
         self._counts_per_rad = settings.counts_per_turn / math.tau
         self._left, self._right = Rounding(), Rounding()
-        self._said, self._said_ns, self._aimed_ns = (0, 0), 0, 0
+        self._target, self._said_ns, self._aimed_ns = (0, 0), 0, 0
         self._encoders = Encoders(self._counts_per_rad, context.drive.max_wheel_speed)
         self._asked_ns = 0
         self._rest = b""
@@ -120,9 +120,9 @@ class ArduinoBridge:
         per_frame = self._counts_per_rad * self._frame_ns * 1e-9
         target = self._left(wheels.left * per_frame, frames), self._right(wheels.right * per_frame, frames)
         self._aimed_ns = now_ns
-        if target != self._said or not 0 <= now_ns - self._said_ns < _AGAIN_NS:
+        if target != self._target or not 0 <= now_ns - self._said_ns < _AGAIN_NS:
             self._say(_DONE, b"m %d, %d\r" % target)
-            self._said, self._said_ns = target, now_ns
+            self._target, self._said_ns = target, now_ns
 
     def read(self) -> DriverReading:
         """Return angles and speeds; the battery it cannot tell."""
@@ -152,11 +152,11 @@ class ArduinoBridge:
 
     def _meet(self, settings: Settings) -> None:
         """Let the board start, let the robot stand, and find out what it has counted."""
-        told = [(_RATE, b"b\r"), (_DONE, b"m 0 0\r"), (_COUNTS, b"e\r")]
+        exchange = [(_RATE, b"b\r"), (_DONE, b"m 0 0\r"), (_COUNTS, b"e\r")]
         if settings.gains is not None:
-            told.append((_DONE, b"u %d:%d:%d:%d\r" % settings.gains))
+            exchange.append((_DONE, b"u %d:%d:%d:%d\r" % settings.gains))
         until_ns = self._now_ns() + _BOOT_NS
-        for answer, line in told:
+        for answer, line in exchange:
             while not self._obeys(answer, line, _ASK_AGAIN_S):
                 if self._now_ns() < until_ns:
                     continue
@@ -167,9 +167,9 @@ class ArduinoBridge:
     def _obeys(self, answer: str, line: bytes, patience_s: float) -> bool:
         """Say a line and wait for its answer."""
         self._say(answer, line)
-        asked = self._unanswered[-1]
+        request = self._unanswered[-1]
         until_ns = self._now_ns() + round(patience_s * 1e9)
-        while asked in self._unanswered:
+        while request in self._unanswered:
             left_s = (until_ns - self._now_ns()) * 1e-9
             if left_s <= 0.0 or not self._line.wait(left_s):
                 return False
@@ -191,9 +191,9 @@ class ArduinoBridge:
         """Take what has come; returns the instant."""
         if self._closed:
             raise DriverError(f"{self._name}: it is closed")
-        heard = self._line.read()
-        self._talks = self._talks or bool(heard)
-        *lines, rest = (self._rest + heard).split(b"\n")
+        received = self._line.read()
+        self._talks = self._talks or bool(received)
+        *lines, rest = (self._rest + received).split(b"\n")
         self._rest = rest[-_LONGEST:]
         for line in lines:
             for kind, shape in _ANSWERS.items():

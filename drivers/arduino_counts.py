@@ -12,12 +12,12 @@ class Rounding:
     """One wheel's counts per frame, whole, such that in the long run it turns as far as it was told to."""
 
     def __init__(self) -> None:
-        self._told, self._given, self._owed = 0.0, 0, 0.0
+        self._speed, self._given, self._owed = 0.0, 0, 0.0
 
-    def __call__(self, told: float, frames: float) -> int:
+    def __call__(self, speed: float, frames: float) -> int:
         """Return what to say instead of ``told``, ``frames`` of the speed loop after the last time (1 at most)."""
-        self._owed += frames * (self._told - self._given)
-        self._told, self._given = told, round(told + self._owed) if told else 0
+        self._owed += frames * (self._speed - self._given)
+        self._speed, self._given = speed, round(speed + self._owed) if speed else 0
         return self._given
 
 

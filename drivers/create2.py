@@ -91,9 +91,9 @@ class Create2:
         self._greeted_ns = self._at_ns - _GREET_NS
         self._past = deque[tuple[int, tuple[int, int]]]()  # when it had turned how far
         self._wheels = STOP
-        self._asked = (0, 0)  # the same: right, left [mm/s]
-        self._told: dict[tuple[int, int], int] = {}  # and lately, with when last
-        self._said: tuple[int, int] | None = None  # by the newest command, and when
+        self._requested = (0, 0)  # the same: right, left [mm/s]
+        self._sent_at_ns: dict[tuple[int, int], int] = {}  # and lately, with when last
+        self._sent: tuple[int, int] | None = None  # by the newest command, and when
         self._said_ns = 0
         self._new = False  # it was not told that before, lately
         self._proof: tuple[int, int] | None = None  # what nothing but the newest command can have made it say,
@@ -120,7 +120,7 @@ class Create2:
         now_ns = self._now_ns()
         self._aim(wheels, now_ns)
         self._listen(now_ns)
-        if self._asked != self._said or not (self._obeyed or now_ns - self._said_ns < _AGAIN_NS):
+        if self._requested != self._sent or not (self._obeyed or now_ns - self._said_ns < _AGAIN_NS):
             self._tell(now_ns)
 
     def read(self) -> DriverReading:
@@ -176,25 +176,25 @@ class Create2:
         if now_ns - self._greeted_ns < _GREET_NS:
             return
         self._greeted_ns = now_ns
-        self._said = self._proof = None
+        self._sent = self._proof = None
         self._obeyed = False
         self._port.write(MOTORS_OFF + bytes((_MODE + self._mode,)) + _SUBSCRIPTION)
 
     def _aim(self, wheels: WheelSpeeds, now_ns: int) -> None:
         """Take what the robot is to do from now on."""
         self._wheels = self._dead_man.allow(wheels, now_ns)
-        self._asked = self._mm_s(self._wheels.right), self._mm_s(self._wheels.left)
-        self._told = {asked: at_ns for asked, at_ns in self._told.items() if now_ns - at_ns <= _TOLD_NS}
-        self._new = self._asked not in self._told
-        self._told[self._asked] = now_ns
+        self._requested = self._mm_s(self._wheels.right), self._mm_s(self._wheels.left)
+        self._sent_at_ns = {speeds: at_ns for speeds, at_ns in self._sent_at_ns.items() if now_ns - at_ns <= _TOLD_NS}
+        self._new = self._requested not in self._sent_at_ns
+        self._sent_at_ns[self._requested] = now_ns
 
     def _tell(self, now_ns: int, more: bytes = b"") -> None:
         """Say it, and bring the robot back into its mode if that must be."""
         mode = bytes((_MODE + self._mode,)) if self._astray else b""
         lack = b"" if self._obeyed else _LACK
-        self._said, self._said_ns = self._asked, now_ns
-        self._obeyed, self._proof = False, self._asked if self._new else None
-        self._port.write(lack + mode + struct.pack(">Bhh", _DRIVE, *self._asked) + more)
+        self._sent, self._said_ns = self._requested, now_ns
+        self._obeyed, self._proof = False, self._requested if self._new else None
+        self._port.write(lack + mode + struct.pack(">Bhh", _DRIVE, *self._requested) + more)
 
     @property
     def _astray(self) -> bool:
@@ -207,7 +207,7 @@ class Create2:
         frame = self._frame
         if frame is None or frame.mode != self._mode:
             return False
-        return (frame.right_asked, frame.left_asked) not in self._told
+        return (frame.right_asked, frame.left_asked) not in self._sent_at_ns
 
     def _listen(self, now_ns: int) -> None:
         frames = self._stream.feed(self._port.read())
@@ -245,7 +245,7 @@ class Create2:
             RobotFault.CHARGING: frame.chargers,
             RobotFault.OVERCURRENT: now_ns - self._free_ns > _OVERCURRENT_NS,
         }
-        faults = reduce(or_, (fault for fault, there in present.items() if there), RobotFault(0))
+        faults = reduce(or_, (fault for fault, active in present.items() if active), RobotFault(0))
         if faults or frame.mode == self._mode:
             self._well_ns = now_ns
         return faults or (MODE_LOST if now_ns - self._well_ns > _MODE_LOST_NS else RobotFault(0))

@@ -25,10 +25,10 @@ def main(line: int, signs: int, stop: bytes, silent_s: float) -> None:
     patience = None  # it is not watched before its first sign
     while True:
         if select.select([signs], [], [], patience)[0]:
-            heard = _read(signs)
-            if heard.endswith(GOODBYE):
+            received = _read(signs)
+            if received.endswith(GOODBYE):
                 return
-            if not heard:
+            if not received:
                 break
             patience = silent_s
         else:

@@ -128,8 +128,8 @@ class GTernal:
             raise DriverError(f"{self._port}: the robot does not answer: is it on, or at its charger?")
         if not 0 <= now_ns - self._sent_ns < _ALONE_NS:
             self._send(None, battery=True, sensors=self._due(now_ns))
-        told = self._told_ns is not None and now_ns - self._told_ns < _SILENT_NS + self._period_ns
-        sensors = SensorReading(heading=self._heading, distances=self._distances) if told else None
+        answering = self._told_ns is not None and now_ns - self._told_ns < _SILENT_NS + self._period_ns
+        sensors = SensorReading(heading=self._heading, distances=self._distances) if answering else None
         return DriverReading(0.0, 0.0, 0.0, 0.0, self._battery, 0, sensors)
 
     def close(self) -> None:
@@ -170,8 +170,8 @@ class GTernal:
         kind = self._kind
         if kind is None:
             return []
-        told = (("distances", kind.distances), ("orientation", kind.heading))
-        return [interface for interface, has in told if has is not None]
+        interfaces = (("distances", kind.distances), ("orientation", kind.heading))
+        return [interface for interface, has in interfaces if has is not None]
 
     def _due(self, now_ns: int) -> bool:
         """Return whether it is time to ask for its sensors."""
@@ -182,27 +182,27 @@ class GTernal:
     def _obeys(self, wheels: WheelSpeeds | None, patience_s: float, *, sensors: bool = False) -> bool:
         """Send one line and wait for its answer."""
         self._send(wheels, battery=True, sensors=sensors)
-        asked = (1 if wheels is None else 2) + (len(self._asked_for) if sensors else 0)
+        request = (1 if wheels is None else 2) + (len(self._asked_for) if sensors else 0)
         for _ in range(_PIECES):
             if not self._line.wait(patience_s):
                 return False
-            if asked in self._listen():
+            if request in self._listen():
                 return True
         return False
 
     def _send(self, wheels: WheelSpeeds | None, *, battery: bool, sensors: bool) -> None:
         if self._closed:
             raise DriverError(f"{self._port}: it is closed")
-        asked: list[tuple[str, str, dict[str, float]]] = []
+        requests: list[tuple[str, str, dict[str, float]]] = []
         if wheels is not None:
             v, omega = body_from_wheels(*wheels, self._radius, self._base)
-            asked.append(("write", "motor", {"v": round(v, 5), "w": round(omega, 4)}))
+            requests.append(("write", "motor", {"v": round(v, 5), "w": round(omega, 4)}))
         if battery:
-            asked.append(("read", "batt_volt", {}))
+            requests.append(("read", "batt_volt", {}))
         if sensors:
-            asked += [("read", interface, {}) for interface in self._asked_for]
+            requests += [("read", interface, {}) for interface in self._asked_for]
             self._sensed_ns = self._now_ns()
-        lists = dict(zip(("request", "iface", "body"), zip(*asked, strict=True), strict=True))
+        lists = dict(zip(("request", "iface", "body"), zip(*requests, strict=True), strict=True))
         # The first byte may be lost: the firmware empties its input between its looks at it. After the last one must
         # come nothing: a blank would begin its next line, and it does not look at its stop before it has the rest.
         self._line.write(b"\n" + json.dumps(lists, separators=(",", ":")).encode())
@@ -214,7 +214,7 @@ class GTernal:
         """Take what it has answered; returns how many requests each answer was to."""
         if self._closed:
             raise DriverError(f"{self._port}: it is closed")
-        heard = []
+        lengths = []
         before, *texts = (self._received + self._line.read()).split(_START)
         rest = _START + texts[-1] if texts else before
         for text in texts:
@@ -225,10 +225,10 @@ class GTernal:
             if text is texts[-1]:
                 rest = b""
             if len(answer.status) == len(answer.body) > 0:
-                heard.append(len(answer.body))
+                lengths.append(len(answer.body))
                 self._take(answer)
         self._received = rest[-_LONGEST:]
-        return heard
+        return lengths
 
     def _take(self, answer: _Answer) -> None:
         self._asked_ns = None

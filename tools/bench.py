@@ -116,8 +116,8 @@ def bicycle_updates() -> list[Row]:
     values["the same bicycle as a user's own f and h"] = found[1].p50
     values["robofleet, r(t + T) looked up"] = found[2].p50
     values["robofleet, the same, just after the others"] = statistics.median(found[2].first.tolist())
-    for one, peak, updates in zip(candidates[1:], peaks[1:], found[3:], strict=True):
-        values[f"{one.name}, {peak:.2f} cm"] = updates.p50
+    for candidate, peak, updates in zip(candidates[1:], peaks[1:], found[3:], strict=True):
+        values[f"{candidate.name}, {peak:.2f} cm"] = updates.p50
     what = f"update of the bicycle, NR flow {peaks[0]:.2f} cm, {problem.speed:g} m/s"
     return [_row(what, who, value, "us", value / found[0].p50) for who, value in values.items()]
 

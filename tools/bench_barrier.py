@@ -51,9 +51,9 @@ def _crossing(count: int) -> list[Row]:
                 goals[i] = cells[rng.integers(len(cells))]
             u[i] *= drive.max_speed / np.hypot(*u[i])
             v, omega = body_from_point(float(u[i, 0]), float(u[i, 1]), psi, l)
-            asked = wheels_from_body(v, omega, drive.wheel_radius, drive.wheel_base)
-            ratio = feasible_ratio(*asked, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
-            u[i], wheels[i] = ratio * u[i], ratio * np.array(asked)
+            wheel_speeds = wheels_from_body(v, omega, drive.wheel_radius, drive.wheel_base)
+            ratio = feasible_ratio(*wheel_speeds, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
+            u[i], wheels[i] = ratio * u[i], ratio * np.array(wheel_speeds)
         if k % _PEER_EVERY == 0:
             _joint(times, poses, u, apart(keepout, body, body), config.controller.barrier.rate_per_s)
         times["robofleet"].append(timed(barrier.filter, poses, turning, unseen, driving, wheels, u)[0])
@@ -73,17 +73,17 @@ def _joint(times: dict[str, list[float]], poses: Array, u: Array, distance: floa
     n = len(poses)
     delta = poses[:, None, :2] - poses[None, :, :2]
     apart_m = np.linalg.norm(delta, axis=-1)
-    one, other = np.nonzero(np.triu(apart_m < distance + _NEAR, 1))
-    pairs, limits = np.zeros((len(one), n, 2)), np.zeros((4 * n, n, 2))
-    normal = delta[one, other] / np.maximum(apart_m[one, other], 1e-6)[:, None]
-    index = np.arange(len(one))
-    pairs[index, one], pairs[index, other] = -normal, normal
+    first, other = np.nonzero(np.triu(apart_m < distance + _NEAR, 1))
+    pairs, limits = np.zeros((len(first), n, 2)), np.zeros((4 * n, n, 2))
+    normal = delta[first, other] / np.maximum(apart_m[first, other], 1e-6)[:, None]
+    index = np.arange(len(first))
+    pairs[index, first], pairs[index, other] = -normal, normal
     turn = 0.105 / 2 / 0.08
     for i, psi in enumerate(poses[:, 2]):
         e, across = np.array((np.cos(psi), np.sin(psi))), np.array((-np.sin(psi), np.cos(psi)))
         limits[4 * i : 4 * i + 4, i] = e + turn * across, e - turn * across, -e + turn * across, -e - turn * across
     a = np.concatenate([limits, pairs]).reshape(-1, 2 * n)
-    upper = np.concatenate([np.full(4 * n, 0.2), np.maximum(rate * (apart_m[one, other] - distance), 0.0)])
+    upper = np.concatenate([np.full(4 * n, 0.2), np.maximum(rate * (apart_m[first, other] - distance), 0.0)])
     lower, sense, weight = np.full(len(upper), -1e30), np.zeros(len(upper), dtype=np.int32), np.eye(2 * n)
     linear = -u.ravel()
     times.setdefault("daqp, one joint program, the solver alone", []).append(

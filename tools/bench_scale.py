@@ -167,8 +167,8 @@ def fleet(count: int) -> Config:
         ids = [f"r{i + 1}" for i in range(_IN_A_PLATOON * k, min(count, _IN_A_PLATOON * (k + 1)))]
         settings = shipped.groups[0].settings | {"path": {"knots": knots}}
         groups.append({"name": f"platoon{k + 1}", "behaviour": "platoon", "robots": ids, "settings": settings})
-    one = shipped.robots[0]
-    robots = [one.model_copy(update={"id": f"r{i + 1}", "tag": i + 1, "start": None}) for i in range(count)]
+    template = shipped.robots[0]
+    robots = [template.model_copy(update={"id": f"r{i + 1}", "tag": i + 1, "start": None}) for i in range(count)]
     arena = shipped.arena.model_copy(update={"size_m": (columns * width, rows * height)})
     made = tuple(Group.model_validate(json.loads(json.dumps(group))) for group in groups)
     return shipped.model_copy(update={"arena": arena, "robots": tuple(robots), "groups": made})
@@ -195,7 +195,7 @@ def _tick_times(config: Config, ticks: int) -> list[float]:
     clock.advance_to(S)
     bus = MemoryBus(config.arena.name, clock, _DELAY_NS)
     controller = Controller(config, bus, clock, rng)
-    say_poses, say_state, said = bus.publisher(POSES, CAMERA), bus.publisher(STATE), bus.newest(TICK)
+    say_poses, say_state, tick_records = bus.publisher(POSES, CAMERA), bus.publisher(STATE), bus.newest(TICK)
     period_ns, starts = round(config.controller.tick_s * S), starts_of(config)
     tags, poses = [robot.tag for robot in config.members], np.array([starts[robot.id] for robot in config.members])
     vehicle = config.members[0].vehicle
@@ -214,15 +214,15 @@ def _tick_times(config: Config, ticks: int) -> list[float]:
         controller.step(now_ns)
         times.append((processor_ns() - began_ns) / MS)
         clock.advance_to(now_ns + _DELAY_NS)
-        poses = _driven(poses, said.take(), vehicle.wheel_radius_m, vehicle.wheel_base_m, period_ns / S)
+        poses = _driven(poses, tick_records.take(), vehicle.wheel_radius_m, vehicle.wheel_base_m, period_ns / S)
     return times[ticks // 5 :]
 
 
 def _driven(poses: Array, record: bytes | None, radius: float, base: float, duration: float) -> Array:
     """Return where robots are that do at once what a tick's record says."""
-    told: Any = None if record is None else TICK_RECORD.view(record)
-    assert told is not None
-    left, right = told[1]["left_rad_s"], told[1]["right_rad_s"]
+    arrays: Any = None if record is None else TICK_RECORD.view(record)
+    assert arrays is not None
+    left, right = arrays[1]["left_rad_s"], arrays[1]["right_rad_s"]
     v, turn = radius * (right + left) / 2, radius * (right - left) / base * duration
     heading = poses[:, 2] + turn / 2
     way = np.column_stack([v * duration * np.cos(heading), v * duration * np.sin(heading), turn])

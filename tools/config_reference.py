@@ -151,11 +151,11 @@ def _models(node: Node) -> Iterator[tuple[str, str]]:
     """Yield the names of the models that a key may hold; ``[]``: in a list."""
     if "$ref" in node:
         yield "", _name(node["$ref"])
-    for one in node.get("anyOf", []) + node.get("oneOf", []):
-        yield from _models(one)
-    for one in [node.get("additionalProperties"), *node.get("patternProperties", {}).values()]:
-        if isinstance(one, dict):
-            yield from ((f".*{suffix}", name) for suffix, name in _models(one))
+    for option in node.get("anyOf", []) + node.get("oneOf", []):
+        yield from _models(option)
+    for option in [node.get("additionalProperties"), *node.get("patternProperties", {}).values()]:
+        if isinstance(option, dict):
+            yield from ((f".*{suffix}", name) for suffix, name in _models(option))
     if "items" in node:
         yield from ((f"[]{suffix}", name) for suffix, name in _models(node["items"]))
 
@@ -192,7 +192,7 @@ def _default(node: Node, required: bool) -> str:
 def _range(node: Node) -> str:
     """Return what a key may hold, in a few words."""
     if "anyOf" in node:
-        return " or ".join(_range(one) for one in node["anyOf"])
+        return " or ".join(_range(option) for option in node["anyOf"])
     if "$ref" in node or "oneOf" in node:
         return _BELOW
     if "enum" in node or "const" in node:
@@ -218,9 +218,9 @@ def _list(node: Node) -> str:
     if "prefixItems" in node:
         first = _range(node["prefixItems"][0])
         return f"{node['minItems']} values: {first}"
-    least, most, of = node.get("minItems"), node.get("maxItems"), _range(node["items"])
+    least, most, items = node.get("minItems"), node.get("maxItems"), _range(node["items"])
     count = f" of {least}" if least and least == most else f" of {least} or more" if least else ""
-    return f"list{count}, {of}" if of == _BELOW else f"list{count}: {of}"
+    return f"list{count}, {items}" if items == _BELOW else f"list{count}: {items}"
 
 
 _RANGES: dict[str, Callable[[Node], str]] = {

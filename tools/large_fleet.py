@@ -42,8 +42,8 @@ def main() -> None:
     parser.add_argument("--units", type=int, default=1)
     parser.add_argument("--camera", action="store_true")
     parser.add_argument("--out", type=Path, required=True)
-    asked = parser.parse_args()
-    asked.out.write_text(as_file(asked.robots, asked.units, camera=asked.camera))
+    arguments = parser.parse_args()
+    arguments.out.write_text(as_file(arguments.robots, arguments.units, camera=arguments.camera))
 
 
 if __name__ == "__main__":

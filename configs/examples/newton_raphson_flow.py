@@ -59,8 +59,8 @@ with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     def reference(t: float) -> Array:
         """Return where the robots' points are to be (N, 2) [m]."""
         angle = first + 2 * np.pi * t / LAP_S
-        place: Array = RADII * np.column_stack([np.cos(angle), np.sin(angle)])
-        return place
+        position: Array = RADII * np.column_stack([np.cos(angle), np.sin(angle)])
+        return position
 
     way = reference(0.1) - reference(0.0)
     heading = np.arctan2(way[:, 1], way[:, 0])

@@ -65,8 +65,8 @@ def rollout(env: Reach, policy: Callable[[Array], Array], seed: int) -> tuple[fl
     seen, _ = env.reset(seed)
     total, steps, done = 0.0, 0, False
     while not done:
-        seen, reward, there, over, _ = env.step(policy(seen))
-        total, steps, done = total + reward, steps + 1, there or over
+        seen, reward, terminated, over, _ = env.step(policy(seen))
+        total, steps, done = total + reward, steps + 1, terminated or over
     return total, steps
 
 

@@ -18,7 +18,7 @@ from robofleet.calibration.placing import PARAMETERS, Lens, Placement, on_plane,
 from robofleet.calibration.region import Region, predicted, region_of
 from robofleet.calibration.store import CalibrationError, load, provenance, save
 from robofleet.calibration.survey import LEAST, Survey, load_survey
-from robofleet.calibration.together import View, agree_together, with_places
+from robofleet.calibration.together import SurveyView, agree_together, with_places
 from robofleet.config.calibrated import CameraModel, FloorTag, PoseSettings, SeenMark
 from robofleet.config.cameras import lens_fault
 from robofleet.tracking.camera import CameraGeometry
@@ -99,16 +99,18 @@ def calibrate_together(
     if survey.points:
         raise CalibrationError(f"{wanted.survey_file}: points: they are pixels of one camera's image: survey tags")
     models = [load(camera, CameraModel) for camera in cameras]
-    for model, its in zip(models, images, strict=True):
-        refuse_other_sizes(its, model)
+    for model, camera_images in zip(models, images, strict=True):
+        refuse_other_sizes(camera_images, model)
     strangers = _shared_strangers(survey, images)
     views, looks = [], []
-    for camera, model, its in zip(cameras, models, images, strict=True):
+    for camera, model, camera_images in zip(cameras, models, images, strict=True):
         lens = lens_of(camera, model)
-        seen = look(survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)}), its, lens.size)
+        seen = look(
+            survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)}), camera_images, lens.size
+        )
         points = seen.marks.points.copy()
         points[np.isin(seen.marks.names, [f"tag {tag.tag}" for tag in strangers]), :2] = np.nan
-        views.append(View(camera.stem, lens, replace(seen.marks, points=points)))
+        views.append(SurveyView(camera.stem, lens, replace(seen.marks, points=points)))
         looks.append(seen)
     agreements = agree_together(views, None if wanted.survey_mm is None else wanted.survey_mm / 1e3)
     judged = []
@@ -117,13 +119,18 @@ def calibrate_together(
         notes = [note for note in looks[k].notes if "in no image" not in note or note.partition(":")[0] not in others]
         seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
         judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
-    return [_kept(its, report.with_name(f"{report.stem}-{its.camera.stem}{report.suffix}")) for its in judged]
+    return [
+        _kept(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
+        for camera_images in judged
+    ]
 
 
 def _shared_strangers(survey: Survey, images: Sequence[Sequence[Named]]) -> list[FloorTag]:
     """Return the tags that two cameras or more see and nobody surveyed."""
     finder, surveyed = TagFinder(survey.family), {tag.tag for tag in survey.floor_tags}
-    seen = Counter(tag for its in images for tag in (finder.find(its[0][1]) if its else ()))
+    seen = Counter(
+        tag for camera_images in images for tag in (finder.find(camera_images[0][1]) if camera_images else ())
+    )
     side_m = survey.floor_tags[0].side_m
     return [
         FloorTag(tag=tag, side_m=side_m, x_m=0.0, y_m=0.0) for tag, n in seen.items() if n > 1 and tag not in surveyed

@@ -16,7 +16,7 @@ _RATIO = 0.12  # of the markers' side over a square's, measured against named: s
 _CORNERS = 12  # fewer say little of a view's pose, and are often those of a board that is half out of focus
 
 
-class View(NamedTuple):
+class BoardView(NamedTuple):
     """The board's M corners in one image."""
 
     name: str
@@ -29,7 +29,7 @@ class View(NamedTuple):
 class Sight(NamedTuple):
     """What was found in one image, also where it is no view."""
 
-    view: View | None
+    view: BoardView | None
     markers: tuple[int, ...]  # ids of the dictionary's markers
     marker_ratio: float | None  # their side over a square's, as the corners measure it
 
@@ -99,7 +99,7 @@ class BoardDetector:
         if np.linalg.matrix_rank(points[:, :2] - points[0, :2], tol=self._square_m) < 2:
             return Sight(None, markers, None)  # one row says nothing of the pose
         ratio = self._ratio(points, pixels, np.concatenate(marker_corners))
-        return Sight(View(name, points, pixels, numbers, image), markers, ratio)
+        return Sight(BoardView(name, points, pixels, numbers, image), markers, ratio)
 
     def _ratio(self, points: Array, pixels: Array, marker_corners: NDArray[np.float32]) -> float | None:
         """Return the markers' side over a square's: the corners' homography takes them back to the board."""

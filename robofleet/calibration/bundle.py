@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.calibration.board import Array, View
+from robofleet.calibration.board import Array, BoardView
 from robofleet.calibration.lens import Lens, cost
 from robofleet.tracking.camera import Lens as Kind
 
@@ -44,7 +44,7 @@ class Fit:
     """A lens, the V views' poses, and what is known of both."""
 
     lens: Lens
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     poses: Array  # (V, 6)
     residuals: tuple[Array, ...]  # V of (M, 2) [px], projected minus found
     roots: Array  # (V, P, P): R of each view's Jacobian by the lens, poses eliminated; R^T R is its information
@@ -79,8 +79,8 @@ class Fit:
         same variance in all directions, of which the fit has taken the share R S^-1 R^T, with S the information of
         all views.
         """
-        told = [rest @ unexplained for rest, unexplained in zip(self.rests, self._unexplained(), strict=True)]
-        return np.array(told) / (self.noise_px**2 * len(self.lens.values))
+        surprises = [rest @ unexplained for rest, unexplained in zip(self.rests, self._unexplained(), strict=True)]
+        return np.array(surprises) / (self.noise_px**2 * len(self.lens.values))
 
     @property
     def leaving_out(self) -> Array:
@@ -107,7 +107,7 @@ class Fit:
         return _adjusted(self.lens, tuple(self.views[k] for k in kept), self.poses[kept], self.prior)
 
 
-def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[View]) -> Fit:
+def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[BoardView]) -> Fit:
     """Fit a lens with so many distortion coefficients to views."""
     views = tuple(views)
     few, starts = views[:: -(-len(views) // _START_VIEWS)], []
@@ -167,7 +167,7 @@ class _Blocks(NamedTuple):
     pull_pose: Array  # (6,)
 
 
-def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Prior) -> Fit:
+def _adjusted(lens: Lens, views: tuple[BoardView, ...], poses: Array, prior: Prior) -> Fit:
     """Return the fit that Levenberg and Marquardt's steps end at; weights and noise follow the residuals."""
     damping = 1e-3
     residuals = _residuals(lens, views, poses)
@@ -193,7 +193,7 @@ def _adjusted(lens: Lens, views: tuple[View, ...], poses: Array, prior: Prior) -
     return _told(lens, views, poses, residuals, prior)
 
 
-def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Array], prior: Prior) -> Fit:
+def _told(lens: Lens, views: tuple[BoardView, ...], poses: Array, residuals: list[Array], prior: Prior) -> Fit:
     scale = _noise(residuals)
     weights = [_weights(r, scale) for r in residuals]
     roots, rests = zip(*(_root(lens, *p) for p in zip(views, poses, residuals, weights, strict=True)), strict=True)
@@ -202,7 +202,7 @@ def _told(lens: Lens, views: tuple[View, ...], poses: Array, residuals: list[Arr
     return Fit(lens, views, poses, tuple(residuals), np.array(roots), np.array(rests), prior, float(noise))
 
 
-def _rows(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array, Array]:
+def _rows(lens: Lens, view: BoardView, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array, Array]:
     """Return a view's weighted Jacobians (2M, P), (2M, 6), and what is to be explained (2M,)."""
     _, J_lens, J_pose = lens.project(view.points, pose)
     root = np.sqrt(weights)[:, None, None]
@@ -210,7 +210,7 @@ def _rows(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array)
     return A, B, -(root[..., 0] * residuals).ravel()
 
 
-def _root(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
+def _root(lens: Lens, view: BoardView, pose: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
     """Return R (P, P) of a view's Jacobian by the lens, its pose eliminated, and the residuals along its rows (P,)."""
     A, B, r = _rows(lens, view, pose, residuals, weights)
     count = A.shape[1]
@@ -220,7 +220,7 @@ def _root(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array)
     return triangle[6:, 6:-1], triangle[6:, -1]
 
 
-def _blocks(lens: Lens, view: View, pose: Array, residuals: Array, weights: Array) -> _Blocks:
+def _blocks(lens: Lens, view: BoardView, pose: Array, residuals: Array, weights: Array) -> _Blocks:
     A, B, r = _rows(lens, view, pose, residuals, weights)
     return _Blocks(A.T @ A, A.T @ B, B.T @ B, A.T @ r, B.T @ r)
 
@@ -245,7 +245,7 @@ def _step(blocks: list[_Blocks], prior: Array, pull_prior: Array, damping: float
     return step, np.array(steps)
 
 
-def _residuals(lens: Lens, views: Sequence[View], poses: Array) -> list[Array]:
+def _residuals(lens: Lens, views: Sequence[BoardView], poses: Array) -> list[Array]:
     return [lens.project(view.points, pose)[0] - view.pixels for view, pose in zip(views, poses, strict=True)]
 
 

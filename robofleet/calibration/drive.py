@@ -115,8 +115,8 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
     if not len(ticks):
         raise CalibrationError("the drive has no tick of the controller: is it running?")
-    (told,) = described.told(recording.groups, ticks["figures"])
-    held = np.nan_to_num(told.figures["held"])
+    (recorded,) = described.told(recording.groups, ticks["figures"])
+    held = np.nan_to_num(recorded.figures["held"])
     start_ns, tick_ns = int(ticks["stamp_ns"][0]), round(config.controller.tick_s * S)
     first = int(ticks["tick"][0])
     seen: dict[int, list[Seen]] = {robot.tag: [] for robot in robots}
@@ -160,11 +160,11 @@ def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned
         return nothing, nothing
     at_s = (statuses["stamp_ns"] - min(shifts) - int(ticks["stamp_ns"][0])) / S
     at_s, order = np.unique(at_s, return_index=True)
-    told, counted = (
+    commanded, counted = (
         np.column_stack([statuses[f"left_{name}_rad"], statuses[f"right_{name}_rad"]])[order]
         for name in ("told", "angle")
     )
-    return (at_s, told), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
+    return (at_s, commanded), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
 
 
 def _cut(
@@ -187,9 +187,9 @@ def _cut(
         own = (at_s >= start_s) & (at_s <= end_s)
         return at_s[own], values[own]
 
-    asked, measured = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:])
-    told, counted = (inside(*turned) for turned in angles)
-    return RobotDrive(robot, *asked, *measured, *told, *counted, *scalars)
+    requested, measured = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:])
+    commanded, counted = (inside(*turned) for turned in angles)
+    return RobotDrive(robot, *requested, *measured, *commanded, *counted, *scalars)
 
 
 def _ends(config: Config) -> Array:
@@ -203,7 +203,7 @@ class _Watch:
     """Says which robot drives, or what is waited for."""
 
     def __init__(self, config: Config, say: Callable[[str], None]) -> None:
-        self._config, self._say, self._said = config, say, ""
+        self._config, self._say, self._last_text = config, say, ""
         self._ends = _ends(config)
         self._count = int(np.searchsorted(self._ends, config.run.duration_s))
 
@@ -219,6 +219,6 @@ class _Watch:
             row = int(np.searchsorted(self._ends, head.run_tick * self._config.controller.tick_s, side="right"))
             if row < self._count:
                 text = f"{self._config.members[row].id} drives"
-        if text != self._said:
-            self._said = text
+        if text != self._last_text:
+            self._last_text = text
             self._say(text)

@@ -93,8 +93,8 @@ def pages(config: Config, floor: Floor, paper: str, command: str) -> list[Page]:
 def distances(tags: Sequence[FloorTag]) -> list[tuple[int, int, float]]:
     """Return the pairs whose distance checks a survey, longest first: as many as there are tags [m]."""
     pairs = [
-        (one.tag, other.tag, math.hypot(one.x_m - other.x_m, one.y_m - other.y_m))
-        for one, other in itertools.combinations(tags, 2)
+        (first.tag, other.tag, math.hypot(first.x_m - other.x_m, first.y_m - other.y_m))
+        for first, other in itertools.combinations(tags, 2)
     ]
     return sorted(pairs, key=lambda pair: -pair[2])[: min(len(tags), 6)]
 
@@ -134,7 +134,9 @@ def _plan(page: Page, config: Config, floor: Floor, top: float) -> float:
 
     half_x, half_y = (side / 2 for side in floor.size_m)
     corners = [at(x * half_x, y * half_y) for x, y in _CORNERS]
-    page.lines([[*one, *other] for one, other in zip(corners, corners[1:] + corners[:1], strict=True)], name="arena")
+    page.lines(
+        [[*start, *other] for start, other in zip(corners, corners[1:] + corners[:1], strict=True)], name="arena"
+    )
     shapes = [shape for group in groups.descriptions(config) for shape in group.shapes]
     for shape in shapes:
         points = [at(x, y) for x, y in shape.points.tolist()]
@@ -186,9 +188,9 @@ def _checks(page: Page, floor: Floor, top: float) -> float:
     """Write down which distances show a mistake; returns how far down that reaches [mm]."""
     word = "surveyed" if floor.surveyed else "planned"
     page.text(_LEFT, top, f"Measure these, too, from middle to middle [m] ({word} so):", fontsize=_SMALL)
-    for k, (one, other, between) in enumerate(distances(floor.tags)):
+    for k, (first, other, between) in enumerate(distances(floor.tags)):
         x, y = _LEFT + k % 3 * 60.0, top - 6.0 - k // 3 * 6.0
-        page.text(x, y, f"{one} to {other} ({between:.3f}):  ____________", fontsize=_SMALL)
+        page.text(x, y, f"{first} to {other} ({between:.3f}):  ____________", fontsize=_SMALL)
     return top - 6.0 - (len(distances(floor.tags)) - 1) // 3 * 6.0
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.calibration.board import Board, BoardCheck, BoardDetector, Image, View
+from robofleet.calibration.board import Board, BoardCheck, BoardDetector, BoardView, Image
 from robofleet.calibration.frames import MIRRORED, images
 from robofleet.calibration.store import CalibrationError
 from robofleet.calibration.views import Collector, Offer
@@ -25,7 +25,7 @@ class Gathering:
         self.fates: dict[str, Offer] = {}
 
     @property
-    def views(self) -> list[View]:
+    def views(self) -> list[BoardView]:
         """The views worth having."""
         return [] if self._collector is None else self._collector.views
 
@@ -63,9 +63,9 @@ class Gathering:
             raise CalibrationError("there is no image: name a folder or a video that has some")
         faults = [MIRRORED] if self.mirrored else self._check.faults()
         if not faults and len(self.views) < FIRST:
-            told = ", ".join(f"{count} {offer.value}" for offer, count in self.counts.items())
+            tally = ", ".join(f"{count} {offer.value}" for offer, count in self.counts.items())
             hold = "; hold the board still for a moment at each place" if self.counts[Offer.MOVING] else ""
-            faults = [f"{len(self.views)} views are too few to say anything of the lens ({told}){hold}"]
+            faults = [f"{len(self.views)} views are too few to say anything of the lens ({tally}){hold}"]
         if faults:
             raise CalibrationError(faults)
 

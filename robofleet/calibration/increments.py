@@ -124,9 +124,9 @@ def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: floa
     speed, angle = np.zeros_like(commands), np.zeros_like(commands)  # when each command begins to act
     for side in range(2):
         w, turned = 0.0, 0.0
-        asked = commands[:, side].tolist()
+        commanded = commands[:, side].tolist()
         history = [(w, turned)]
-        for command, step, part in zip(asked, steps.tolist(), kept.tolist(), strict=False):
+        for command, step, part in zip(commanded, steps.tolist(), kept.tolist(), strict=False):
             ahead = w - command
             turned += command * step + ahead * lag_s * (1.0 - part)
             w = command + ahead * part
@@ -138,14 +138,14 @@ def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: floa
     return np.where(k[:, None] >= 0, travel, 0.0)
 
 
-def lagging(at_s: Array, told: Array, lag_s: float) -> Array:
+def lagging(at_s: Array, commanded: Array, lag_s: float) -> Array:
     """Return the angles (T, 2) of wheels that follow, with a first-order lag, what they were told to turn (T, 2).
 
     They are told evenly from sample to sample, and stand where they were told at the first.
     """
-    steps, ways, lag_s = np.diff(at_s), np.diff(told, axis=0), max(lag_s, _SHORTEST_LAG_S)
-    turned, behind = [told[:1]], np.zeros((1, 2))  # how far behind what they were told
-    for step, kept, way, at in zip(steps, np.exp(-steps / lag_s), ways, told[1:], strict=True):
+    steps, ways, lag_s = np.diff(at_s), np.diff(commanded, axis=0), max(lag_s, _SHORTEST_LAG_S)
+    turned, behind = [commanded[:1]], np.zeros((1, 2))  # how far behind what they were told
+    for step, kept, way, at in zip(steps, np.exp(-steps / lag_s), ways, commanded[1:], strict=True):
         steady = way / step * lag_s
         behind = steady + (behind - steady) * kept
         turned.append(at - behind)

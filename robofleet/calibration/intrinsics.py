@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from robofleet.calibration.board import Array, Board, View
+from robofleet.calibration.board import Array, Board, BoardView
 from robofleet.calibration.bundle import Fit, fit, typical
 from robofleet.calibration.floor import Ceiling, FloorErrors
 from robofleet.calibration.store import CalibrationError, provenance
@@ -44,7 +44,7 @@ class Asked(NamedTuple):
 class Outlier(NamedTuple):
     """A view that was left out."""
 
-    view: View
+    view: BoardView
     typical_px: float  # miss of its corners, against the lens of the others
 
 
@@ -60,19 +60,19 @@ class HeldOut(NamedTuple):
 class Measured:
     """A lens and all that is known of it."""
 
-    asked: Asked
+    conditions: Asked
     fit: Fit
     outliers: tuple[Outlier, ...]
 
     @cached_property
     def floor(self) -> FloorErrors:
         """What the lens's errors do on the floor."""
-        return FloorErrors(self.fit.lens, self.asked.ceiling)
+        return FloorErrors(self.fit.lens, self.conditions.ceiling)
 
     @cached_property
     def coverage(self) -> Coverage:
         """What the views show."""
-        return Coverage.of(self.fit, self.asked.ceiling)
+        return Coverage.of(self.fit, self.conditions.ceiling)
 
     @property
     def arena_mm(self) -> float:
@@ -93,7 +93,7 @@ class Measured:
     @cached_property
     def wanted(self) -> Wanted:
         """The view that would help most."""
-        return next_view(self.fit, self.floor, self.coverage, self.asked.board)
+        return next_view(self.fit, self.floor, self.coverage, self.conditions.board)
 
     def faults(self) -> list[str]:
         """Return why the lens cannot be used; none: it can."""
@@ -109,7 +109,7 @@ class Measured:
                 "did focus or zoom change, or the board bend?"
             )
         if not self.fit.noise_px <= NOISE_PX:
-            hint = "" if self.asked.kind == "fisheye" else ", or the lens one for --lens fisheye"
+            hint = "" if self.conditions.kind == "fisheye" else ", or the lens one for --lens fisheye"
             faults.append(
                 f"corners lie {self.fit.noise_px:.2f} px from where they should: is the board another one{hint}?"
             )
@@ -133,7 +133,7 @@ class Measured:
         names = [f"{view.name} ({miss:.2f} px)" for view, miss in self.outliers]
         warnings = [f"left out, as they do not fit: {', '.join(names)}"] if names else []
         if self.shared_errors > _SHARED:
-            most = sorted(zip(self.fit.surprise, self.fit.views, strict=True), key=lambda one: -one[0])[:_NAMED]
+            most = sorted(zip(self.fit.surprise, self.fit.views, strict=True), key=lambda pair: -pair[0])[:_NAMED]
             warnings.append(
                 f"views contradict one another {self.shared_errors:.1f} times more than their corners' noise explains, "
                 f"{', '.join(view.name for _, view in most)} most: "
@@ -143,7 +143,7 @@ class Measured:
 
     def _richer(self) -> str:
         """Return in words which model of the lens is the next to try."""
-        more = [count for count in COEFFICIENTS[self.asked.kind] if count > self.asked.coefficients]
+        more = [count for count in COEFFICIENTS[self.conditions.kind] if count > self.conditions.coefficients]
         return f", or a lens that needs more: try --coefficients {more[0]}" if more else ", or another kind of lens"
 
     def held_out(self) -> HeldOut:
@@ -157,7 +157,7 @@ class Measured:
                 residuals = _against(others, view)
                 squares, count = squares + float((residuals * residuals).sum()), count + len(residuals)
         rms_px = float(np.sqrt(squares / count))
-        mm_a_pixel = 1e3 * self.asked.ceiling.height_m / float(self.fit.lens.values[:2].mean())
+        mm_a_pixel = 1e3 * self.conditions.ceiling.height_m / float(self.fit.lens.values[:2].mean())
         return HeldOut(rms_px, rms_px * mm_a_pixel, float(np.sqrt(np.mean(np.square(changes)))))
 
     def figures(self, held_out: HeldOut) -> dict[str, float | None]:
@@ -176,8 +176,8 @@ class Measured:
             "arena_max_mm": floor.max_mm(fit.covariance),
             "arena_leaving_out_rms_mm": floor.rms_mm(fit.jackknife),
             "arena_pose_fixed_rms_mm": floor.rms_mm(fit.covariance, refitted=False),
-            "camera_height_m": self.asked.ceiling.height_m,
-            "tag_height_m": self.asked.ceiling.tag_height_m,
+            "camera_height_m": self.conditions.ceiling.height_m,
+            "tag_height_m": self.conditions.ceiling.tag_height_m,
             "focal_sigma_percent": 100 * self.focal_sigma,
         }
 
@@ -203,16 +203,16 @@ class Measured:
         )
 
 
-def measure(views: Sequence[View], asked: Asked) -> Measured:
+def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
     """Fit a lens to views; those that do not fit the others are left out, worst first.
 
     Raises:
         CalibrationError: when no lens comes near to them.
     """
-    left_out: list[View] = []
+    left_out: list[BoardView] = []
     try:
         with np.errstate(all="ignore"):  # steps that lead nowhere overflow, and are taken back
-            whole = fit(asked.kind, asked.coefficients, asked.size, views)
+            whole = fit(conditions.kind, conditions.coefficients, conditions.size, views)
             while len(whole.views) > VIEWS / 2 and (surprise := whole.surprise).max() > _accepted(surprise):
                 worst = int(surprise.argmax())
                 left_out.append(whole.views[worst])
@@ -221,13 +221,13 @@ def measure(views: Sequence[View], asked: Asked) -> Measured:
         raise CalibrationError(_HOPELESS) from error
     if not whole.noise_px < _HOPELESS_PX:
         raise CalibrationError(_HOPELESS)
-    return Measured(asked, whole, tuple(Outlier(view, typical(_against(whole, view))) for view in left_out))
+    return Measured(conditions, whole, tuple(Outlier(view, typical(_against(whole, view))) for view in left_out))
 
 
 def _accepted(surprise: Array) -> float:
     return max(_PULL, _PULL_RATIO * float(np.median(surprise)))
 
 
-def _against(whole: Fit, view: View) -> Array:
+def _against(whole: Fit, view: BoardView) -> Array:
     """Return the residuals (M, 2) of a view against a lens that does not know it, at the pose that suits best [px]."""
     return whole.lens.project(view.points, whole.lens.pose(view))[0] - view.pixels

@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from robofleet.calibration import floor
-from robofleet.calibration.board import View
+from robofleet.calibration.board import BoardView
 from robofleet.calibration.gathering import Gathering
 from robofleet.calibration.intrinsics import Measured
 from robofleet.calibration.report import Report, in_words
@@ -52,7 +52,7 @@ def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Rep
 
 def distortion_figure(measured: Measured) -> Figure:
     """Draw the distortion along the image's longest radius, and how certain it is."""
-    lens, (width, height) = measured.fit.lens, measured.asked.size
+    lens, (width, height) = measured.fit.lens, measured.conditions.size
     focal, centre = lens.values[:2], lens.values[2:4]
     corners = np.array([(x, y) for x in (0.0, width - 1.0) for y in (0.0, height - 1.0)])
     way = max((corners - centre).tolist(), key=lambda corner: float(np.hypot(*corner)))
@@ -100,7 +100,7 @@ def floor_figure(measured: Measured) -> Figure:
         for axes, title, refitted in zip(figure.subplots(1, 2), titles, (False, True), strict=True):
             sigma = measured.floor.sigma_mm(measured.fit.covariance, refitted=refitted)
             _image_frame(axes, measured)
-            width, height = measured.asked.size
+            width, height = measured.conditions.size
             image = axes.imshow(
                 sigma.reshape(floor.ROWS, floor.COLUMNS),
                 extent=(-0.5, width - 0.5, height - 0.5, -0.5),
@@ -124,7 +124,7 @@ def residual_figure(measured: Measured) -> Figure:
         _image_frame(field, measured)
         at, mean = _means(measured, residuals)
         longest = max(float(np.abs(mean).max(initial=0.0)), 1e-9)
-        scale = longest / (0.8 * measured.asked.size[0] / _ARROWS[0])
+        scale = longest / (0.8 * measured.conditions.size[0] / _ARROWS[0])
         field.quiver(*at.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color=COLOURS[1], width=0.004)
         field.set_title(f"longest arrow: {longest:.3f} px")
     return figure
@@ -133,7 +133,7 @@ def residual_figure(measured: Measured) -> Figure:
 def _means(measured: Measured, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return cells' middles and mean residuals (K, 2) [px], of cells with enough corners."""
     pixels = np.concatenate([view.pixels for view in measured.fit.views])
-    width, height = measured.asked.size
+    width, height = measured.conditions.size
     cell = np.array([width / _ARROWS[0], height / _ARROWS[1]])
     cells = ((pixels + 0.5) // cell).astype(int)
     found = [(key, mask) for key in np.unique(cells, axis=0) if (mask := (cells == key).all(axis=1)).sum() >= 5]
@@ -142,12 +142,12 @@ def _means(measured: Measured, residuals: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _image_frame(axes: Axes, measured: Measured) -> None:
-    width, height = measured.asked.size
+    width, height = measured.conditions.size
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="u, px", ylabel="v, px")
 
 
 def _floor_caption(measured: Measured) -> str:
-    ceiling = measured.asked.ceiling
+    ceiling = measured.conditions.ceiling
     return (
         f"Standard deviation of a tag's place at {ceiling.tag_height_m:g} m, seen from {ceiling.height_m:g} m, "
         "from the lens's covariance. Left: an error of the lens as it is. Right: what remains when the "
@@ -176,7 +176,7 @@ def _lens(report: Report, measured: Measured) -> None:
     )
 
 
-def _thumbnail(view: View, text: str, *, good: bool | None) -> Picture:
+def _thumbnail(view: BoardView, text: str, *, good: bool | None) -> Picture:
     """Return a view's image, small, with the corners that were found."""
     scale = _THUMBNAIL_PX / view.image.shape[1]
     small = cv2.resize(view.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -193,7 +193,7 @@ def _views(report: Report, measured: Measured, gathering: Gathering) -> None:
     rows: list[tuple[object, ...]] = []
     for view, pose, miss, change in zip(fit.views, fit.poses, fit.typical_px, fit.leaving_out, strict=True):
         lean, angle = tilt(pose)
-        cells = int((cell_counts(measured.asked.size, view.pixels) > 0).sum())
+        cells = int((cell_counts(measured.conditions.size, view.pixels) > 0).sum())
         where = f"{angle:.0f} deg" if lean is Lean.FLAT else f"{angle:.0f} deg, {lean.value} edge away"
         rows.append(
             (view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), measured.floor.shift_mm(change))

@@ -6,7 +6,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from robofleet.calibration.board import Array, View
+from robofleet.calibration.board import Array, BoardView
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera import Lens as Kind
 
@@ -57,7 +57,7 @@ class Lens:
         slopes[~(np.abs(again - pixels).max(axis=1) < 0.01)] = np.nan
         return slopes
 
-    def pose(self, view: View) -> Array:
+    def pose(self, view: BoardView) -> Array:
         """Return the pose (6,) of a view: of the two that a plane leaves, the one that fits better."""
         slopes = self.slopes(view.pixels)
         seen = np.asarray(np.isfinite(slopes).all(axis=1))
@@ -72,7 +72,7 @@ class Lens:
         ]
         return min(poses, key=lambda pose: cost(self.project(view.points, pose)[0] - view.pixels))
 
-    def _refined(self, view: View, pose: Array) -> Array:
+    def _refined(self, view: BoardView, pose: Array) -> Array:
         for _ in range(4):
             pixels, _, J = self.project(view.points, pose)
             pose = pose + np.linalg.lstsq(J.reshape(-1, 6), (view.pixels - pixels).ravel(), rcond=None)[0]

@@ -117,6 +117,6 @@ def lens_config(file: Path, overrides: Sequence[str] = ()) -> Config:
     if not all(str(side).isdecimal() for side in sides.values()):
         return load_config(file, overrides)  # says what is wrong
     size = ", ".join(f"{name}: {side}" for name, side in sides.items())
-    place = "T_world_camera: {position_m: [0.0, 0.0, 1.0], rotation_rad: [3.0, 0.0, 0.0]}"
-    nominal = f"{{{size}, focal_px: [1000.0, 1000.0], centre_px: [0.0, 0.0], distortion: [], {place}}}"
+    pose = "T_world_camera: {position_m: [0.0, 0.0, 1.0], rotation_rad: [3.0, 0.0, 0.0]}"
+    nominal = f"{{{size}, focal_px: [1000.0, 1000.0], centre_px: [0.0, 0.0], distortion: [], {pose}}}"
     return load_config(file, [*overrides, f"camera.model={nominal}"])

@@ -91,19 +91,19 @@ def offsets_table(found: Sequence[Offsets]) -> tuple[tuple[str, ...], list[tuple
     head = ("robot", "tag forward mm", "tag left mm", "tag heading deg", "wheel radius mm", "wheel base mm", "by")
     scales, digits = (1e3, 1e3, 1.0, 1e3, 1e3), (3, 3, 3, 4, 2)
     rows = []
-    for one in found:
-        numbers = zip(one.values, one.sigma, scales, digits, strict=True)
+    for robot_offsets in found:
+        numbers = zip(robot_offsets.values, robot_offsets.sigma, scales, digits, strict=True)
         cells = [f"{scale * value:.{n}f} ± {scale * sigma:.{n}f}" for value, sigma, scale, n in numbers]
-        rows.append((one.robot, *cells, "encoders" if one.by_encoders else "commands"))
+        rows.append((robot_offsets.robot, *cells, "encoders" if robot_offsets.by_encoders else "commands"))
     return head, rows
 
 
 def latency_table(found: Sequence[Latency]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the head and the rows of what was found, with sigma."""
     rows = []
-    for one in found:
-        numbers = zip((one.delay_s, one.motor_lag_s), one.sigma, strict=True)
-        rows.append((one.robot, *(f"{1e3 * value:.2f} ± {1e3 * sigma:.2f}" for value, sigma in numbers)))
+    for robot_latency in found:
+        numbers = zip((robot_latency.delay_s, robot_latency.motor_lag_s), robot_latency.sigma, strict=True)
+        rows.append((robot_latency.robot, *(f"{1e3 * value:.2f} ± {1e3 * sigma:.2f}" for value, sigma in numbers)))
     return ("robot", "delay ms", "motor lag ms"), rows
 
 
@@ -112,14 +112,14 @@ def offsets_page(found: Sequence[Offsets], drives: Sequence[RobotDrive], vehicle
     page = Report("Where the tags sit on their robots")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*offsets_table(found))
-    for one, drive, vehicle in zip(found, drives, vehicles, strict=True):
+    for robot_offsets, drive, vehicle in zip(found, drives, vehicles, strict=True):
         about = (
             f"Its vehicle's wheel radius is {1e3 * vehicle.wheel_radius_m:g} mm, its base "
-            f"{1e3 * vehicle.wheel_base_m:g} mm. {one.left_out} of {len(drive.poses)} poses were outliers; "
+            f"{1e3 * vehicle.wheel_base_m:g} mm. {robot_offsets.left_out} of {len(drive.poses)} poses were outliers; "
             f"it was held for {drive.held_s:.1f} s, as another robot or the edge was near."
         )
-        page.section(one.robot, about)
-        page.figure(_drive_figure(one, drive), "The drive, and what is left of each step from pose to pose.")
+        page.section(robot_offsets.robot, about)
+        page.figure(_drive_figure(robot_offsets, drive), "The drive, and what is left of each step from pose to pose.")
     return page
 
 
@@ -128,52 +128,52 @@ def latency_page(found: Sequence[Latency], believed: Sequence[tuple[float, Diffe
     page = Report("How late the wheels follow")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*latency_table(found))
-    for one, (delay_s, drive) in zip(found, believed, strict=True):
+    for robot_latency, (delay_s, drive) in zip(found, believed, strict=True):
         page.section(
-            one.robot,
+            robot_latency.robot,
             f"Believed before: {1e3 * delay_s:.1f} ms and {1e3 * drive.motor_lag:.1f} ms. "
-            f"{one.left_out} of {len(one.at_s) + 1 + one.left_out} poses were outliers.",
+            f"{robot_latency.left_out} of {len(robot_latency.at_s) + 1 + robot_latency.left_out} poses were outliers.",
         )
-        figure = _latency_figure(one, delay_s, drive.motor_lag)
+        figure = _latency_figure(robot_latency, delay_s, drive.motor_lag)
         page.figure(
             figure, "A wheel's answer to a step of its command at 0; and the turns of the drive, beside the fit's."
         )
     return page
 
 
-def _drive_figure(one: Offsets, drive: RobotDrive) -> Figure:
+def _drive_figure(robot_offsets: Offsets, drive: RobotDrive) -> Figure:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 3.0), layout="constrained")
         path, left = figure.subplots(1, 2, width_ratios=(1, 2))
-        centres = np.array([centre_from_tag(x, y, psi, one.tag_offset) for x, y, psi in drive.poses.tolist()])
+        centres = np.array([centre_from_tag(x, y, psi, robot_offsets.tag_offset) for x, y, psi in drive.poses.tolist()])
         path.plot(drive.poses[:, 0], drive.poses[:, 1], color=QUIET, lw=0.6, label="tag")
         path.plot(centres[:, 0], centres[:, 1], color=COLOURS[0], lw=1.0, label="centre")
         path.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         path.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         for k, name in enumerate(("along x", "along y")):
-            left.plot(one.at_s, one.residuals_mm[:, k], ".", ms=2, color=COLOURS[k], label=name)
+            left.plot(robot_offsets.at_s, robot_offsets.residuals_mm[:, k], ".", ms=2, color=COLOURS[k], label=name)
         left.set(xlabel="time [s]", ylabel="residual [mm]")
         left.legend()
     return figure
 
 
-def _latency_figure(one: Latency, delay_s: float, lag_s: float) -> Figure:
+def _latency_figure(found: Latency, delay_s: float, lag_s: float) -> Figure:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 3.0), layout="constrained")
         step, turns = figure.subplots(1, 2, width_ratios=(1, 2))
-        t = np.linspace(0.0, one.delay_s + 5.0 * one.motor_lag_s + 0.05, 300)
+        t = np.linspace(0.0, found.delay_s + 5.0 * found.motor_lag_s + 0.05, 300)
         for delay, lag, colour, name in (
             (delay_s, lag_s, QUIET, "believed before"),
-            (one.delay_s, one.motor_lag_s, COLOURS[0], "found"),
+            (found.delay_s, found.motor_lag_s, COLOURS[0], "found"),
         ):
             answer = np.where(t >= delay, -np.expm1(-np.maximum(t - delay, 0.0) / max(lag, 1e-6)), 0.0)
             step.plot(1e3 * t, answer, color=colour, label=name)
         step.set(xlabel="after the tick [ms]", ylabel="of the commanded speed")
         step.legend()
-        middle = one.at_s[int(0.8 * len(one.at_s))]
-        shown = np.abs(one.at_s - middle) < _SHOWN_S / 2
-        turns.plot(one.at_s[shown], one.turn_rad_s[shown], ".", ms=3, color=COLOURS[1], label="measured")
-        turns.plot(one.at_s[shown], one.modelled_rad_s[shown], color=COLOURS[0], lw=1.0, label="fit")
+        middle = found.at_s[int(0.8 * len(found.at_s))]
+        shown = np.abs(found.at_s - middle) < _SHOWN_S / 2
+        turns.plot(found.at_s[shown], found.turn_rad_s[shown], ".", ms=3, color=COLOURS[1], label="measured")
+        turns.plot(found.at_s[shown], found.modelled_rad_s[shown], color=COLOURS[0], lw=1.0, label="fit")
         turns.set(xlabel="time [s]", ylabel="rate of turning [rad/s]")
         turns.legend()
     return figure

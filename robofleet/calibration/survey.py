@@ -71,11 +71,11 @@ def _faults(survey: Survey) -> Iterator[str]:
             yield f"{where}.tag: {mark.tag}: the family {survey.family} has the ids 0 to {ids - 1}: mend one"
         if name in names:
             yield f"{where}: {name!r} is {names[name]}'s already: survey each mark once"
-        place = (mark.x_m, mark.y_m, mark.height_m)
-        if place in places:
-            yield f"{where}: lies where {places[place]} does: two marks cannot lie in one place"
+        position = (mark.x_m, mark.y_m, mark.height_m)
+        if position in places:
+            yield f"{where}: lies where {places[position]} does: two marks cannot lie in one place"
         names.setdefault(name, where)
-        places.setdefault(place, where)
+        places.setdefault(position, where)
     if len(survey.marks) < LEAST:
         yield f"{LEAST} tags and points or more place a camera, and this survey has {len(survey.marks)}: survey more"
     elif on_one_line(np.array([(mark.x_m, mark.y_m, mark.height_m) for mark in survey.marks])):

@@ -27,7 +27,7 @@ _TIED_M = 0.003  # standard deviation at first of a place that another camera sa
 _ANYWHERE_M = 1.0  # standard deviation of a place that nobody surveyed
 
 
-class View(NamedTuple):
+class SurveyView(NamedTuple):
     """What one camera sees."""
 
     name: str
@@ -35,30 +35,32 @@ class View(NamedTuple):
     marks: Marks  # those that nobody surveyed have NaN as x and y
 
 
-def agree_together(views: Sequence[View], survey_m: float | None) -> list[Agreement]:
+def agree_together(views: Sequence[SurveyView], survey_m: float | None) -> list[Agreement]:
     """Return what the marks of each camera agree on, and the places of all cameras.
 
     CalibrationError where a camera cannot be placed: it sees too few marks that are surveyed, or that others see.
     """
     found = _begun(views, survey_m)
-    placements = _place([view.lens for view in views], _used(views, found), [its.placement for its in found], survey_m)
+    placements = _place(
+        [view.lens for view in views], _used(views, found), [agreement.placement for agreement in found], survey_m
+    )
     agreements = []
-    for view, its, placement in zip(views, found, placements, strict=True):
-        marks = _placed(view.marks, its.placement, known={})
+    for view, agreement, placement in zip(views, found, placements, strict=True):
+        marks = _placed(view.marks, agreement.placement, known={})
         error, covariance = placement.seen(marks)
-        error[its.inside], covariance[its.inside] = placement.left_out, placement.left_out_covariance
+        error[agreement.inside], covariance[agreement.inside] = placement.left_out, placement.left_out_covariance
         open_ = np.isnan(view.marks.points[:, 0])
         error[open_], covariance[open_] = np.nan, np.nan
-        agreements.append(Agreement(placement, its.inside, error, covariance))
+        agreements.append(Agreement(placement, agreement.inside, error, covariance))
     return agreements
 
 
-def with_places(view: View, agreement: Agreement) -> Marks:
+def with_places(view: SurveyView, agreement: Agreement) -> Marks:
     """Return a camera's marks; those that nobody surveyed lie where the camera sees them."""
     return _placed(view.marks, agreement.placement, known={})
 
 
-def _begun(views: Sequence[View], survey_m: float | None) -> list[Agreement]:
+def _begun(views: Sequence[SurveyView], survey_m: float | None) -> list[Agreement]:
     """Place camera after camera: each by what was surveyed, and by what those before it saw."""
     found: dict[int, Agreement] = {}
     known: dict[str, Array] = {}
@@ -66,29 +68,29 @@ def _begun(views: Sequence[View], survey_m: float | None) -> list[Agreement]:
         left = [k for k in range(len(views)) if k not in found]
         each = {k: _known(views[k].marks, known) for k in left}
         best = max(left, key=lambda k: int(each[k].sum()))
-        view, its = views[best], each[best]
-        if its.sum() < LEAST:
+        view, known_marks = views[best], each[best]
+        if known_marks.sum() < LEAST:
             raise CalibrationError(
-                f"{view.name}: sees {its.sum()} tags that are surveyed or that a camera which is placed sees; {LEAST} "
-                "or more are needed: survey more there, or lay more where the views overlap"
+                f"{view.name}: sees {known_marks.sum()} tags that are surveyed or that a camera which is placed sees; "
+                f"{LEAST} or more are needed: survey more there, or lay more where the views overlap"
             )
-        if survey_m is None and its.sum() == LEAST:
+        if survey_m is None and known_marks.sum() == LEAST:
             raise CalibrationError(
                 f"{view.name}: four marks do not tell how well they were surveyed: state it with --survey-mm"
             )
-        marks = _placed(view.marks, None, known).chosen(its)
+        marks = _placed(view.marks, None, known).chosen(known_marks)
         try:
-            tied = bool(np.isnan(view.marks.points[its, 0]).any())
+            tied = bool(np.isnan(view.marks.points[known_marks, 0]).any())
             agreement = agree(view.lens, marks, max(survey_m or 0.0, _TIED_M) if tied else survey_m)
         except CalibrationError as refused:
             raise CalibrationError(tuple(f"{view.name}: {fault}" for fault in refused.faults)) from refused
-        inside = its.copy()
-        inside[its] = agreement.inside
-        strangers = ~its
+        inside = known_marks.copy()
+        inside[known_marks] = agreement.inside
+        strangers = ~known_marks
         inside |= strangers  # seen by this camera first: they tie those that come after it
         found[best] = agreement._replace(inside=inside)
         placed = _placed(view.marks, agreement.placement, known)
-        known |= {name: place for name, place in zip(placed.names, placed.points, strict=True) if name not in known}
+        known |= {name: point for name, point in zip(placed.names, placed.points, strict=True) if name not in known}
     return [found[k] for k in range(len(views))]
 
 
@@ -109,38 +111,42 @@ def _placed(marks: Marks, placement: Placement | None, known: dict[str, Array]) 
     return replace(marks, points=points)
 
 
-def _used(views: Sequence[View], found: Sequence[Agreement]) -> list[Marks]:
-    return [view.marks.chosen(its.inside) for view, its in zip(views, found, strict=True)]
+def _used(views: Sequence[SurveyView], found: Sequence[Agreement]) -> list[Marks]:
+    return [view.marks.chosen(agreement.inside) for view, agreement in zip(views, found, strict=True)]
 
 
 def _place(
     lenses: Sequence[Lens], marks: list[Marks], begun: Sequence[Placement], survey_m: float | None
 ) -> list[Placement]:
     """Fit all poses at once; ``survey_m`` None: estimated from what is left over."""
-    cameras, ends = len(lenses), np.cumsum([2 * len(its) for its in marks])
-    parts = [slice(end - 2 * len(its), end) for end, its in zip(ends, marks, strict=True)]
-    names = [name for its in marks for name in its.names]
-    open_ = np.concatenate([np.isnan(its.points[:, 0]) for its in marks])
-    shared = np.array([[one == other for other in names] for one in names], np.float64)
-    freedom = 2 * len(names) - 6 * cameras - 2 * len({name for name, its in zip(names, open_, strict=True) if its})
+    cameras, ends = len(lenses), np.cumsum([2 * len(camera_marks) for camera_marks in marks])
+    parts = [slice(end - 2 * len(camera_marks), end) for end, camera_marks in zip(ends, marks, strict=True)]
+    names = [name for camera_marks in marks for name in camera_marks.names]
+    open_ = np.concatenate([np.isnan(camera_marks.points[:, 0]) for camera_marks in marks])
+    shared = np.array([[candidate == other for other in names] for candidate in names], np.float64)
+    freedom = (
+        2 * len(names)
+        - 6 * cameras
+        - 2 * len({name for name, camera_marks in zip(names, open_, strict=True) if camera_marks})
+    )
     sigma = LEAST_SURVEY_M if survey_m is None else survey_m
-    slopes = [lens.slopes(its.pixels) for lens, its in zip(lenses, marks, strict=True)]
-    by_pixel = [lens.by_pixel(its.pixels) for lens, its in zip(lenses, marks, strict=True)]
-    by_lens = [lens.by_lens(its.pixels) for lens, its in zip(lenses, marks, strict=True)]
+    slopes = [lens.slopes(camera_marks.pixels) for lens, camera_marks in zip(lenses, marks, strict=True)]
+    by_pixel = [lens.by_pixel(camera_marks.pixels) for lens, camera_marks in zip(lenses, marks, strict=True)]
+    by_lens = [lens.by_lens(camera_marks.pixels) for lens, camera_marks in zip(lenses, marks, strict=True)]
     T = [placement.T_world_camera for placement in begun]
-    surveyed = np.concatenate([its.points[:, :2] for its in marks])
+    surveyed = np.concatenate([camera_marks.points[:, :2] for camera_marks in marks])
     J, V, follows = np.zeros((ends[-1], 6 * cameras)), np.zeros((ends[-1], ends[-1])), [np.zeros(0)] * cameras
     r, P, weighted, covariance = (np.zeros(0),) * 4
     seen = surveyed
     for last in [False] * _STEPS + [True]:
         V[:] = np.kron(shared * np.where(open_, _ANYWHERE_M, sigma) ** 2, np.eye(2))
         places = []
-        for c, (its, part) in enumerate(zip(marks, parts, strict=True)):
-            place, J_c, by_slope = on_plane(T[c], slopes[c], its.points[:, 2])
+        for c, (camera_marks, part) in enumerate(zip(marks, parts, strict=True)):
+            point, J_c, by_slope = on_plane(T[c], slopes[c], camera_marks.points[:, 2])
             follows[c] = by_slope @ by_lens[c]
             J[part, 6 * c : 6 * c + 6] = J_c.reshape(-1, 6)
-            V[part, part] += noise(by_slope @ by_pixel[c], follows[c], its.sigma_px, 0.0, lenses[c].covariance)
-            places.append(place)
+            V[part, part] += noise(by_slope @ by_pixel[c], follows[c], camera_marks.sigma_px, 0.0, lenses[c].covariance)
+            places.append(point)
         seen = np.concatenate(places)
         mean = (shared @ seen) / shared.sum(axis=1)[:, None]
         r = (np.where(open_[:, None], mean, surveyed) - seen).ravel()
@@ -153,13 +159,13 @@ def _place(
     off, off_covariance = left_out(P, r, np.zeros(len(names), np.bool_))
     off[open_], off_covariance[open_] = np.nan, np.nan
     found = []
-    for c, (its, part, placement) in enumerate(zip(marks, parts, begun, strict=True)):
+    for c, (camera_marks, part, placement) in enumerate(zip(marks, parts, begun, strict=True)):
         rows, own = slice(part.start // 2, part.stop // 2), slice(6 * c, 6 * c + 6)
         found.append(replace(
             placement, T_world_camera=T[c], covariance=covariance[own, own], survey_m=sigma,
             error=-r[part].reshape(-1, 2), left_out=-off[rows], left_out_covariance=off_covariance[rows],
-            heading_error=np.full(len(its), np.nan), turned=np.zeros(len(its), np.bool_),
+            heading_error=np.full(len(camera_marks), np.nan), turned=np.zeros(len(camera_marks), np.bool_),
             chi_square=float(r @ P @ r), freedom=freedom,
-            absorbed=covariance[own] @ weighted[part].T @ follows[c].reshape(2 * len(its), -1),
+            absorbed=covariance[own] @ weighted[part].T @ follows[c].reshape(2 * len(camera_marks), -1),
         ))  # fmt: skip
     return found

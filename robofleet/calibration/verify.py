@@ -78,7 +78,7 @@ class _Known(NamedTuple):
     place_m: float  # standard deviation of the places, one coordinate, their pixels aside
     survey_m: float
     their: str  # in words, where they should be
-    its: str
+    frame: str
 
 
 class _Story(NamedTuple):
@@ -249,11 +249,11 @@ def _others(story: _Story, known: _Known, seen: Marks) -> list[str]:
     marks = known.marks
     error, _ = story.placement.seen(marks)
     sentences = [
-        f"{marks.names[i]}: lies {math.hypot(x, y):.2g} mm from {known.its} ({x:+.2f} mm in x, {y:+.2f} mm in y)"
+        f"{marks.names[i]}: lies {math.hypot(x, y):.2g} mm from {known.frame} ({x:+.2f} mm in x, {y:+.2f} mm in y)"
         for i, (x, y) in enumerate((1e3 * error).tolist())
         if not story.stayed[i]
     ]
-    names = [name for name, there in zip(marks.names, story.stayed, strict=True) if there]
+    names = [name for name, stays in zip(marks.names, story.stayed, strict=True) if stays]
     for i in np.flatnonzero(story.placement.turned):
         off = math.degrees(story.placement.heading_error[i])
         sentences.append(f"{names[i]}: is turned by {off:+.1f} degrees from its surveyed heading")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.board import Array, Board, View
+from robofleet.calibration.board import Array, Board, BoardView
 from robofleet.calibration.bundle import Fit, inverse, view_information
 from robofleet.calibration.floor import Ceiling, FloorErrors
 from robofleet.calibration.lens import Lens
@@ -53,10 +53,10 @@ class Collector:
     def __init__(self, size: tuple[int, int], *, film: bool) -> None:
         """Take the images' (width, height); in a ``film`` a board has to hold still for two images."""
         self._diagonal, self._film = math.hypot(*size), film
-        self._before: View | None = None
-        self.views: list[View] = []
+        self._before: BoardView | None = None
+        self.views: list[BoardView] = []
 
-    def offer(self, view: View) -> Offer:
+    def offer(self, view: BoardView) -> Offer:
         """Take a view, or say why not."""
         before, self._before = self._before, view
         if self._film and (before is None or self._apart(before, view) > _STILL):
@@ -66,12 +66,12 @@ class Collector:
         self.views.append(view._replace(image=view.image.copy()))  # a camera may use its own again
         return Offer.NEW
 
-    def _apart(self, one: View, other: View) -> float:
+    def _apart(self, first: BoardView, other: BoardView) -> float:
         """Return how far the corners are apart that both show, rms, of the diagonal."""
-        _, i, j = np.intersect1d(one.ids, other.ids, return_indices=True)
+        _, i, j = np.intersect1d(first.ids, other.ids, return_indices=True)
         if len(i) < _COMMON:
             return math.inf
-        way = one.pixels[i] - other.pixels[j]
+        way = first.pixels[i] - other.pixels[j]
         return float(np.sqrt((way * way).sum(axis=1).mean())) / self._diagonal
 
 
@@ -202,7 +202,7 @@ def next_view(fit: Fit, floor: FloorErrors, coverage: Coverage, board: Board) ->
         ranked.append((not fills, not leans, rms_mm, Wanted(row, column, lean, distance, rms_mm)))
     if not ranked:  # the lens is still impossible
         return Wanted(0, 0, Lean.LEFT, _distance(fit.lens, board, _ASKED_WIDTHS[0]), math.inf)
-    return min(ranked, key=lambda one: one[:3])[3]
+    return min(ranked, key=lambda candidate: candidate[:3])[3]
 
 
 def _candidates(lens: Lens, board: Board) -> list[tuple[int, int, Lean, float, Array, Array]]:

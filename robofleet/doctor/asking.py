@@ -34,20 +34,20 @@ _ANY_DRIVE = DifferentialDrive(
 _AT_MOST_S = 20.0  # the slowest driver gives a port six seconds
 
 
-def ask(needs: Needs, asked: Sequence[str], at_most_s: float = _AT_MOST_S) -> list[Finding]:
+def ask(needs: Needs, requested: Sequence[str], at_most_s: float = _AT_MOST_S) -> list[Finding]:
     """Ask ports at once, ``all``: the configuration's, or without one every USB port."""
-    inquiries = [_Inquiry(path, tuple(_contexts(needs, path))) for path in _paths(needs, asked)]
+    inquiries = [_Inquiry(path, tuple(_contexts(needs, path))) for path in _paths(needs, requested)]
     deadline_ns = WallClock().now_ns() + round(at_most_s * 1e9)
     for inquiry in inquiries:
         inquiry.join(max(0.0, (deadline_ns - WallClock().now_ns()) * 1e-9))
     return [inquiry.finding for inquiry in inquiries]
 
 
-def _paths(needs: Needs, asked: Sequence[str]) -> list[str]:
+def _paths(needs: Needs, requested: Sequence[str]) -> list[str]:
     paths: list[str] = []
-    for one in asked:
-        if one != ALL:
-            paths.append(one)
+    for name in requested:
+        if name != ALL:
+            paths.append(name)
         elif needs.config is not None:
             paths += [port.path for port in needs.ports()]
         else:

@@ -38,20 +38,24 @@ class Usb(NamedTuple):
 
 def kernel_cameras(needs: Needs) -> Iterator[Finding]:
     """Every camera that the kernel has, and whether the configuration's is there and can do what it asks for."""
-    wanted = {os.path.realpath(one.v4l2.device): one for one in needs.cameras if one.source == "v4l2"}
+    wanted = {
+        os.path.realpath(configured.v4l2.device): configured
+        for configured in needs.cameras
+        if configured.source == "v4l2"
+    }
     found, others = set(), []
     for path in sorted(_DEVICES.glob("video*"), key=lambda path: (len(path.name), path.name)):
-        its = wanted.get(str(path.resolve()))
-        finding = _looked_at(path, its)
+        match = wanted.get(str(path.resolve()))
+        finding = _looked_at(path, match)
         if finding is not None:
             yield finding
             others.append(str(path))
-            if its is not None:
-                found.add(its.name)
+            if match is not None:
+                found.add(match.name)
     for camera in wanted.values():
         if camera.name not in found:
-            there = ", ".join(others) or "none"
-            says = f"{camera.v4l2.device} is not there, or is not a camera (there are: {there})"
+            names = ", ".join(others) or "none"
+            says = f"{camera.v4l2.device} is not there, or is not a camera (there are: {names})"
             yield Finding("camera", Mark.MISSING, says, "plug it in, or name another one in camera.v4l2.device")
 
 
@@ -59,7 +63,7 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
     """Return what is to be said of a device; None if it gives no images. ``wanted``: it is the configuration's."""
     grave = Mark.WARN if wanted is None else Mark.MISSING
     try:
-        told = v4l2_device.ask(str(path))
+        device = v4l2_device.ask(str(path))
     except PermissionError:
         refused = f"{permission.user_name()} may not open it"
         return Finding(str(path), grave, refused, permission.cure(path))
@@ -67,13 +71,13 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
         return Finding(
             str(path), grave, f"it cannot be asked: {error.strerror}", "end what uses it, or plug it in again"
         )
-    if told is None:
+    if device is None:
         return None
     usb = usb_of(path)
     pastes = (Paste(udev.FILE, udev.camera_rule(usb, "camera")),) if usb is not None else ()
     number = f", serial number {usb.serial_number}" if usb is not None and usb.serial_number else ""
-    says = f"{told.name}{number}: {shown(told.modes)}"
-    if wanted is not None and (lacks := lacking(wanted, told.modes)):
+    says = f"{device.name}{number}: {shown(device.modes)}"
+    if wanted is not None and (lacks := lacking(wanted, device.modes)):
         return Finding(str(path), Mark.MISSING, f"{says}; {lacks}", "take one of these in `camera:`", pastes)
     return ok(str(path), says, *pastes)
 
@@ -99,9 +103,9 @@ def shown(modes: tuple[Mode, ...]) -> str:
     for letters, group in groupby(sorted(modes, key=lambda mode: mode.format), lambda mode: mode.format):
         sizes = sorted(group, key=lambda mode: mode.width * mode.height, reverse=True)
         words = [
-            f"{one.width}x{one.height}"
-            + (f" at {'/'.join(f'{rate:g}' for rate in one.rates_hz)} Hz" if one.rates_hz else "")
-            for one in sizes[:_SHOWN]
+            f"{size.width}x{size.height}"
+            + (f" at {'/'.join(f'{rate:g}' for rate in size.rates_hz)} Hz" if size.rates_hz else "")
+            for size in sizes[:_SHOWN]
         ]
         more = f" and {len(sizes) - _SHOWN} smaller" if len(sizes) > _SHOWN else ""
         parts.append(f"{letters} {', '.join(words)}{more}")

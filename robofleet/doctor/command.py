@@ -91,6 +91,6 @@ def _needs(config: Path | None, overrides: list[str], robots: str) -> "Needs":
         raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
     complaints = check_drivers.complaints(source.config)
     source.refuse(
-        one for one in complaints if not one[0].endswith(".driver")
+        complaint for complaint in complaints if not complaint[0].endswith(".driver")
     )  # a package that is missing is no bad input
     return Needs(source.config, names or None)

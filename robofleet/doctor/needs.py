@@ -37,7 +37,7 @@ class Needs:
         """Return the robots whose drivers run here; none without a configuration."""
         if self.config is None:
             return ()
-        return tuple(one for one in self.config.robots if self.drivers_of is None or one.id in self.drivers_of)
+        return tuple(robot for robot in self.config.robots if self.drivers_of is None or robot.id in self.drivers_of)
 
     @property
     def cameras(self) -> tuple[CameraSettings, ...]:

@@ -21,13 +21,13 @@ def disk(needs: Needs) -> Iterator[Finding]:
     if not needs.whole_run:
         return
     runs = Path("runs").absolute()
-    there = _nearest(runs)
+    folder = _nearest(runs)
     needed = LEAST_FREE_BYTES + round(needs.duration_s / 60 * _BYTES_A_MINUTE)
-    free = shutil.disk_usage(there).free
-    says = f"{free / 1e9:.1f} GB are free in {there}; a run of {needs.duration_s:.0f} s needs {needed / 1e9:.2f} GB"
-    if not os.access(there, os.W_OK | os.X_OK):
+    free = shutil.disk_usage(folder).free
+    says = f"{free / 1e9:.1f} GB are free in {folder}; a run of {needs.duration_s:.0f} s needs {needed / 1e9:.2f} GB"
+    if not os.access(folder, os.W_OK | os.X_OK):
         cure = "start robofleet in a folder of yours, or name one with --out"
-        yield Finding("disk", Mark.MISSING, f"{there} cannot be written to", cure)
+        yield Finding("disk", Mark.MISSING, f"{folder} cannot be written to", cure)
     elif free < needed:
         yield Finding("disk", Mark.MISSING, says, "make room, or record elsewhere with --out")
     else:
@@ -37,12 +37,12 @@ def disk(needs: Needs) -> Iterator[Finding]:
 def state(_needs: Needs) -> Iterator[Finding]:
     """The folder in which drivers keep leases and latches."""
     folder = state_folder()
-    there = _nearest(folder)
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+    nearest = _nearest(folder)
+    if nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK):
         yield ok("state folder", f"{folder} can be written to")
     else:
-        cure = f"make {there} a folder that you may write to, or name another one in XDG_STATE_HOME"
-        yield Finding("state folder", Mark.MISSING, f"{folder}: {there} cannot be written to", cure)
+        cure = f"make {nearest} a folder that you may write to, or name another one in XDG_STATE_HOME"
+        yield Finding("state folder", Mark.MISSING, f"{folder}: {nearest} cannot be written to", cure)
 
 
 def bus(needs: Needs) -> Iterator[Finding]:
@@ -65,13 +65,13 @@ def arena(needs: Needs) -> Iterator[Finding]:
     found = arena_file.found()
     for trouble in found.troubles:
         yield Finding("arena", Mark.WARN, trouble)
-    for there in found.runs:
-        says = f"{there.arena} has a run of {there.user} in {there.folder} since {there.started}"
-        mine = needs.config is not None and there.arena == needs.config.arena.name
-        cure = f"end it before you start another one there: Ctrl-C, or `kill {there.pid}`"
+    for run in found.runs:
+        says = f"{run.arena} has a run of {run.user} in {run.folder} since {run.started}"
+        mine = needs.config is not None and run.arena == needs.config.arena.name
+        cure = f"end it before you start another one there: Ctrl-C, or `kill {run.pid}`"
         yield Finding("arena", Mark.MISSING if mine else Mark.OK, says, cure if mine else "")
 
 
 def _nearest(folder: Path) -> Path:
     """Return the folder itself, or the nearest one above it that is there."""
-    return next(place for place in (folder, *folder.parents) if place.exists())
+    return next(parent for parent in (folder, *folder.parents) if parent.exists())

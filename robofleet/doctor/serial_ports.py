@@ -50,7 +50,7 @@ def devices() -> list[Device]:
         )
         for port in list_ports.comports()
     ]  # fmt: skip
-    return sorted(found, key=lambda one: (one.vendor_id is None, one.path))
+    return sorted(found, key=lambda device: (device.vendor_id is None, device.path))
 
 
 def holders(path: str, processes: Path = _PROCESSES) -> list[Holder]:
@@ -69,21 +69,23 @@ def holders(path: str, processes: Path = _PROCESSES) -> list[Holder]:
 
 def serial_ports(needs: Needs) -> Iterator[Finding]:
     """Every port of an adapter, and every one that the configuration names."""
-    there = devices()
+    ports = devices()
     named = {os.path.realpath(port.path): port for port in needs.ports()}
-    rules = udev.serial_rules([one for one in there if one.vendor_id is not None], _names(needs, there))
-    for device in there:
+    rules = udev.serial_rules(
+        [candidate for candidate in ports if candidate.vendor_id is not None], _names(needs, ports)
+    )
+    for device in ports:
         port = named.pop(os.path.realpath(device.path), None)
         if device.vendor_id is not None or port is not None:
             yield _judged(device.path, _described(device), port.robot if port else None, rules.get(device.path))
     for port in named.values():
         yield _judged(port.path, "no USB adapter", port.robot, None)
-    if any(one.vendor_id is not None for one in there):
+    if any(candidate.vendor_id is not None for candidate in ports):
         yield ok("which robot", "`robofleet doctor --ask all` opens the ports and says which robot answers at each")
-    built_in = [one.path for one in there if one.vendor_id is None]
+    built_in = [candidate.path for candidate in ports if candidate.vendor_id is None]
     if built_in:
         yield ok("built-in ports", f"{', '.join(built_in)}: looked at only where a configuration names them")
-    if not there:
+    if not ports:
         yield ok("serial ports", "no adapter is plugged in")
     if shutil.which("brltty"):
         says = "it is installed, and takes the ports of CH340 and CP210x chips for itself"
@@ -105,7 +107,7 @@ def _judged(path: str, says: str, robot: str | None, rule: str | None) -> Findin
         refused = f"{says}; {permission.user_name()} may not open it"
         return Finding(name, grave, refused, permission.cure(Path(path)), pastes)
     if using := holders(path):
-        who = ", ".join(f"process {one.pid} ({one.command})" for one in using)
+        who = ", ".join(f"process {process.pid} ({process.command})" for process in using)
         cure = "" if robot is None else "end that program before a run"
         return Finding(name, Mark.OK if robot is None else grave, f"{says}; open in {who}", cure, pastes)
     return ok(name, f"{says}; free", *pastes)
@@ -121,16 +123,16 @@ def _described(device: Device) -> str:
     return ", ".join(parts)
 
 
-def _names(needs: Needs, there: list[Device]) -> dict[str, str]:
+def _names(needs: Needs, found: list[Device]) -> dict[str, str]:
     """Return the robot that each port shall be named after: the configuration's; then r1, r2, ... in order."""
     names = {}
     ports = list(needs.ports())
     free = [port.robot for port in ports if not Path(port.path).exists()]
     count = 0
-    for device in there:
-        its = [port.robot for port in ports if os.path.realpath(port.path) == os.path.realpath(device.path)]
-        if its:
-            names[device.path] = its[0]
+    for device in found:
+        owners = [port.robot for port in ports if os.path.realpath(port.path) == os.path.realpath(device.path)]
+        if owners:
+            names[device.path] = owners[0]
         elif free:
             names[device.path] = free.pop(0)
         elif device.vendor_id is not None:

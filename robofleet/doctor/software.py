@@ -36,7 +36,7 @@ def python(_needs: Needs) -> Iterator[Finding]:
 def packages(needs: Needs) -> Iterator[Finding]:
     """The packages of robofleet itself and of each extra, with versions that are too old."""
     try:
-        asked, extras = requires("robofleet") or [], metadata("robofleet").get_all("Provides-Extra") or []
+        requirements, extras = requires("robofleet") or [], metadata("robofleet").get_all("Provides-Extra") or []
     except PackageNotFoundError:
         yield Finding("packages", Mark.MISSING, "robofleet is not installed in this Python", how_to_install("lab"))
         return
@@ -44,7 +44,11 @@ def packages(needs: Needs) -> Iterator[Finding]:
     if any(camera.source == "basler" for camera in needs.cameras):
         needed.add("basler")
     for extra in ["", *(name for name in extras if name not in _FOR_DEVELOPERS)]:
-        names = [(name, bounds) for name, bounds, of in map(_parts, asked) if of == extra and name != "robofleet"]
+        names = [
+            (name, bounds)
+            for name, bounds, needed_by in map(_parts, requirements)
+            if needed_by == extra and name != "robofleet"
+        ]
         if not names:
             continue  # another name of an extra that stands here too
         yield _of_extra(extra, names, required=extra in needed)
@@ -70,12 +74,12 @@ def _parts(requirement: str) -> tuple[str, str, str]:
 def _unfit(name: str, bounds: str) -> str:
     """Return what is wrong with a package; nothing where it fits."""
     try:
-        there = version(name)
+        installed = version(name)
     except PackageNotFoundError:
         return f"{name} is not installed"
     for relation, limit in re.findall(r"(>=|<)\s*([\d.]+)", bounds):
-        if (_numbers(there) >= _numbers(limit)) is (relation == "<"):
-            return f"{name} {there} is installed, and {bounds} is needed"
+        if (_numbers(installed) >= _numbers(limit)) is (relation == "<"):
+            return f"{name} {installed} is installed, and {bounds} is needed"
     return ""
 
 
@@ -88,10 +92,10 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 def drivers(needs: Needs) -> Iterator[Finding]:
     """The classes that drive the configuration's robots."""
-    of: dict[str, list[str]] = {}
+    robots_of: dict[str, list[str]] = {}
     for robot in needs.robots:
-        of.setdefault(robot.driver, []).append(robot.id)
-    for name, robots in of.items():
+        robots_of.setdefault(robot.driver, []).append(robot.id)
+    for name, robots in robots_of.items():
         title = f"driver {name}"
         try:
             load("robofleet.drivers", name)
@@ -106,15 +110,15 @@ def kernels(needs: Needs) -> Iterator[Finding]:
     if not needs.whole_run or find_spec("numba") is None:
         return  # not needed, or said already
     try:
-        place = Path(asked_elsewhere(_KERNELS))
+        folder = Path(asked_elsewhere(_KERNELS))
     except NoAnswerError as error:
         cure = f"`{sys.executable} -c 'import numba'` says why"
         yield Finding("kernels", Mark.WARN, f"numba could not be asked: {error}", cure)
         return
-    files = [file for file in place.glob("*") if not file.name.startswith(".")] if place.is_dir() else []
+    files = [file for file in folder.glob("*") if not file.name.startswith(".")] if folder.is_dir() else []
     if files:
         size_mb = sum(file.stat().st_size for file in files) / 1e6
-        yield ok("kernels", f"{len(files)} compiled functions, {size_mb:.1f} MB, in {place}")
+        yield ok("kernels", f"{len(files)} compiled functions, {size_mb:.1f} MB, in {folder}")
     else:
         cure = "the first run compiles them, once; later ones load them"
-        yield Finding("kernels", Mark.WARN, f"none is compiled in {place}", cure)
+        yield Finding("kernels", Mark.WARN, f"none is compiled in {folder}", cure)

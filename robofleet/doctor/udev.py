@@ -19,23 +19,23 @@ def serial_rules(devices: Sequence["Device"], names: Mapping[str, str]) -> dict[
 
     A chip without a number, or with one that another one has too, is named after its socket.
     """
-    ports = Counter(_socket(one) for one in devices)
-    alike = Counter(key for _, key in {(_socket(one), _number(one)) for one in devices})
+    ports = Counter(_socket(device) for device in devices)
+    alike = Counter(key for _, key in {(_socket(device), _number(device)) for device in devices})
     rules = {}
-    for one in devices:
-        if any(link.startswith(_OURS) for link in one.links) or not (one.serial_number or one.location):
+    for device in devices:
+        if any(link.startswith(_OURS) for link in device.links) or not (device.serial_number or device.location):
             continue
-        keys = ['SUBSYSTEM=="tty"', *_usb(one.vendor_id or 0, one.product_id or 0)]
-        if one.serial_number and alike[_number(one)] == 1 and _plain(one.serial_number):
-            keys.append(f'ENV{{ID_SERIAL_SHORT}}=="{one.serial_number}"')
+        keys = ['SUBSYSTEM=="tty"', *_usb(device.vendor_id or 0, device.product_id or 0)]
+        if device.serial_number and alike[_number(device)] == 1 and _plain(device.serial_number):
+            keys.append(f'ENV{{ID_SERIAL_SHORT}}=="{device.serial_number}"')
         else:
-            keys.append(f'KERNELS=="{_socket(one)}"')
-        if ports[_socket(one)] > 1 and ":" in one.location:  # a chip with several ports
-            keys.append(f'ENV{{ID_USB_INTERFACE_NUM}}=="{int(one.location.rpartition(".")[2]):02x}"')
+            keys.append(f'KERNELS=="{_socket(device)}"')
+        if ports[_socket(device)] > 1 and ":" in device.location:  # a chip with several ports
+            keys.append(f'ENV{{ID_USB_INTERFACE_NUM}}=="{int(device.location.rpartition(".")[2]):02x}"')
         keys += ['GROUP="dialout"', 'MODE="0660"', 'TAG+="uaccess"', 'ENV{ID_MM_DEVICE_IGNORE}="1"']
-        if one.vendor_id == _FTDI:
+        if device.vendor_id == _FTDI:
             keys.append('ATTR{device/latency_timer}="1"')  # [ms]; else it keeps what a robot says for 16
-        rules[one.path] = ", ".join([*keys, f'SYMLINK+="robofleet/{names[one.path]}"'])
+        rules[device.path] = ", ".join([*keys, f'SYMLINK+="robofleet/{names[device.path]}"'])
     return rules
 
 

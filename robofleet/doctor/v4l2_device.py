@@ -29,14 +29,14 @@ class Mode(NamedTuple):
     rates_hz: tuple[float, ...]  # highest first; empty: the driver does not tell
 
 
-class Told(NamedTuple):
+class DeviceReport(NamedTuple):
     """What a device says."""
 
     name: str
     modes: tuple[Mode, ...]
 
 
-def ask(path: str, ioctl: Ioctl = fcntl.ioctl) -> Told | None:
+def ask(path: str, ioctl: Ioctl = fcntl.ioctl) -> DeviceReport | None:
     """Return what a camera says; None if the device gives no images. OSError where it cannot be opened."""
     descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -51,7 +51,7 @@ def ask(path: str, ioctl: Ioctl = fcntl.ioctl) -> Told | None:
             for letters in _formats(ioctl, descriptor)
             for width, height in _sizes(ioctl, descriptor, letters)
         ]
-        return Told(name, tuple(modes))
+        return DeviceReport(name, tuple(modes))
     finally:
         os.close(descriptor)
 

@@ -20,14 +20,17 @@ def show(findings: Sequence[Finding], verdict: str) -> None:
     """Print to a terminal in columns, else a line each."""
     console = Console(highlight=False)
     signs = _can_show(console.encoding)
-    rows = [(_mark(one.mark, signs=signs), printable(one.name), printable(_sentence(one))) for one in findings]
+    rows = [
+        (_mark(finding.mark, signs=signs), printable(finding.name), printable(_sentence(finding)))
+        for finding in findings
+    ]
     if console.is_terminal:
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column(no_wrap=True)
         grid.add_column()
-        for one, (mark, name, says) in zip(findings, rows, strict=True):
-            grid.add_row(Text(mark, _STYLES[one.mark]), Text(name), Text(says))
+        for finding, (mark, name, says) in zip(findings, rows, strict=True):
+            grid.add_row(Text(mark, _STYLES[finding.mark]), Text(name), Text(says))
         console.print(grid)
     else:
         wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -46,8 +49,8 @@ def pastes(findings: Sequence[Finding]) -> list[str]:
         for paste in finding.pastes:
             files.setdefault(paste.file, {})[paste.line] = None
     lines = []
-    for file, its in files.items():
-        lines += ["", f"To paste into {file}, as root{_ABOUT.get(file, '')}:", *its]
+    for file, lines_of in files.items():
+        lines += ["", f"To paste into {file}, as root{_ABOUT.get(file, '')}:", *lines_of]
     return lines
 
 

@@ -141,7 +141,7 @@ def _choice(parameters: ClosedCurveParameters, chosen: list[Drive]) -> Table:
         drives[radius] = [_drive(parameters, other, speed) for speed in speeds]
     rows: list[tuple[Cell, ...]] = []
     for radius, found in sorted(drives.items()):
-        of_it = [peaks(one) for one in found]
+        of_it = [peaks(run) for run in found]
         rows.append((f"{radius:g}", *(p.lateral_cm for p in of_it), *(p.heading_deg for p in of_it)))
     columns = ("radius m", *(f"{what}, {name}" for what in ("cm", "deg") for name in _names(parameters)))
     notes = (

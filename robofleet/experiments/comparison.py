@@ -153,7 +153,7 @@ def run(parameters: ComparisonParameters) -> Result:
         else:
             found[key] = _compared(key, parameters, None if _SAME_CODE.get(key) in found else cold_ms)
     times = _timed(list(found), parameters, found["flow"])
-    found = {key: dataclasses.replace(one, updates=times[key]) for key, one in found.items()}
+    found = {key: dataclasses.replace(result, updates=times[key]) for key, result in found.items()}
     return Result(tables(parameters, found, missing), figures(parameters, found), {"missing": missing})
 
 
@@ -191,10 +191,10 @@ def _cold(key: Key, parameters: ComparisonParameters) -> float:
 def _compared(key: Key, parameters: ComparisonParameters, cold_ms: float | None) -> Compared:
     laws, trouble, failures = parameters.laws, parameters.trouble, 0
     sample = parameters.samples(parameters.computing_delay_s)
-    told = 0 if key == KNOWS_NO_DELAY else sample
+    assumed = 0 if key == KNOWS_NO_DELAY else sample
 
     def driven(
-        problem: Problem, known: int = told, delay: int = sample, noise: float = 0.0, stiffness: float = 1.0
+        problem: Problem, known: int = assumed, delay: int = sample, noise: float = 0.0, stiffness: float = 1.0
     ) -> Drive:
         nonlocal failures
         model = problem.model

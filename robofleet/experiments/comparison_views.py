@@ -31,7 +31,7 @@ def figures(parameters: ComparisonParameters, found: Found) -> tuple[Figure, ...
     """Return the lateral error along the fastest lane change, and error over cost."""
     i = int(np.argmax(parameters.speeds_m_s))
     speed = f"{parameters.speeds_m_s[i]:g} m/s"
-    drives = [(one.name, one.lane_change[i]) for key, one in found.items() if key in _SHOWN]
+    drives = [(result.name, result.lane_change[i]) for key, result in found.items() if key in _SHOWN]
     lateral = tuple(Curve(name, parameters.speeds_m_s[i] * d.t, 100.0 * d.lateral) for name, d in drives)
     close = tuple(curve for curve in lateral if np.abs(curve.y).max() < 3.0)
     panels = tuple(
@@ -40,9 +40,9 @@ def figures(parameters: ComparisonParameters, found: Found) -> tuple[Figure, ...
         if curves
     )
     points = tuple(
-        Curve(one.name, np.array([_median_us(one)]), np.array([peak]), "dots")
-        for one in found.values()
-        if not math.isnan(peak := one.lane_change[i].peak_lateral_cm)
+        Curve(result.name, np.array([_median_us(result)]), np.array([peak]), "dots")
+        for result in found.values()
+        if not math.isnan(peak := result.lane_change[i].peak_lateral_cm)
     )
     cost = Panel("time per update, median, µs", "peak lateral error, cm", points, scales=("log", "log"))
     return (
@@ -55,12 +55,12 @@ def _errors(parameters: ComparisonParameters, found: Found, missing: Mapping[Key
     speeds = [f"{speed:g}" for speed in parameters.speeds_m_s]
     rows = [
         (
-            one.name,
-            *(_cell(d.peak_lateral_cm) for d in one.lane_change),
-            *(_cell(d.peak_heading_deg) for d in one.lane_change),
-            *(_cell(d.peak_steering_rate_deg_s) for d in one.lane_change),
+            result.name,
+            *(_cell(d.peak_lateral_cm) for d in result.lane_change),
+            *(_cell(d.peak_heading_deg) for d in result.lane_change),
+            *(_cell(d.peak_steering_rate_deg_s) for d in result.lane_change),
         )
-        for one in found.values()
+        for result in found.values()
     ]
     peaks = ("lateral cm", "heading deg", "steering rate deg/s")
     columns = ("controller", *(f"{peak}, {speed} m/s" for peak in peaks for speed in speeds))
@@ -75,7 +75,7 @@ def _errors(parameters: ComparisonParameters, found: Found, missing: Mapping[Key
         f"the flow is level with predictive control of these weights and nodes {1e3 * mpc.horizon_s / mpc.nodes:g} ms "
         "apart alone: sharp ones are more accurate than it",
         "LQR, pure pursuit, Stanley: gains set by hand for these speeds and this vehicle",
-        *_ranked(found, lambda one: one.lane_change[i].peak_lateral_cm, f"peak error at {speeds[i]} m/s", "cm"),
+        *_ranked(found, lambda result: result.lane_change[i].peak_lateral_cm, f"peak error at {speeds[i]} m/s", "cm"),
         *(f"{key} is left out: {reason}" for key, reason in missing.items()),
         *_lost(found, [(f"{speed} m/s", _nominal(k)) for k, speed in enumerate(speeds)]),
     )
@@ -86,11 +86,11 @@ def _errors(parameters: ComparisonParameters, found: Found, missing: Mapping[Key
 def _cost(found: Found) -> Table:
     ours = _median_us(found["flow"])
     rows = []
-    for one in found.values():
-        assert one.updates is not None
-        p50, p99 = one.updates.p50, float(np.quantile(one.updates.warm, 0.99))
-        first = float(np.median(one.updates.first))
-        rows.append((one.name, p50, p99, p50 / ours, first, one.cold_ms, float(one.failures)))
+    for result in found.values():
+        assert result.updates is not None
+        p50, p99 = result.updates.p50, float(np.quantile(result.updates.warm, 0.99))
+        first = float(np.median(result.updates.first))
+        rows.append((result.name, p50, p99, p50 / ours, first, result.cold_ms, float(result.failures)))
     notes = (
         "through each Python API, the reference's look-up included, no roll-forward; the states of the NR flow's "
         "fastest lane change, in turns, so that a busy machine is shared by all",
@@ -99,7 +99,7 @@ def _cost(found: Found) -> Table:
         "casadi's import for the first that uses it; -: shares its code with one above",
         "gave up: updates of the undisturbed lane changes whose solver did not converge; its last iterate was used",
         *_ranked(found, _median_us, "time per update", "µs"),
-        *_ranked(found, lambda one: math.nan if one.cold_ms is None else one.cold_ms, "cold start", "ms"),
+        *_ranked(found, lambda result: math.nan if result.cold_ms is None else result.cold_ms, "cold start", "ms"),
     )
     columns = ("controller", "p50 µs", "p99 µs", "p50 over flow's", "first in a turn, µs", "cold ms", "gave up")
     return Table("Time per update", columns, tuple(rows), notes, ("", ".1f", ".1f", ".3g", ".1f", ".0f", ".0f"))
@@ -107,12 +107,12 @@ def _cost(found: Found) -> Table:
 
 def _trouble(parameters: ComparisonParameters, found: Found) -> Table:
     trouble, cases = parameters.trouble, _cases(parameters)
-    left_out = ", ".join(one.name for one in found.values() if one.troubled is None)
-    found = {key: one for key, one in found.items() if one.troubled is not None}
+    left_out = ", ".join(result.name for result in found.values() if result.troubled is None)
+    found = {key: result for key, result in found.items() if result.troubled is not None}
     rows = []
-    for one in found.values():
-        lateral = (_cell(of(one).peak_lateral_cm) for _, of in cases)
-        rows.append((one.name, *lateral, _cell(_troubled(one).noisy.peak_steering_rate_deg_s)))
+    for result in found.values():
+        lateral = (_cell(drive_of(result).peak_lateral_cm) for _, drive_of in cases)
+        rows.append((result.name, *lateral, _cell(_troubled(result).noisy.peak_steering_rate_deg_s)))
     columns = ("controller", *(name for name, _ in cases), "noise, deg/s")
     notes = (
         f"peak lateral error [cm] at {trouble.speed_m_s:g} m/s; one thing at a time; rolled: state and time rolled "
@@ -121,8 +121,10 @@ def _trouble(parameters: ComparisonParameters, found: Found) -> Table:
         "deg/s: peak steering rate in it",
         f"soft tyres: {100 * (trouble.stiffness - 1):+.0f} % of stiffness in the plant, not in what is believed",
         *([f"{left_out}: left out for its time: the problem is that of the other nonlinear MPC"] if left_out else []),
-        *(note for name, of in cases for note in _ranked(found, _lateral(of), name, "cm")),
-        *_ranked(found, lambda one: _troubled(one).noisy.peak_steering_rate_deg_s, "steering rate in noise", "deg/s"),
+        *(note for name, drive_of in cases for note in _ranked(found, _lateral(drive_of), name, "cm")),
+        *_ranked(
+            found, lambda result: _troubled(result).noisy.peak_steering_rate_deg_s, "steering rate in noise", "deg/s"
+        ),
         *_lost(found, cases),
     )
     formats = ("", *(".2f" for _ in cases), ".0f")
@@ -131,16 +133,16 @@ def _trouble(parameters: ComparisonParameters, found: Found) -> Table:
 
 def _corner(parameters: ComparisonParameters, found: Found) -> Table:
     rows = tuple(
-        (one.name, *map(_cell, (d.peak_lateral_cm, d.peak_heading_deg, d.peak_steering_rate_deg_s)))
-        for one in found.values()
-        for d in (one.corner,)
+        (result.name, *map(_cell, (d.peak_lateral_cm, d.peak_heading_deg, d.peak_steering_rate_deg_s)))
+        for result in found.values()
+        for d in (result.corner,)
     )
     where = parameters.closed_curve
     notes = (
         f"the first {where.drive_m:g} m of the closed curve, which is ours: one corner of "
         f"{where.track.corner_radius_m:g} m, its others are the same; delay as above",
-        *_ranked(found, lambda one: one.corner.peak_lateral_cm, "peak error", "cm"),
-        *_lost(found, [("corner", lambda one: one.corner)]),
+        *_ranked(found, lambda result: result.corner.peak_lateral_cm, "peak error", "cm"),
+        *_lost(found, [("corner", lambda result: result.corner)]),
     )
     columns = ("controller", "lateral cm", "heading deg", "steering rate deg/s")
     title = f"Closed curve at {where.speed_km_h:g} km/h, peak errors"
@@ -152,20 +154,24 @@ def _cases(parameters: ComparisonParameters) -> list[Case]:
     for k, delay in enumerate(parameters.trouble.delays_s):
         cases.append((f"{1e3 * delay:g} ms", _delayed(k, rolled=False)))
         cases.append((f"{1e3 * delay:g} ms, rolled", _delayed(k, rolled=True)))
-    return [*cases, ("noise", lambda one: _troubled(one).noisy), ("soft tyres", lambda one: _troubled(one).soft)]
+    return [
+        *cases,
+        ("noise", lambda result: _troubled(result).noisy),
+        ("soft tyres", lambda result: _troubled(result).soft),
+    ]
 
 
 def _nominal(k: int) -> Callable[[Compared], Drive]:
-    return lambda one: one.lane_change[k]
+    return lambda result: result.lane_change[k]
 
 
 def _delayed(k: int, *, rolled: bool) -> Callable[[Compared], Drive]:
-    return lambda one: _troubled(one).delayed[k][rolled]
+    return lambda result: _troubled(result).delayed[k][rolled]
 
 
-def _troubled(one: Compared) -> Troubled:
-    assert one.troubled is not None
-    return one.troubled
+def _troubled(result: Compared) -> Troubled:
+    assert result.troubled is not None
+    return result.troubled
 
 
 def _statement(parameters: ComparisonParameters) -> str:
@@ -179,7 +185,7 @@ def _statement(parameters: ComparisonParameters) -> str:
 def _ranked(found: Found, value: Callable[[Compared], float], what: str, unit: str) -> Iterator[str]:
     """Yield in words which baselines are better than the flow, that is lower, and by what numbers."""
     ours = value(found["flow"])
-    others = [(one.name, value(one)) for key, one in found.items() if key not in {"flow", "flow-paper"}]
+    others = [(result.name, value(result)) for key, result in found.items() if key not in {"flow", "flow-paper"}]
     limit = math.inf if math.isnan(ours) else ours * (1.0 - _LEVEL)
     better = sorted((v, name) for name, v in others if v < limit)
     if not others:
@@ -194,19 +200,19 @@ def _ranked(found: Found, value: Callable[[Compared], float], what: str, unit: s
 
 def _lost(found: Found, cases: Sequence[Case]) -> Iterator[str]:
     """Yield how each lost vehicle was lost."""
-    for one in found.values():
-        ends = [f"{name} {of(one).failure}" for name, of in cases if of(one).failure]
+    for result in found.values():
+        ends = [f"{name} {drive_of(result).failure}" for name, drive_of in cases if drive_of(result).failure]
         if ends:
-            yield f"{one.name}: {_LOST}: {'; '.join(ends)}"
+            yield f"{result.name}: {_LOST}: {'; '.join(ends)}"
 
 
-def _lateral(of: Callable[[Compared], Drive]) -> Callable[[Compared], float]:
-    return lambda one: of(one).peak_lateral_cm
+def _lateral(drive_of: Callable[[Compared], Drive]) -> Callable[[Compared], float]:
+    return lambda result: drive_of(result).peak_lateral_cm
 
 
-def _median_us(one: Compared) -> float:
-    assert one.updates is not None
-    return one.updates.p50
+def _median_us(result: Compared) -> float:
+    assert result.updates is not None
+    return result.updates.p50
 
 
 def _cell(value: float) -> Cell:

@@ -112,12 +112,12 @@ def lane_change(sign: float, length: float) -> Reference:
         return np.tanh(first * (x - 27.19) - 1.2), np.tanh(second * (x - 56.46) - 1.2)
 
     def height(x: Array) -> Array:
-        one, two = tanhs(x)
-        return np.asarray(2.025 * (1.0 + one) + sign * 2.85 * (1.0 + two))
+        tanh_first, two = tanhs(x)
+        return np.asarray(2.025 * (1.0 + tanh_first) + sign * 2.85 * (1.0 + two))
 
     def slope(x: Array) -> Array:
-        one, two = tanhs(x)
-        return np.asarray(2.025 * first * (1.0 - one**2) + sign * 2.85 * second * (1.0 - two**2))
+        tanh_first, two = tanhs(x)
+        return np.asarray(2.025 * first * (1.0 - tanh_first**2) + sign * 2.85 * second * (1.0 - two**2))
 
     return Reference.graph(height, slope, length)
 

@@ -135,9 +135,14 @@ def road(reference: Reference, drives: Sequence[tuple[str, Drive]], title: str =
 def topics(groups: Sequence[Group], x_label: str, what: str) -> list[Figure]:
     """Return a figure a topic, a panel a group."""
     figures = []
-    for name, topic, unit, of in _TOPICS:
+    for name, topic, unit, values_of in _TOPICS:
         panels = [
-            Panel(x_label, f"{topic}, {unit}", tuple(Curve(label, x, of(d)[: len(x)]) for label, x, d in drives), title)
+            Panel(
+                x_label,
+                f"{topic}, {unit}",
+                tuple(Curve(label, x, values_of(d)[: len(x)]) for label, x, d in drives),
+                title,
+            )
             for title, drives in groups
         ]
         figures.append(Figure(name, f"{what}: {topic}", tuple(panels)))

@@ -98,7 +98,7 @@ def _tables(parameters: LaneChangeParameters, paper: list[list[Drive]], ours: li
     columns: dict[str, list[Peaks]] = {}
     for prefix, drives in (("", paper), ("own, ", ours)):
         for reading, found in zip(parameters.readings, drives, strict=True):
-            columns[prefix + reading.name] = [peaks(one) for one in found]
+            columns[prefix + reading.name] = [peaks(drive) for drive in found]
     lateral: dict[str, Sequence[Cell]] = {name: [p.lateral_cm for p in found] for name, found in columns.items()}
     heading: dict[str, Sequence[Cell]] = {name: [p.heading_deg for p in found] for name, found in columns.items()}
     for k, name in enumerate(("paper", "Falcone 07")):
@@ -120,8 +120,8 @@ def _tables(parameters: LaneChangeParameters, paper: list[list[Drive]], ours: li
 def _transient(parameters: LaneChangeParameters, paper: list[list[Drive]], early: list[list[Drive]]) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for reading, drives, ahead in zip(parameters.readings, paper, early, strict=True):
-        after = [peaks(one, parameters.settle_s) for one in drives]
-        during = [peaks(one) for one in ahead]
+        after = [peaks(drive, parameters.settle_s) for drive in drives]
+        during = [peaks(drive) for drive in ahead]
         rows += [
             ("control error, later, cm", reading.name, *(p.control_error_cm for p in after), "under 10"),
             ("control error, start, cm", reading.name, *(p.control_error_cm for p in during), None),
@@ -173,7 +173,7 @@ def _delays(parameters: LaneChangeParameters, reference: Reference) -> Delayed:
 def _delay_table(parameters: LaneChangeParameters, delayed: Delayed) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for case, drives in delayed:
-        found = [None if isinstance(one, str) else peaks(one) for one in drives]
+        found = [None if isinstance(drive, str) else peaks(drive) for drive in drives]
         head = (case.setting, str(case))
         rows.append((*head, "lateral, cm", *("diverged" if p is None else p.lateral_cm for p in found)))
         rows.append((*head, "heading, deg", *("diverged" if p is None else p.heading_deg for p in found)))
@@ -204,7 +204,7 @@ def _figures(
     ahead = f" and r(t + T) {1e3 * parameters.reference_lead_s:g} ms too far ahead"
     start = [group(title + ahead, drives, _START_UP_M) for title, drives in zip(titles, early, strict=True)]
     ways = [list(zip(names, drives, strict=True)) for drives in paper]
-    panels = tuple(driving.road(*one, _DRAWN_M) for one in zip(roads, ways, titles, strict=True))
+    panels = tuple(driving.road(*road, _DRAWN_M) for road in zip(roads, ways, titles, strict=True))
     transient = [
         replace(figure, name=f"start-{figure.name}") for figure in driving.topics(start, "z₁, m", f"{what}, start")[:2]
     ]

@@ -75,8 +75,8 @@ def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: 
     found = Run(lockstep.recording)
     points = found.points()
     assert points is not None
-    (told,) = found.told
-    return Drive(found.t, told.figures["control_error"], points, settings_of(config).path.path())
+    (recorded,) = found.told
+    return Drive(found.t, recorded.figures["control_error"], points, settings_of(config).path.path())
 
 
 def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Config:

@@ -58,8 +58,8 @@ def robot_gains(parameters: GainParameters, base: Config, integrator: Integrator
     gains: list[float | None] = []
     for periods in parameters.periods:
         amplitude, floor = amplitudes(periods), amplitudes(periods + 1)  # nobody shakes at the next frequency
-        heard = amplitude > _HEARD * floor
-        both = heard[1:] & heard[:-1]
+        strong = amplitude > _HEARD * floor
+        both = strong[1:] & strong[:-1]
         gains.append(float((amplitude[1:] / amplitude[:-1])[both].max()) if both.any() else None)
     return gains
 
@@ -95,9 +95,9 @@ def _along(parameters: GainParameters, base: Config, integrator: Integrator, amp
     for k in range(2 * ticks):
         t = k * c.tick_s
         shake = sum(math.sin(math.tau * n * k / ticks + n) for n in parameters.periods)
-        asked = law.tick(t + amplitude_s * shake, fleet.poses, driving)[:, INPUTS]
+        requested = law.tick(t + amplitude_s * shake, fleet.poses, driving)[:, INPUTS]
         wheels.commanded(
-            asked, of_body, fleet.poses, c.point_ahead_m, limits, driving, law.u, commands, saturated, points
+            requested, of_body, fleet.poses, c.point_ahead_m, limits, driving, law.u, commands, saturated, points
         )
         fleet.move(commands, c.tick_s)
         along.append(fleet.along())

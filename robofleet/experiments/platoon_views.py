@@ -100,8 +100,8 @@ def laboratory_figures(drives: dict[Key, "Drive"], base: Config) -> tuple[Figure
     trails = [Curve(name, found.points[:, i, 0], found.points[:, i, 1]) for i, name in enumerate(ids)]
     errors = [Curve(name, found.t, found.control_error[:, i] * 1e3) for i, name in enumerate(ids)]
     gaps = [
-        Curve(f"{one} to {other}", found.t, gap * 1e3)
-        for one, other, gap in zip(ids, ids[1:], found.spacing().T, strict=False)
+        Curve(f"{first} to {other}", found.t, gap * 1e3)
+        for first, other, gap in zip(ids, ids[1:], found.spacing().T, strict=False)
     ]
     path = Curve("path", lap[:, 0], lap[:, 1], "dashed")
     return (

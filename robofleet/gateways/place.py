@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from robofleet.config.tree import Config
 
 
-class Place(NamedTuple):
+class ArenaAccess(NamedTuple):
     """Where a run is."""
 
     endpoint: str | tuple[str, ...]
@@ -19,7 +19,7 @@ class Place(NamedTuple):
     folder: Path | None = None  # of the run, as its arena file has it, where it is this computer's
 
 
-def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
+def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, ArenaAccess]":
     """Return the run that is meant; ``copy``: of its configuration, where it is elsewhere. RefusedError."""
     from robofleet.bus.permissions import OPERATOR  # noqa: PLC0415
     from robofleet.config.load import load_config  # noqa: PLC0415
@@ -27,32 +27,32 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, Place]":
     from robofleet.operator.requests import NoArenaError, chosen  # noqa: PLC0415
 
     try:
-        there = joined_arena(arena)
-        if there is None:
+        joined = joined_arena(arena)
+        if joined is None:
             run = chosen(arena, own=True)
             folder = Path(run.folder)
-            return load_config(folder / "config.yaml"), Place(run.endpoint, None, OPERATOR, folder)
+            return load_config(folder / "config.yaml"), ArenaAccess(run.endpoint, None, OPERATOR, folder)
     except NoArenaError as error:
         raise RefusedError(str(error)) from error
     if copy is None:
-        raise RefusedError(f"{there.arena} is another computer's: name a copy of its configuration in --config")
-    return load_config(copy), Place(there.router, there.credentials, there.role)
+        raise RefusedError(f"{joined.arena} is another computer's: name a copy of its configuration in --config")
+    return load_config(copy), ArenaAccess(joined.router, joined.credentials, joined.role)
 
 
-def joined_otherwise(config: "Config", place: Place, role: str) -> str | None:
+def joined_otherwise(config: "Config", access: ArenaAccess, role: str) -> str | None:
     """Return why the router lets through no setpoints from here, and how to mend it; None where it does."""
-    if place.credentials is None or place.role == role:
+    if access.credentials is None or access.role == role:
         return None
     arena = config.arena.name
     return (
-        f"this computer has joined {arena} as {place.role}, whose commands reach no robot: join as {role}: "
+        f"this computer has joined {arena} as {access.role}, whose commands reach no robot: join as {role}: "
         f"`robofleet keys add {arena} NAME --kind {role}` there, then bundle and `robofleet join`"
     )
 
 
-def is_over(config: "Config", place: Place) -> bool:
+def is_over(config: "Config", access: ArenaAccess) -> bool:
     """Return whether a run has ended whose supervisor is silent."""
     from robofleet.bus.arena_file import running  # noqa: PLC0415
 
-    mine = config.arena.name, str(place.folder)
-    return place.credentials is not None or all((run.arena, run.folder) != mine for run in running(config.arena.name))
+    mine = config.arena.name, str(access.folder)
+    return access.credentials is not None or all((run.arena, run.folder) != mine for run in running(config.arena.name))

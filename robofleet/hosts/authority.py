@@ -203,15 +203,15 @@ class Authority:
             called = [_general_name(address) for address in (*_HERE, *addresses)]
             builder = builder.add_extension(x509.SubjectAlternativeName(called), critical=False)
         signed = builder.sign(self._key, hashes.SHA256())
-        told = Passport(
+        passport = Passport(
             arena=self.arena, name=name, kind=kind, common_name=common_name, serial=f"{serial:x}",
             not_before=now - _EARLIER, not_after=ends, addresses=addresses,
         )  # fmt: skip
         made = Credentials.at(self.folder, name)
         write_private(made.key, _private(key))
         write_private(made.certificate, signed.public_bytes(Encoding.PEM))
-        write_private(self.folder / f"{name}.json", dumps(told.plain()).encode())
-        self._register.entries[name] = Entry(kind=kind, generation=generation, newest=told)
+        write_private(self.folder / f"{name}.json", dumps(passport.plain()).encode())
+        self._register.entries[name] = Entry(kind=kind, generation=generation, newest=passport)
         self._save()
         return made
 

@@ -50,11 +50,11 @@ class _Any(BaseModel):
     robofleet: str
 
 
-def bundled(own: Credentials, told: Passport, router: tuple[str, ...]) -> Bundle:
+def bundled(own: Credentials, passport: Passport, router: tuple[str, ...]) -> Bundle:
     """Return the bundle of a name."""
     certificate, key, authority = (file.read_text() for file in own[1:])
     return Bundle(
-        robofleet=version("robofleet"), passport=told, certificate=certificate, key=key, authority=authority,
+        robofleet=version("robofleet"), passport=passport, certificate=certificate, key=key, authority=authority,
         router=router,
     )  # fmt: skip
 
@@ -81,7 +81,7 @@ def read(file: Path) -> Bundle:
 
 def _prove(file: Path, bundle: Bundle) -> None:
     """Raise KeysError where certificate, key and authority do not belong together, or say other than the passport."""
-    told = bundle.passport
+    passport = bundle.passport
     try:
         found = _accepted(bundle)
     except (ssl.SSLError, ValueError) as error:
@@ -90,9 +90,9 @@ def _prove(file: Path, bundle: Bundle) -> None:
             "copy again what `robofleet keys bundle` made"
         ) from error
     names = [value for part in found.get("subject", ()) for name, value in part if name == "commonName"]
-    if names != [told.common_name] or str(found["serialNumber"]).lower().lstrip("0") != told.serial:
+    if names != [passport.common_name] or str(found["serialNumber"]).lower().lstrip("0") != passport.serial:
         raise KeysError(
-            f"{file}: it says that it is of {told.name}, and its certificate is of {', '.join(names)}: "
+            f"{file}: it says that it is of {passport.name}, and its certificate is of {', '.join(names)}: "
             "copy again what `robofleet keys bundle` made"
         )
 
@@ -164,8 +164,8 @@ def unpack(bundle: Bundle, folder: Path) -> Credentials:
 
 def _refuse_other_authority(bundle: Bundle, folder: Path) -> None:
     """Raise KeysError where the folder is that of an authority, and the bundle is another one's."""
-    there = folder / AUTHORITY
-    if (folder / "authority.key").exists() and there.exists() and there.read_text() != bundle.authority:
+    installed = folder / AUTHORITY
+    if (folder / "authority.key").exists() and installed.exists() and installed.read_text() != bundle.authority:
         raise KeysError(
             f"{folder} is the folder of another authority of {bundle.passport.arena}: "
             "the bundle would end it: move that folder away first if that is meant"

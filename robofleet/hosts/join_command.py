@@ -49,28 +49,30 @@ def join(
     with refused():
         allows = _allowed(driver, port, max_wheel_speed)
         made = bundles.read(file)
-        told = made.passport
-        if allows and told.kind != UNIT:
-            raise RefusedError(f"--driver, --port, --max-wheel-speed: {told.name} is no unit: leave them out")
+        passport = made.passport
+        if allows and passport.kind != UNIT:
+            raise RefusedError(f"--driver, --port, --max-wheel-speed: {passport.name} is no unit: leave them out")
         if service:
-            _refuse_service(told.kind, into)
-        base = _base(told.arena, into, service=service)
-        if told.kind == UNIT:
-            _refuse_other(base, told.arena, told.name)
+            _refuse_service(passport.kind, into)
+        base = _base(passport.arena, into, service=service)
+        if passport.kind == UNIT:
+            _refuse_other(base, passport.arena, passport.name)
         with _readable(base):
-            bundles.unpack(made, base / "keys" / told.arena)
-        print(f"{base}/keys/{told.arena}: the keys of {told.name}, valid until {told.not_after:%Y-%m-%d}")
-        if told.kind == OPERATOR:
-            print(f"Next: on this computer, robofleet stop {told.arena} stops that arena's robots")
-        if told.kind != UNIT:
+            bundles.unpack(made, base / "keys" / passport.arena)
+        print(f"{base}/keys/{passport.arena}: the keys of {passport.name}, valid until {passport.not_after:%Y-%m-%d}")
+        if passport.kind == OPERATOR:
+            print(f"Next: on this computer, robofleet stop {passport.arena} stops that arena's robots")
+        if passport.kind != UNIT:
             return
         with _readable(base):
             written = _write_robot_file(base, made, allows)
         print(f"{written}: what a run may ask of this robot: its driver, port and fastest wheel")
         if service:
-            _install(told.arena, told.name)
+            _install(passport.arena, passport.name)
         print(
-            "Next: systemctl enable --now robofleet-unit" if service else f"Next: robofleet driver --unit {told.name}"
+            "Next: systemctl enable --now robofleet-unit"
+            if service
+            else f"Next: robofleet driver --unit {passport.name}"
         )
         print(f"Then delete {file} here and at the laboratory")
 
@@ -84,12 +86,12 @@ def _refuse_other(base: Path, arena: str, unit: str) -> None:
     if not file.exists():
         return
     try:
-        there = load_robot_file(file)
+        present = load_robot_file(file)
     except ConfigError as error:
         raise RefusedError(f"{error}\n{file} cannot be read: mend it or remove it, and join again") from error
-    if (there.arena, there.unit) != (arena, unit):
+    if (present.arena, present.unit) != (arena, unit):
         raise RefusedError(
-            f"this computer is {there.unit} of {there.arena}, and the bundle is for {unit} of {arena}: "
+            f"this computer is {present.unit} of {present.arena}, and the bundle is for {unit} of {arena}: "
             f"remove {file} first if that is meant"
         )
 
@@ -151,15 +153,15 @@ def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
 
     file: Path = base / FILE
     if file.exists():
-        there = load_robot_file(file)
-        if there.router == made.router and not allows:
+        present = load_robot_file(file)
+        if present.router == made.router and not allows:
             return file
-        allows = there.allows.model_dump(mode="json", exclude_none=True) | allows
-    told = made.passport
+        allows = present.allows.model_dump(mode="json", exclude_none=True) | allows
+    passport = made.passport
     example = "  # for example {drivers: [gternal], ports: [/dev/ttyUSB0], max_wheel_speed_rad_s: 12.5}"
     lines = [
         "# This robot's own computer: `robofleet join` has written it.",
-        f"arena: {dumps(told.arena)}", f"unit: {dumps(told.name)}", f"router: {dumps(made.router)}",
+        f"arena: {dumps(passport.arena)}", f"unit: {dumps(passport.name)}", f"router: {dumps(made.router)}",
         "# What a run may ask of this robot, whatever its configuration says; what is not named is allowed.",
         f"allows: {dumps(allows)}" + ("" if allows else example),
     ]  # fmt: skip

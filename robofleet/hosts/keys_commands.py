@@ -168,10 +168,10 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
         if ROUTER not in known and not at:
             raise RefusedError("the router needs the address by which robots reach it: add `--address 192.168.1.10`")
         # The router first: of all that can be wrong, its addresses are.
-        for name, its in [(ROUTER, ROUTER), *((unit, UNIT) for unit in units), (OPERATOR, OPERATOR), (VIEWER, VIEWER)]:
+        for name, role in [(ROUTER, ROUTER), *((unit, UNIT) for unit in units), (OPERATOR, OPERATOR), (VIEWER, VIEWER)]:
             if name not in known:
-                authority.issue(name, its, addresses=at if its == ROUTER else (), days=days or DAYS)
-                print(f"{name}: {its}, valid until {authority.entries()[name].newest.not_after:%Y-%m-%d}")
+                authority.issue(name, role, addresses=at if role == ROUTER else (), days=days or DAYS)
+                print(f"{name}: {role}, valid until {authority.entries()[name].newest.not_after:%Y-%m-%d}")
             elif known[name].revoked:
                 print(f"{name}: revoked, and stays so: `robofleet keys add {arena} {name}` lets it in again")
     if units:
@@ -206,11 +206,12 @@ def listed(
 def _row(name: str, entry: "Entry") -> dict[str, Any]:
     from robofleet.core.clock import utc_now  # noqa: PLC0415
 
-    now, told = utc_now(), entry.newest
-    state = "expired" if now > told.not_after else "ends soon" if told.ends_soon(now) else "valid"
+    now, passport = utc_now(), entry.newest
+    state = "expired" if now > passport.not_after else "ends soon" if passport.ends_soon(now) else "valid"
     return {
-        "name": name, "kind": entry.kind, "common_name": told.common_name, "ends": told.not_after.isoformat(),
-        "serial": told.serial, "addresses": list(told.addresses), "state": "revoked" if entry.revoked else state,
+        "name": name, "kind": entry.kind, "common_name": passport.common_name, "ends": passport.not_after.isoformat(),
+        "serial": passport.serial, "addresses": list(passport.addresses),
+        "state": "revoked" if entry.revoked else state,
     }  # fmt: skip
 
 

@@ -155,12 +155,12 @@ def _shape(  # type: ignore[no-untyped-def]
 ):
     """Fill how much of each pixel of a row is tag, and where on its print that is [cells, with the rim]; add tag and
     body to the cover, and the body's grey to the light. The compiler does eight pixels at once."""
-    one, middle = np.float32(1.0), np.float32(middle_cell)
+    unit, middle = np.float32(1.0), np.float32(middle_cell)
     to_tag, to_body = np.float32(further[0]), np.float32(further[1])
     eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
     tag_x, tag_y, c, s, body_x, body_y = instant[0], instant[1], instant[2], instant[3], instant[4], instant[5]
     edge, radius, per_ramp = np.float32(paper), np.float32(body_radius), np.float32(1.0 / ramp)
-    per_cell, there = np.float32(per_m), one if body_radius > 0.0 else np.float32(0.0)
+    per_cell, inside = np.float32(per_m), unit if body_radius > 0.0 else np.float32(0.0)
     for j in range(len(plane_x)):
         x, y = plane_x[j], plane_y[j]
         from_x, from_y = x - eye_x, y - eye_y
@@ -168,7 +168,7 @@ def _shape(  # type: ignore[no-untyped-def]
         a, b = c * d_x + s * d_y, c * d_y - s * d_x
         tag = _step((edge - abs(a)) * per_ramp) * _step((edge - abs(b)) * per_ramp)
         d_x, d_y = x + from_x * to_body - body_x, y + from_y * to_body - body_y
-        body = there * (one - tag) * _step((radius - np.sqrt(d_x * d_x + d_y * d_y)) * per_ramp)
+        body = inside * (unit - tag) * _step((radius - np.sqrt(d_x * d_x + d_y * d_y)) * per_ramp)
         room[j] = tag
         room[_COLUMN + j], room[_ROW + j] = middle + a * per_cell, middle - b * per_cell
         room[_COVER + j] += tag + body
@@ -178,15 +178,15 @@ def _shape(  # type: ignore[no-untyped-def]
 @image_kernel
 def _print(black, per_blur, count, room):  # type: ignore[no-untyped-def]
     """Add the print's grey to the light. What lies beyond the next cell is taken for that one's."""
-    one, zero, most = np.float32(1.0), np.float32(0.0), np.float32(len(black) - 1.001)
+    unit, zero, most = np.float32(1.0), np.float32(0.0), np.float32(len(black) - 1.001)
     white, contrast, steep = np.float32(WHITE), np.float32(WHITE - BLACK), np.float32(per_blur)
     for j in range(count):
         if room[j] > zero:
-            column, row = min(max(room[_COLUMN + j], one), most), min(max(room[_ROW + j], one), most)
+            column, row = min(max(room[_COLUMN + j], unit), most), min(max(room[_ROW + j], unit), most)
             m, n = int(row), int(column)
             left, right = _beyond(column - np.float32(n), steep)
             above, below = _beyond(row - np.float32(m), steep)
-            here, level = one - left - right, one - above - below
+            here, level = unit - left - right, unit - above - below
             dark = above * (left * black[m - 1, n - 1] + here * black[m - 1, n] + right * black[m - 1, n + 1])
             dark += level * (left * black[m, n - 1] + here * black[m, n] + right * black[m, n + 1])
             dark += below * (left * black[m + 1, n - 1] + here * black[m + 1, n] + right * black[m + 1, n + 1])
@@ -215,8 +215,8 @@ def _step(d):  # type: ignore[no-untyped-def]
 @image_kernel
 def _beyond(at, per_blur):  # type: ignore[no-untyped-def]
     """Return how much of a point ``at`` in a cell [cells], blurred, lies before the cell and behind it."""
-    fine, last, one = np.float32(_FINE), np.float32(len(_NORMAL) - 2), np.float32(1.0)
-    before, behind = min(at * per_blur * fine, last), min((one - at) * per_blur * fine, last)
+    fine, last, unit = np.float32(_FINE), np.float32(len(_NORMAL) - 2), np.float32(1.0)
+    before, behind = min(at * per_blur * fine, last), min((unit - at) * per_blur * fine, last)
     i, j = int(before), int(behind)
     p, q = before - np.float32(i), behind - np.float32(j)
     return _NORMAL[i] + p * (_NORMAL[i + 1] - _NORMAL[i]), _NORMAL[j] + q * (_NORMAL[j + 1] - _NORMAL[j])

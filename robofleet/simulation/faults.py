@@ -124,9 +124,9 @@ class Schedule:
         """Return where a unit's simulated robots are, whether their process lives or not."""
         robots = self.units[unit]
         if (bodies := self.bodies.get(robots)) is not None:
-            return tuple(Truth(place, *row) for place, row in enumerate(bodies.truths().tolist()))
-        drivers = ((place, self.drivers[robot]) for place, robot in enumerate(robots))
-        return tuple(Truth(place, *one.truth()) for place, one in drivers if isinstance(one, SimulatedDriver))
+            return tuple(Truth(index, *row) for index, row in enumerate(bodies.truths().tolist()))
+        drivers = ((index, self.drivers[robot]) for index, robot in enumerate(robots))
+        return tuple(Truth(index, *driver.truth()) for index, driver in drivers if isinstance(driver, SimulatedDriver))
 
     def disk_is_full(self) -> bool:
         """Return whether the disk takes nothing now."""

@@ -128,7 +128,7 @@ class FaultyBus:
         cuts = tuple(
             cut
             for cut in self._schedule.of("network_cut")
-            if any(its in cut.fault.processes for its in senders) != (self._process in cut.fault.processes)
+            if any(sender in cut.fault.processes for sender in senders) != (self._process in cut.fault.processes)
         )
         return cuts + (self._schedule.of("killed", "stopped", process="router") if self._simulated_router else ())
 
@@ -155,10 +155,10 @@ class _FaultySubscription:
 
     def take(self) -> bytes | None:
         """Return the newest message that is there."""
-        there = self._there()
-        if not there:
+        pending = self._there()
+        if not pending:
             return None
-        self.arrival_ns, newest = there[-1]
+        self.arrival_ns, newest = pending[-1]
         return newest
 
     def _there(self) -> list[tuple[int, bytes]]:
@@ -173,11 +173,11 @@ class _FaultySubscription:
                     heapq.heappush(self._held, (release_ns, next(self._order), what))
                     if release_ns > now_ns:
                         self._wake(release_ns)
-        there = []
+        pending = []
         while self._held and self._held[0][0] <= now_ns:
             there_ns, _, payload = heapq.heappop(self._held)
-            there.append((there_ns + self._ahead_ns(), payload))
-        return there
+            pending.append((there_ns + self._ahead_ns(), payload))
+        return pending
 
 
 class _FaultyStream(_FaultySubscription):
@@ -286,8 +286,8 @@ class _Fate:
 def _with_nan(layout: AnyLayout | None, payload: bytes) -> bytes:
     """Return a message with NaN in place of a float: the first one of its head, else the last one of its last item."""
     changed = bytearray(payload)
-    if isinstance(layout, ListLayout) and (said := layout.arrays(payload)) is not None:
-        head, items = (np.ndarray(part.shape, part.dtype, changed, at) for part, at in _placed(said))
+    if isinstance(layout, ListLayout) and (arrays := layout.arrays(payload)) is not None:
+        head, items = (np.ndarray(part.shape, part.dtype, changed, at) for part, at in _placed(arrays))
         if floats := [name for name in layout.head_dtype.names or () if layout.head_dtype[name].kind == "f"]:
             head[floats[0]] = math.nan
         elif len(items) and layout.item_floats:
@@ -295,9 +295,9 @@ def _with_nan(layout: AnyLayout | None, payload: bytes) -> bytes:
     return bytes(changed)
 
 
-def _placed(said: tuple[NDArray[Any], NDArray[Any]]) -> list[tuple[NDArray[Any], int]]:
+def _placed(arrays: tuple[NDArray[Any], NDArray[Any]]) -> list[tuple[NDArray[Any], int]]:
     """Return head and items, each with the byte at which it begins."""
-    head, items = said
+    head, items = arrays
     return [(head, 0), (items, head.dtype.itemsize)]
 
 

@@ -8,24 +8,24 @@ from typing import Generic, Protocol, TypeVar
 
 from robofleet.simulation.faults import Schedule
 
-Kept = TypeVar("Kept")
+State = TypeVar("State")
 
 
-class _Keeping(Protocol[Kept]):
-    def load(self, robot: str) -> Kept: ...
+class _StateStore(Protocol[State]):
+    def load(self, robot: str) -> State: ...
 
-    def save(self, robot: str, kept: Kept) -> None: ...
+    def save(self, robot: str, kept: State) -> None: ...
 
     def lose(self, robot: str) -> None: ...
 
 
-class FaultyKeeping(Generic[Kept]):
+class FaultyKeeping(Generic[State]):
     """A keeping whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
 
-    def __init__(self, keeping: _Keeping[Kept], schedule: Schedule) -> None:
+    def __init__(self, keeping: _StateStore[State], schedule: Schedule) -> None:
         self.load, self.lose, self._keeping, self._schedule = keeping.load, keeping.lose, keeping, schedule
 
-    def save(self, robot: str, kept: Kept) -> None:
+    def save(self, robot: str, kept: State) -> None:
         """Keep it, if the disk takes it."""
         _refuse_if_full(self._schedule)
         self._keeping.save(robot, kept)

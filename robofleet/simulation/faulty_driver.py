@@ -56,7 +56,7 @@ class FaultyDrivers:
             made = self._drivers.bodies(contexts)
             if made is None:
                 return None
-            made.sensors = [(row, told) for row, robot in enumerate(robots) if (told := self._sensors(robot))]
+            made.sensors = [(row, reading) for row, robot in enumerate(robots) if (reading := self._sensors(robot))]
             bodies[robots] = made
         return bodies[robots]
 

@@ -128,5 +128,5 @@ class Ledger:
         self._sent = {wheels: at_ns for wheels, at_ns in self._sent.items() if at_ns >= now_ns - _REMEMBERED_NS}
 
 
-def _apart(one: WheelSpeeds, other: WheelSpeeds) -> float:
-    return max(abs(one.left - other.left), abs(one.right - other.right))
+def _apart(first: WheelSpeeds, other: WheelSpeeds) -> float:
+    return max(abs(first.left - other.left), abs(first.right - other.right))

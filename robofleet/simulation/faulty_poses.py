@@ -148,8 +148,8 @@ class FaultyPoses:
         )
 
     def _swap(self, injection: Injection, seen: Observation, _now_ns: int) -> Observation:
-        one, other = (self._tags[robot] for robot in injection.fault.robots)
-        worn = {one: other, other: one}
+        first, other = (self._tags[robot] for robot in injection.fault.robots)
+        worn = {first: other, other: first}
         return _changed(seen, lambda p: p._replace(tag=worn.get(p.tag, p.tag)))
 
 

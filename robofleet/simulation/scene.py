@@ -68,8 +68,8 @@ class ScenePlay:
         looks = np.arange(len(self._rows))
         for swap in self._settings.swaps:
             if t >= swap.at_s:
-                one, other = (self._rows[robot] for robot in swap.robots)
-                looks[[one, other]] = looks[[other, one]]
+                first, other = (self._rows[robot] for robot in swap.robots)
+                looks[[first, other]] = looks[[other, first]]
         for cover in self._settings.covers:
             if _remaining(cover, t) > 0.0:
                 looks[self._rows[cover.robot]] = len(looks)

@@ -48,8 +48,8 @@ class World:
         """Take what the drivers said since the last call."""
         for stream, rows in self._streams:
             for _, _, payload in stream.drain():
-                if (said := UNIT_TRUTH.arrays(payload)) is not None:
-                    self._history.take(rows, int(said[0]["stamp_ns"][0]), said[1])
+                if (truth := UNIT_TRUTH.arrays(payload)) is not None:
+                    self._history.take(rows, int(truth[0]["stamp_ns"][0]), truth[1])
 
     def moving(self, instants_ns: NDArray[np.int64], half_ns: int) -> tuple[Array, Array]:
         """Return poses (N, 3) and velocities (N, 3) at instants (N,); NaN of a robot that has not spoken yet."""
@@ -77,7 +77,9 @@ class SimulatedCamera:
         half_ns = self._line_ns * self._middle  # from the first row to the middle one, and on to the last
         self._readout_ns = max(camera.readout_s * S - half_ns, half_ns)  # no image before its last row was exposed
         self._extra_ns, self._full_s = context.extra_delay_ns, camera.exposure_s
-        self._exposure = self._asked = Exposure(camera.exposure_s, 0.0)  # of the next image, and of those after it
+        self._exposure = self._next_exposure = Exposure(
+            camera.exposure_s, 0.0
+        )  # of the next image, and of those after it
         self._play = ScenePlay(config)
         self._renderer = scene_renderer(config, context.rng)
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
@@ -109,7 +111,7 @@ class SimulatedCamera:
         exposure_ns = ready_ns - self._after_ns()
         self._trigger.fire(self._clock.now_ns())
         self._world.update()
-        exposure, self._exposure = self._exposure, self._asked
+        exposure, self._exposure = self._exposure, self._next_exposure
         t = self._since_start(exposure_ns)
         if self._image is None or not self._play.frozen(t):
             self._image = self._picture(exposure_ns, t, exposure)
@@ -121,7 +123,7 @@ class SimulatedCamera:
 
     def adjust(self, exposure: Exposure) -> None:
         """Expose so from the image after the next one, which may have begun. Mid-exposures stay where they are."""
-        self._asked = exposure
+        self._next_exposure = exposure
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -44,11 +44,11 @@ class Cluster:
                     return
                 done, _ = ray.wait(list(under_way))
                 for reference in done:
-                    place = under_way.pop(reference)
+                    index = under_way.pop(reference)
                     try:
-                        yield Finished(place, *ray.get(reference))
+                        yield Finished(index, *ray.get(reference))
                     except ray.exceptions.RayError as lost:
-                        yield Finished(place, None, _why(lost))
+                        yield Finished(index, None, _why(lost))
         finally:
             for reference in under_way:
                 ray.cancel(reference, force=True)

@@ -80,7 +80,7 @@ def sweep(
 
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
     with bad_input(), hangup_interrupts():
-        study = load(sweep, lambda of: bar("checks", of))
+        study = load(sweep, lambda total: bar("checks", total))
         with engine.opened(on, jobs) as where, journal.opened(folder, study) as kept:
             try:
                 with bar("sweep", len(study.runs), len(kept.played)) as shown:

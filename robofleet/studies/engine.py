@@ -38,7 +38,7 @@ Unit = tuple[int, Any]  # its place among the items, and the item
 class Finished(NamedTuple, Generic[Result]):
     """What became of a unit: its result, or why there is none."""
 
-    place: int  # among the items
+    item: int  # its index
     result: Result | None
     failure: str = ""  # one line; empty: there is a result
 
@@ -77,8 +77,8 @@ def attempt(work: Callable[[Item], Result], item: Item) -> tuple[Result | None, 
     try:
         return work(item), ""
     except Exception as error:  # noqa: BLE001 - one unit's failure is not the others'
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{os.path.basename(place.filename)}:{place.lineno}"  # noqa: PTH119 - of a name
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{os.path.basename(frame.filename)}:{frame.lineno}"  # noqa: PTH119 - of a name
         return None, " ".join(f"{type(error).__name__}: {error} ({where})".split())
 
 
@@ -94,8 +94,8 @@ class Local:
         while left:
             suspects = yield from _through(work, left, min(self.jobs, len(left)), _AHEAD)
             while suspects:
-                for place, _ in (yield from _through(work, suspects, 1, 1)):
-                    yield Finished(place, None, WORKER_DIED)
+                for index, _ in (yield from _through(work, suspects, 1, 1)):
+                    yield Finished(index, None, WORKER_DIED)
 
 
 def _through(

@@ -86,8 +86,8 @@ class Agreement:
 
         NaN: this image tells nothing new of the two.
         """
-        mine, its = self._images[own], self._images[other]
-        found = _around(mine[-1], list(its)) or (_around(its[-1], list(mine)[-2:]) if its else None)
+        mine, others = self._images[own], self._images[other]
+        found = _around(mine[-1], list(others)) or (_around(others[-1], list(mine)[-2:]) if others else None)
         if found is None or found[0].exposed_ns <= self._until_ns[own, other]:
             return np.nan, np.nan
         image, before, after = found
@@ -96,8 +96,8 @@ class Agreement:
         if not both.any():
             return np.nan, np.nan
         self._until_ns[own, other] = self._until_ns[other, own] = after.exposed_ns
-        said = np.max([_variance(one)[both] for one in found], axis=0)
-        sigma = max(self._noise, math.sqrt(float(np.median(said))))
+        variances = np.max([_variance(sighted)[both] for sighted in found], axis=0)
+        sigma = max(self._noise, math.sqrt(float(np.median(variances))))
         return float(np.median(far[both])), max(APART_M, _NOISES * sigma)
 
     def _judge(self, own: int, other: int, far: float, limit: float) -> Verdict | None:
@@ -112,15 +112,15 @@ class Agreement:
         self._streaks[worse], self._streaks[:, worse], self._again[worse] = 0, 0, 0
         return Verdict(worse, False, far)
 
-    def _worse(self, one: int, other: int) -> int:
-        votes = (self._streaks[[one, other]] >= _IMAGES - 1).sum(axis=1)  # a third one may be a little behind
+    def _worse(self, camera: int, other: int) -> int:
+        votes = (self._streaks[[camera, other]] >= _IMAGES - 1).sum(axis=1)  # a third one may be a little behind
         if votes[0] != votes[1]:
-            return one if votes[0] > votes[1] else other
-        first, second = self._onsets[one, other], self._onsets[other, one]
+            return camera if votes[0] > votes[1] else other
+        first, second = self._onsets[camera, other], self._onsets[other, camera]
         clear = max(first, second) > _JUMPED * min(first, second)
-        if not clear and self._fixed[one] != self._fixed[other]:
-            return other if self._fixed[one] else one
-        return one if first > second else other
+        if not clear and self._fixed[camera] != self._fixed[other]:
+            return other if self._fixed[camera] else camera
+        return camera if first > second else other
 
     def _forgive(self, doubted: int, far: float, limit: float) -> Verdict | None:
         self._again[doubted] = self._again[doubted] + 1 if far < limit / 2 else 0
@@ -153,5 +153,5 @@ def _variance(seen: Seen) -> Array:
     """Return the variance of each position (N,), the mean of x and y [m^2]; 0: nobody knows it."""
     if seen.poses.shape[1] < COLUMNS:
         return np.zeros(len(seen.poses))
-    said: Array = seen.poses[:, _VARIANCES].mean(axis=1)
-    return said
+    variances: Array = seen.poses[:, _VARIANCES].mean(axis=1)
+    return variances

@@ -104,12 +104,12 @@ class BaslerCamera:
 
     def _take_over(self) -> None:
         """Set what was asked for, and note what the camera made of it; the trigger moves by half the change."""
-        asked = self._exposing.take()
-        if asked is None:
+        change = self._exposing.take()
+        if change is None:
             return
         times, gains = self._node(*_TIMES), self._node(*_GAINS)
-        times.Value = type(times.Value)(asked.time_s * 1e6)
-        gains.Value = type(gains.Value)(asked.gain)
+        times.Value = type(times.Value)(change.time_s * 1e6)
+        gains.Value = type(gains.Value)(change.gain)
         has = Exposure(times.Value * 1e-6, float(gains.Value))
         if self._trigger is None:
             self._exposing.done(has, self._clock.now_ns())

@@ -43,7 +43,7 @@ class Bystanders:
 
     def predict(self, instant_ns: int) -> Array:
         """Return the poses (N, 3) at an instant."""
-        there = self._poses.copy()
+        predicted = self._poses.copy()
         after = np.clip((instant_ns - self.measured_ns) * 1e-9, 0.0, self._longest)
-        there[:, :2] += self.velocities * after[:, None]
-        return there
+        predicted[:, :2] += self.velocities * after[:, None]
+        return predicted

@@ -106,19 +106,19 @@ def bodies_there(settings: MocapSettings) -> list[str]:
     given = json.dumps([settings.system, _options(settings), _BODY_S])
     where = f"{settings.system} at {settings.host}"
     try:
-        asked = subprocess.run(
+        answer = subprocess.run(
             [sys.executable, "-P", "-c", _ASK], input=given, capture_output=True, text=True, check=False,
             timeout=_ANSWER_S,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         mend = "start its streaming, and compare tracker.mocap.host with its address"
         raise CameraError(f"{where} sends nothing within {_ANSWER_S:g} s: {mend}") from None
-    if asked.returncode:
-        code = asked.returncode
+    if answer.returncode:
+        code = answer.returncode
         ended = f"exit code {code}" if code > 0 else f"killed by {signal.Signals(-code).name}"
-        why = (asked.stderr.strip().splitlines() or [ended])[-1]
+        why = (answer.stderr.strip().splitlines() or [ended])[-1]
         raise CameraError(f"{where}: the library {LIBRARY} says: {why.partition(': ')[2] or why}: mend tracker.mocap")
-    names: list[str] = json.loads(asked.stdout.splitlines()[-1])
+    names: list[str] = json.loads(answer.stdout.splitlines()[-1])
     if not names:
         mend = "start its server, let it track the robots, and compare tracker.mocap.host with its address"
         raise CameraError(f"{where} sends no body: {mend}")

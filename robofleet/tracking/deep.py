@@ -245,15 +245,15 @@ class DeepSearch:
         """Return how many cells (M, C, C) differ from patterns (N, C, C), with the cover that explains most: (M, N)."""
         white = white.reshape(-1, self._seen.shape[1]).T
         wrong, theirs = np.empty((len(bits), white.shape[1]), np.float32), self._seen @ white
-        for k, one in enumerate(bits.reshape(-1, self._seen.shape[1])):  # every cover in one product
-            differ = theirs + (self._seen @ one)[:, None] - 2.0 * ((self._seen * one) @ white)
+        for k, pattern in enumerate(bits.reshape(-1, self._seen.shape[1])):  # every cover in one product
+            differ = theirs + (self._seen @ pattern)[:, None] - 2.0 * ((self._seen * pattern) @ white)
             wrong[k] = differ.min(0)
         return wrong
 
     def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
         """Return the cells (C + 2, C + 2) of a print and its paper, 0: black, 1: white; None if it is not there."""
-        one = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
-        pixels = self._pixels(*one, self._grid)[0]
+        cell = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
+        pixels = self._pixels(*cell, self._grid)[0]
         left, top = np.floor(pixels.min(0)).astype(int) - 4
         right, bottom = np.ceil(pixels.max(0)).astype(int) + 5
         left, top = max(left, 0), max(top, 0)

@@ -108,7 +108,7 @@ class DriftMonitor:
         self._off = np.zeros(n, dtype=np.int64)  # images in which it disagreed: _OFF and more, it moved
         self._calm, self._lost, self._given_up = _CALM, 0, False
         self._worst = 0.0  # of a landmark since the camera is lost [m]
-        self._said = np.zeros((n, 2))  # corrections told last
+        self._reported = np.zeros((n, 2))  # corrections told last
 
     def update(self, sightings: Sequence[TagSighting]) -> tuple[CameraGeometry, tuple[Notice, ...]]:
         """Take one image's sightings of the landmarks, placed by ``geometry``.
@@ -164,10 +164,10 @@ class DriftMonitor:
         if self._calm < _CALM:
             return happenings
         before = self.geometry
-        told = self._settled()
+        notices = self._settled()
         if self.geometry is before and self.trusted:
             self._learn(residual, agree)
-        return happenings + told
+        return happenings + notices
 
     def _residuals(self, sightings: Sequence[TagSighting]) -> Array:
         """Return how far off (L, 3) the landmarks are seen; NaN for one that is not measured in this image."""
@@ -250,8 +250,8 @@ class DriftMonitor:
         return self._give_up(self._worst) if self._lost >= patience else ()
 
     def _give_up(self, error: float) -> tuple[Notice, ...]:
-        said, self._given_up, self.trusted = self._given_up, True, False
-        return () if said else (Notice(TrackerEvent.CAMERA_MOVED, value=error),)
+        already, self._given_up, self.trusted = self._given_up, True, False
+        return () if already else (Notice(TrackerEvent.CAMERA_MOVED, value=error),)
 
     def _consensus(self, surprise: Array, variance: Array, voting: NDArray[np.intp], prior: Array) -> Flags:
         """Return which landmarks (L,) agree with the pair of them that most agree with."""
@@ -303,10 +303,10 @@ class DriftMonitor:
         largest = float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if largest > _BOUND * self._calibrated.position[2]:
             return self._give_up(largest)
-        tell = self._given_up or float(np.abs(shift - self._said).max()) > _SAID
+        tell = self._given_up or float(np.abs(shift - self._reported).max()) > _SAID
         self.trusted, self._given_up = True, False
         self.geometry, self._state = geometry, np.zeros(6)
         if not tell:
             return ()
-        self._said = shift
+        self._reported = shift
         return (Notice(TrackerEvent.CAMERA_CORRECTED, value=largest),)

@@ -29,7 +29,7 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
-Memory = tuple[NDArray[Any], ...]
+FilterState = tuple[NDArray[Any], ...]
 
 UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away
 
@@ -76,7 +76,7 @@ class FleetFilter:
         self._instants_ns = np.zeros(n, dtype=np.int64)  # of each robot's state; 0: never seen
         self._twice_ticks_ns = np.zeros(2 * _HISTORY, dtype=np.int64)  # each is written twice, _HISTORY apart:
         self._twice_commands = np.zeros((2 * _HISTORY, n, 2))  # so the newest ones always lie side by side
-        self._told = 0  # commands so far
+        self._command_count = 0  # commands so far
         self._ticks_ns, self._commands = self._twice_ticks_ns[:_HISTORY], self._twice_commands[:_HISTORY]
         self._moved = np.zeros((n, 3))  # as modelled, since the newest measurement used
         self._outliers = np.zeros(n, dtype=np.int64)
@@ -85,11 +85,11 @@ class FleetFilter:
 
     def command(self, tick_ns: int, wheels: Array) -> None:
         """Remember a tick's commands (N, 2) [rad/s]; each acts when its robot's delay has passed."""
-        first = self._told % _HISTORY
-        for place in (first, first + _HISTORY):
-            self._twice_ticks_ns[place] = tick_ns
-            self._twice_commands[place] = wheels
-        self._told += 1
+        first = self._command_count % _HISTORY
+        for column in (first, first + _HISTORY):
+            self._twice_ticks_ns[column] = tick_ns
+            self._twice_commands[column] = wheels
+        self._command_count += 1
         newest = slice(first + 1, first + 1 + _HISTORY)
         self._ticks_ns, self._commands = self._twice_ticks_ns[newest], self._twice_commands[newest]
 
@@ -120,37 +120,37 @@ class FleetFilter:
             self._motion,
         )  # fmt: skip
 
-    def expected(self, memory: Memory, instants_ns: Instants) -> Array:
+    def expected(self, memory: FilterState, instants_ns: Instants) -> Array:
         """Return where the robots (N, 3) are, each at its own instant (N,), as far as an earlier ``memory`` knows it.
 
         NaN where it does not: of a robot that was not measured for long by then.
         """
         state, _, wheels, since_ns, *_, measured_ns = memory
         first_ns, last_ns = int(instants_ns.min()), int(instants_ns.max()) + 1
-        there, then = (
+        begin, then = (
             reckoning.predict(state, wheels, since_ns, at_ns, self._ticks_ns, self._delays_ns, self._commands,
                               self._motion)[0]
             for at_ns in (first_ns, last_ns)
         )  # fmt: skip
         share = (instants_ns - first_ns) / (last_ns - first_ns)
         known = (instants_ns > since_ns) & (ages(measured_ns, last_ns) < _KNOWN_S)
-        return np.where(known[:, None], there + share[:, None] * (then - there), np.nan)
+        return np.where(known[:, None], begin + share[:, None] * (then - begin), np.nan)
 
     @property
     def instants_ns(self) -> Instants:
         """The instants (N,) of the robots' states; 0: never seen."""
         return self._instants_ns
 
-    def memory(self) -> Memory:
+    def memory(self) -> FilterState:
         """Return all that images change, for ``go_back``."""
         return tuple(each.copy() for each in self._changed())
 
-    def go_back(self, memory: Memory) -> None:
+    def go_back(self, memory: FilterState) -> None:
         """Be as at an earlier ``memory``; the commands since then stay known."""
         for each, before in zip(self._changed(), memory, strict=True):
             each[...] = before
 
-    def _changed(self) -> Memory:
+    def _changed(self) -> FilterState:
         return (
             self._state, self._covariance, self._wheels, self._instants_ns, self._moved, self._outliers,
             self._outlier_pose, self.measured_ns,

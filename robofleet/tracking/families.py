@@ -141,7 +141,7 @@ class _BitsAround:
                 continue
             turns, which = divmod(int(best[k]), self._count)
             square = corners[k, (np.arange(4) - turns) % 4]
-            if not any(which == other and _are_same(square, there) for other, there in found):
+            if not any(which == other and _are_same(square, known) for other, known in found):
                 found.append((which, square))
         if not found:
             return _NOTHING
@@ -180,8 +180,8 @@ def _widened(corners: Array) -> Array:
     return np.asarray(corners + 0.5 * (np.roll(ahead, 1, axis=0) - ahead), np.float64)
 
 
-def _are_same(one: Array, other: Array) -> bool:
-    return float(np.linalg.norm(one.mean(0) - other.mean(0))) < _SAME * float(np.linalg.norm(one[0] - one[1]))
+def _are_same(first: Array, other: Array) -> bool:
+    return float(np.linalg.norm(first.mean(0) - other.mean(0))) < _SAME * float(np.linalg.norm(first[0] - first[1]))
 
 
 _NOTHING = Squares(np.empty((0, 4, 2)), np.empty(0, np.int64))

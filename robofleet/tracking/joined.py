@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.tracking.estimator import UNUSED, FleetFilter, Memory
+from robofleet.tracking.estimator import UNUSED, FilterState, FleetFilter
 
 Array = NDArray[np.float64]
 Instants = NDArray[np.int64]
@@ -58,7 +58,7 @@ class Joined:
     def __init__(self, fleet_filter: FleetFilter, judge: Judge = _believe) -> None:
         self._filter, self._judge = fleet_filter, judge
         # The images that were taken last, those of one instant together, and the filter as it was before each.
-        self._batches: deque[tuple[Memory, list[Seen]]] = deque()
+        self._batches: deque[tuple[FilterState, list[Seen]]] = deque()
 
     def observe(self, images: list[Seen]) -> NDArray[np.int64]:
         """Use images; returns what ``FleetFilter.observe`` does, of all of them that are believed."""
@@ -78,7 +78,7 @@ class Joined:
             self._batches.popleft()
         return used
 
-    def _judged(self, seen: Seen, images: list[Seen], before: Memory) -> bool:
+    def _judged(self, seen: Seen, images: list[Seen], before: FilterState) -> bool:
         """Return whether an image is believed; one that is not among the new ``images`` was believed already."""
         if not any(seen is new for new in images):
             return True

@@ -28,7 +28,7 @@ class Light(NamedTuple):
     tags: int
 
 
-class Place(NamedTuple):
+class SeenTag(NamedTuple):
     """Where a tag's centre was seen."""
 
     tag: int
@@ -43,7 +43,7 @@ class TagLight:
     def __init__(self, targets: Sequence[Target]) -> None:
         self._cells = {target.tag: (target, _chosen(target)) for target in targets}
 
-    def of(self, image: NDArray[np.uint8], geometry: CameraGeometry, places: Iterable[Place]) -> Light:
+    def of(self, image: NDArray[np.uint8], geometry: CameraGeometry, places: Iterable[SeenTag]) -> Light:
         """Return how bright an image (H, W) is, by the tags that were seen in it."""
         points = []
         for tag, x, y, psi in places:

@@ -24,7 +24,7 @@ def rows_of(tags: dict[int, int]) -> Instants:
 
 @kernel
 def placed(
-    said: NDArray[Any], rows: Instants, exposure_ns: int, latest_ns: int, poses: Array, instants_ns: Instants
+    tag_poses: NDArray[Any], rows: Instants, exposure_ns: int, latest_ns: int, poses: Array, instants_ns: Instants
 ) -> None:
     """Write what an image measured, ``said``: TagPose (K,), into poses (M, 9), NaN where nothing was, and the robots'
     own mid-exposures (M,). What is predicted, or later than ``latest_ns``, is no measurement.
@@ -35,12 +35,16 @@ def placed(
         for k in range(COLUMNS):
             poses[row, k] = np.nan
         instants_ns[row] = exposure_ns
-    for one in said:
-        row, instant_ns = rows[one["tag"]], exposure_ns + one["after_ns"]
-        if row != _NOBODY and one["coasted_ns"] == 0 and instant_ns <= latest_ns:
-            poses[row, 0], poses[row, 1], poses[row, 2] = one["x_m"], one["y_m"], one["psi_rad"]
-            poses[row, 3], poses[row, 4], poses[row, 5] = one["xx_m2"], one["xy_m2"], one["yy_m2"]
-            poses[row, 6], poses[row, 7], poses[row, 8] = one["xpsi_m_rad"], one["ypsi_m_rad"], one["psipsi_rad2"]
+    for tag_pose in tag_poses:
+        row, instant_ns = rows[tag_pose["tag"]], exposure_ns + tag_pose["after_ns"]
+        if row != _NOBODY and tag_pose["coasted_ns"] == 0 and instant_ns <= latest_ns:
+            poses[row, 0], poses[row, 1], poses[row, 2] = tag_pose["x_m"], tag_pose["y_m"], tag_pose["psi_rad"]
+            poses[row, 3], poses[row, 4], poses[row, 5] = tag_pose["xx_m2"], tag_pose["xy_m2"], tag_pose["yy_m2"]
+            poses[row, 6], poses[row, 7], poses[row, 8] = (
+                tag_pose["xpsi_m_rad"],
+                tag_pose["ypsi_m_rad"],
+                tag_pose["psipsi_rad2"],
+            )
             instants_ns[row] = instant_ns
 
 

@@ -24,15 +24,19 @@ def predict(
 ) -> tuple[Complex, Array, Complex]:  # fmt: skip
     """Return centre, heading and velocity [m/s; world] of the tags ``index`` (M,), each on the arc of its last motion,
     when the row in which it was is exposed."""
-    there, heading, way = np.empty(len(index), np.complex128), np.empty(len(index)), np.empty(len(index), np.complex128)
+    position, heading, way = (
+        np.empty(len(index), np.complex128),
+        np.empty(len(index)),
+        np.empty(len(index), np.complex128),
+    )
     for m in range(len(index)):
         i = index[m]
         t = (exposure_ns + _after_ns(row[i], line_ns) - measured_ns[i]) * 1e-9
         turn = omega[i] * t
-        there[m] = centre[i] + velocity[i] * t * _chord(turn) * _turned(psi[i])
+        position[m] = centre[i] + velocity[i] * t * _chord(turn) * _turned(psi[i])
         heading[m] = psi[i] + turn
         way[m] = velocity[i] * _turned(heading[m])
-    return there, heading, way
+    return position, heading, way
 
 
 @kernel

@@ -89,8 +89,8 @@ def _bound(rows, many, begin, stride, shape, window):  # type: ignore[no-untyped
         for axis in range(2):
             at, slope = shape[axis, 0] + y * (shape[axis, 2] + y * shape[axis, 5]), shape[axis, 1] + y * shape[axis, 4]
             slope = slope if abs(slope) > _FLAT else _FLAT
-            one, other = (-REACH - at) / slope, (REACH - at) / slope
-            low, high = max(low, min(one, other)), min(high, max(one, other))
+            first, other = (-REACH - at) / slope, (REACH - at) / slope
+            low, high = max(low, min(first, other)), min(high, max(first, other))
         rows[0, n], rows[1, n] = np.ceil(low), np.floor(high)
 
 
@@ -146,7 +146,7 @@ def _read(flat, many, first, stride, y, line):  # type: ignore[no-untyped-def]
 def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
     """Write 1: forward, 2: left [sides]; 3, 4: past the nearest corner of cells to the right and down [blurs], 5, 6:
     how steep an edge in that corner is there, 7, 8: how much of it is passed; 9: that corner's number."""
-    half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
+    half, unit, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
     three, sixth, outer = np.float32(3.0), np.float32(1.0 / 6.0), np.float32(1.5)
     a0, ax, ay = np.float32(shape[0, 0]), np.float32(shape[0, 1]), np.float32(shape[0, 2])
     axx, axy, ayy = np.float32(shape[0, 3]), np.float32(shape[0, 4]), np.float32(shape[0, 5])
@@ -165,11 +165,11 @@ def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
         p, q = max(outer - abs(s), zero), max(half - abs(s), zero)
         beyond = sixth * (p * p * p - three * q * q * q)
         flat[5 * CHUNK + k] = half * (p * p - three * q * q)
-        flat[7 * CHUNK + k] = one - beyond if s > zero else beyond
+        flat[7 * CHUNK + k] = unit - beyond if s > zero else beyond
         p, q = max(outer - abs(t), zero), max(half - abs(t), zero)
         beyond = sixth * (p * p * p - three * q * q * q)
         flat[6 * CHUNK + k] = half * (p * p - three * q * q)
-        flat[8 * CHUNK + k] = one - beyond if t > zero else beyond
+        flat[8 * CHUNK + k] = unit - beyond if t > zero else beyond
         flat[9 * CHUNK + k] = j * wide + i
 
 

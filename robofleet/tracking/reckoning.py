@@ -59,7 +59,7 @@ def predict(
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return the poses (N, 3) at a tick; and at the moment when each robot's command of that tick acts, with the
     wheels' speeds (N, 2) then, as modelled [rad/s]."""
-    here, there, then = np.empty((len(state), 3)), np.empty((len(state), 3)), np.empty((len(state), 2))
+    here, end, then = np.empty((len(state), 3)), np.empty((len(state), 3)), np.empty((len(state), 2))
     travel, x = np.zeros(2), np.empty(5)
     for i in range(len(state)):
         copy(x, state[i])
@@ -72,8 +72,8 @@ def predict(
         if start_ns > 0:
             then_ns = max(start_ns, tick_ns)
             advance(x, turning, travel, then_ns, acts_ns, ticks_ns, delays_ns[i], commands[:, i], motion[i])
-        copy(there[i], x)
-    return here, there, then
+        copy(end[i], x)
+    return here, end, then
 
 
 @kernel

@@ -13,7 +13,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.covariance import Covariance, covariance
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import News, Notice
-from robofleet.tracking.light import Light, Place, TagLight
+from robofleet.tracking.light import Light, SeenTag, TagLight
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
 from robofleet.tracking.targets import floor_tags_in_view, floor_targets, robot_targets
 from robofleet.tracking.tracker import TagSighting, TagTracker
@@ -51,7 +51,7 @@ class FleetSight:
         targets = [*robot_targets(config), *floor_targets(config, lying)]
         self._heights = {target.tag: target.height for target in targets}
         self._light = TagLight(targets)
-        self._places: list[Place] = []  # of the tags in the newest image
+        self._places: list[SeenTag] = []  # of the tags in the newest image
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
         calibrated = {robot.tag: robot.calibration for robot in config.seen}
         self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in calibrated.items()}
@@ -69,7 +69,7 @@ class FleetSight:
         drift = self._drift
         if drift is None:
             poses, refused, happenings = self._tracker.track(image, exposure_ns)
-            self._places = [Place(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
+            self._places = [SeenTag(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
             return Sight(tuple(map(self._robot, poses)), refused, happenings)
         placed = False
 
@@ -80,7 +80,7 @@ class FleetSight:
 
         self._tracker.geometry = drift.geometry
         poses, refused, happenings = self._tracker.track(image, exposure_ns, place)
-        self._places = [Place(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
+        self._places = [SeenTag(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
         robots = [pose for pose in poses if pose.tag in self._offsets]
         measured = [pose for pose in poses if pose.coasted_ns == 0 and pose.tag not in self._offsets]
         wrong = False

@@ -126,17 +126,17 @@ class ExposureChange:
 
     def __init__(self, exposure: Exposure) -> None:
         self.newest = self._before = exposure
-        self._asked: Exposure | None = None
+        self._requested: Exposure | None = None
         self._since_ns = 0
 
     def ask(self, exposure: Exposure) -> None:
         """Note what is wanted, from any thread."""
-        self._asked = exposure
+        self._requested = exposure
 
     def take(self) -> Exposure | None:
         """Return what was asked for since the last call."""
-        asked, self._asked = self._asked, None
-        return asked
+        change, self._requested = self._requested, None
+        return change
 
     def done(self, exposure: Exposure, now_ns: int) -> None:
         """Note what the camera has from now on."""

@@ -110,7 +110,7 @@ def _fit(  # type: ignore[no-untyped-def]
     known, cut = noise > 0.0, _EVERYTHING
     misfit = _KNOWN_MISFIT if known else _MISFIT
     variance = alike = left = before = side_px = 0.0
-    tally, asked = np.zeros((0, 2), np.int64), False  # by cells: pixels, and those that count
+    tally, by_cells = np.zeros((0, 2), np.int64), False  # by cells: pixels, and those that count
     mapped, slope = False, (0.0, 0.0)
     for step in range(_PASSES):
         if not mapped:
@@ -136,7 +136,7 @@ def _fit(  # type: ignore[no-untyped-def]
             cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
             continue
         variance = squares / (left - PARAMETERS)
-        if not asked:  # a tag is known by all of it that may be seen
+        if not by_cells:  # a tag is known by all of it that may be seen
             alike = likeness(room.sums)
         steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
         done = length < _CONVERGED_PX and steady
@@ -150,11 +150,11 @@ def _fit(  # type: ignore[no-untyped-def]
             hidden, tally = _covered(tally, hidden, cells), np.zeros((0, 2), np.int64)
             if noises[i] > 0.0:
                 cut = max(_KNOWN_CUT * noise, _KNOWN_MISFIT * level[3])
-        elif done and (asked or left > _PARTLY * seen):
+        elif done and (by_cells or left > _PARTLY * seen):
             break
         elif done:
-            tally, asked = np.zeros((cells * cells, 2), np.int64), True
-    sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not asked
+            tally, by_cells = np.zeros((cells * cells, 2), np.int64), True
+    sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells
     _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
     model = (_MODEL * blur * cells / side_px) ** 2
     _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)

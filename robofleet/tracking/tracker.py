@@ -98,7 +98,7 @@ class TagTracker:
         self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
         self._line_ns = np.array([(image_size[1] - 1) / 2.0, line_time * 1e9])  # middle row [px], from row to row
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
-        self._asked = np.zeros(n, np.int64)  # images from which each tag's tilt ought to have been learnt
+        self._wanted_tilts = np.zeros(n, np.int64)  # images from which each tag's tilt ought to have been learnt
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
@@ -128,7 +128,7 @@ class TagTracker:
         self._carry(known, self._centre[known], before)
 
     def track(
-        self, image: Image, exposure_ns: int, place: Callable[[list[TagSighting]], None] | None = None
+        self, image: Image, exposure_ns: int, locate: Callable[[list[TagSighting]], None] | None = None
     ) -> Sightings:
         """Return what an image (H, W) shows. ``exposure_ns``: mid-exposure of its middle row.
 
@@ -139,12 +139,12 @@ class TagTracker:
         expected = followed.tolist()
         measured: set[int] = set()
         self._searches, self._deep_searches = _SEARCHES // 2, 0  # for tags that lie still
-        if place is not None:
+        if locate is not None:
             drives = self._drives[followed]
             measured = self._expected(image, exposure_ns, followed[~drives], set(followed[drives].tolist()))
             lying = np.array(sorted(measured), np.int64)
             centre, before = self._centre[lying], self.geometry
-            place(self._sightings(lying.tolist(), exposure_ns))
+            locate(self._sightings(lying.tolist(), exposure_ns))
             if measured and self.geometry is not before:
                 self._carry(lying, centre, before)
             followed = followed[drives]
@@ -180,15 +180,15 @@ class TagTracker:
         if (fit.alike >= CLEAR).all():
             self._measure(index, fit, exposure_ns)
             return set(index.tolist())
-        there = np.flatnonzero(fit.alike > self._alike)
-        partly = there[fit.alike[there] < CLEAR][: self._searches].tolist()
+        tracked = np.flatnonzero(fit.alike > self._alike)
+        partly = tracked[fit.alike[tracked] < CLEAR][: self._searches].tolist()
         self._searches -= len(partly)
         for k in partly:
             tag = self._deep.near(image, int(index[k]), complex(fit.centre[k]), float(fit.psi[k]), followed=True)
             if tag is not None:
                 fit.centre[k], fit.psi[k], fit.covariance[k] = tag.centre, tag.psi, tag.covariance
-        self._measure(index[there], fit.of(there), exposure_ns)
-        return set(index[there].tolist())
+        self._measure(index[tracked], fit.of(tracked), exposure_ns)
+        return set(index[tracked].tolist())
 
     def _studied(self, index: Indices) -> int:
         """Return whose tilt is learnt from this image: of those that drive, in turn, at first often and then seldom."""
@@ -197,8 +197,8 @@ class TagTracker:
             drives = drives[self._fit.studied[drives] < _OFTEN]
         if not len(drives):
             return NOBODY
-        chosen = int(drives[np.argmin(self._asked[drives])])
-        self._asked[chosen] += 1
+        chosen = int(drives[np.argmin(self._wanted_tilts[drives])])
+        self._wanted_tilts[chosen] += 1
         return chosen
 
     def _predicted(self, index: Indices, exposure_ns: int) -> tuple[Complex, Array, Complex]:

@@ -117,11 +117,11 @@ class V4L2Camera:
 
     def _take_over(self) -> None:
         """Set what was asked for, and note what the device made of it."""
-        asked = self._exposing.take()
-        if asked is None:
+        change = self._exposing.take()
+        if change is None:
             return
-        self._capture.set(cv2.CAP_PROP_EXPOSURE, round(asked.time_s / _EXPOSURE_UNIT_S))
-        gain = asked.gain
+        self._capture.set(cv2.CAP_PROP_EXPOSURE, round(change.time_s / _EXPOSURE_UNIT_S))
+        gain = change.gain
         if self._camera.v4l2.gain is not None:
             self._capture.set(cv2.CAP_PROP_GAIN, round(gain))
             gain = self._capture.get(cv2.CAP_PROP_GAIN)
@@ -143,13 +143,13 @@ class V4L2Camera:
         if not self._capture.isOpened():
             raise CameraError(f"{self._device} cannot be opened: is it plugged in, and does no other program use it?")
         wanted = list(_wanted(camera))
-        for _, key, asked in wanted:
-            self._capture.set(key, asked)
+        for _, key, wanted_value in wanted:
+            self._capture.set(key, wanted_value)
         # Read back only now: width and height take effect together, and a reset may change what was set before.
         refused = [
-            f"{name} {_shown(key, asked)} (it has {_shown(key, got)})"
-            for name, key, asked in wanted
-            if not math.isclose(got := self._capture.get(key), asked, rel_tol=_ROUNDED.get(key, 0.0))
+            f"{name} {_shown(key, wanted_value)} (it has {_shown(key, got)})"
+            for name, key, wanted_value in wanted
+            if not math.isclose(got := self._capture.get(key), wanted_value, rel_tol=_ROUNDED.get(key, 0.0))
         ]
         if refused:
             hint = f"`v4l2-ctl -d {self._device} --list-formats-ext --list-ctrls` tells what it can do"

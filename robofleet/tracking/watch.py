@@ -45,7 +45,7 @@ class CameraWatch:
         self._stalled_ns: int | None = now_ns + _FIRST_NS
         self._waiting_since_ns = now_ns
         self._lost = False
-        self._said: set[TrackerEvent] = set()  # since all was well
+        self._reported: set[TrackerEvent] = set()  # since all was well
         self._news: list[Notice] = []
 
     @property
@@ -71,9 +71,9 @@ class CameraWatch:
                 self._say(TrackerEvent.CAMERA_FROZEN, self._repeats)
             return False
         self._repeats = 0
-        if self._said:
+        if self._reported:
             self._news.append(Notice(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
-            self._said.clear()
+            self._reported.clear()
         self._good_ns = now_ns
         return True
 
@@ -131,6 +131,6 @@ class CameraWatch:
         return self._noisy and rows == last
 
     def _say(self, event: TrackerEvent, value: float) -> None:
-        if event not in self._said:
-            self._said.add(event)
+        if event not in self._reported:
+            self._reported.add(event)
             self._news.append(Notice(event, value=float(value)))

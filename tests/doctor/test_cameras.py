@@ -11,7 +11,7 @@ from robofleet.doctor import cameras, v4l2_device
 from robofleet.doctor.cameras import lacking, shown, usb_of
 from robofleet.doctor.findings import Mark
 from robofleet.doctor.needs import Needs
-from robofleet.doctor.v4l2_device import Mode, Told
+from robofleet.doctor.v4l2_device import DeviceReport, Mode
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"
 MODES = (
@@ -60,7 +60,7 @@ def device(tmp_path: Path) -> str:
 
 
 def test_a_camera_says_its_formats_sizes_and_rates(device: str) -> None:
-    assert v4l2_device.ask(device, Webcam()) == Told("Eye 3", MODES)
+    assert v4l2_device.ask(device, Webcam()) == DeviceReport("Eye 3", MODES)
     assert shown(MODES) == "MJPG 1280x720 at 60/30 Hz, 640x480 at 30 Hz; YUYV 1280x720 at 10 Hz"
 
 

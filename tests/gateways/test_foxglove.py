@@ -24,7 +24,7 @@ from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, Address, completed
 from robofleet.gateways.viewers.foxglove.server import Server, written
 from robofleet.gateways.viewers.foxglove.services import services
-from robofleet.gateways.viewers.kept import Kept
+from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
@@ -108,7 +108,7 @@ def test_who_comes_late_sees_what_is_told_once_as_it_stands(seen: Seen) -> None:
 
 
 def test_a_mark_that_was_taken_away_is_not_shown_to_who_comes_late() -> None:
-    kept, one = Kept(), SceneEntity(id="group/mark")
+    kept, one = RetainedMessages(), SceneEntity(id="group/mark")
     kept.take("/arena", SceneUpdate(entities=[one, SceneEntity(id="edge")]).SerializeToString())
     kept.take("/arena", SceneUpdate(deletions=[SceneEntityDeletion(id=one.id)]).SerializeToString())
     left = kept.of("/arena")

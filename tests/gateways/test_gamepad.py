@@ -28,7 +28,7 @@ from robofleet.gateways.gamepad.pads import (
     PadError,
     opened,
 )
-from robofleet.gateways.place import Place
+from robofleet.gateways.place import ArenaAccess
 from robofleet.operator.hand import Stick
 from tests.gateways.piped_pad import SHOULDERS, STICK, PipedDevice
 
@@ -53,7 +53,7 @@ def test_who_has_not_joined_as_an_operator_is_told_so(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, role: str
 ) -> None:
     here(monkeypatch, pad=None)
-    place = Place(("quic/127.0.0.1:1",), Credentials.at(tmp_path, "carol"), role)
+    place = ArenaAccess(("quic/127.0.0.1:1",), Credentials.at(tmp_path, "carol"), role)
     monkeypatch.setattr(command, "run_of", lambda *_: (load_config(SHIPPED / "teleop.yaml"), place))
     refused = CliRunner().invoke(app, ["teleop"])
     assert refused.exit_code == 2

@@ -14,7 +14,7 @@ from robofleet.bus.permissions import OPERATOR
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.core.clock import S
-from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.place import ArenaAccess, is_over
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.recording.scenes.drawn import Channel
@@ -52,7 +52,7 @@ def test_the_next_run_of_an_arena_is_another_one(monkeypatch: pytest.MonkeyPatch
         (folder / name).mkdir()
         (folder / name).chmod(0o1777 if name == "tmp" else 0o700)
         monkeypatch.setenv(variable, str(folder / name))
-    places = [Place(CONFIG.bus.endpoint, None, OPERATOR, tmp_path / name) for name in ("this", "next")]
+    places = [ArenaAccess(CONFIG.bus.endpoint, None, OPERATOR, tmp_path / name) for name in ("this", "next")]
     with claimed(CONFIG, tmp_path / "this"):
         assert [is_over(CONFIG, place) for place in places] == [False, True]
     with claimed(CONFIG, tmp_path / "next"):

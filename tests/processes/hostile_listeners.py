@@ -23,7 +23,7 @@ from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.kept import Kept
+from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.terminal.live import LiveView
@@ -85,7 +85,7 @@ class Keeping:
     """A viewers' server without a net."""
 
     def __init__(self) -> None:
-        self._kept, self._topics = Kept(), set[str]()
+        self._kept, self._topics = RetainedMessages(), set[str]()
 
     def tell(self, topic: str, log_ns: int, message: bytes) -> None:
         self._kept.take(topic, message)

@@ -24,11 +24,11 @@ def _all(on: str) -> list[Finished[int]]:
 
 
 def _holds(found: list[Finished[int]]) -> None:
-    assert [one.place for one in found] == [*range(8)]
+    assert [one.item for one in found] == [*range(8)]
     assert [one.result for one in found] == [0, 1, 4, None, 16, None, 36, 49]
     assert found[3].failure.startswith("ValueError: three is odd (work.py:")
     assert found[5].failure == WORKER_DIED
-    assert not any(one.failure for one in found if one.place not in (3, 5))
+    assert not any(one.failure for one in found if one.item not in (3, 5))
 
 
 def test_a_unit_that_fails_and_one_whose_worker_dies_are_named_and_the_others_are_finished() -> None:

@@ -15,7 +15,7 @@ from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.exposure import SATURATED, ExposureController, bounded, exposure_controller, longest_exposure
-from robofleet.tracking.light import Light, Place, TagLight
+from robofleet.tracking.light import Light, SeenTag, TagLight
 from robofleet.tracking.sources import CameraError, Exposure, ExposureLimits
 from robofleet.tracking.targets import Target, robot_targets
 
@@ -245,13 +245,13 @@ def test_limits_are_the_cameras_and_the_configurations() -> None:
 # The light that it goes by
 
 
-def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[Place], TagLight, CameraGeometry]:
+def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[SeenTag], TagLight, CameraGeometry]:
     """Return an image with tags of these black and white greys."""
     config = load_config(PLATOON)
     eye = CameraGeometry.from_model(config.camera.model)
     targets = [Target(k, 0.07, 0.08, 0.0) for k in range(len(patches))]
     renderer = SceneRenderer(eye, (1280, 720), targets, 0.0, np.random.default_rng(1))
-    places = [Place(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k) for k in range(len(patches))]
+    places = [SeenTag(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k) for k in range(len(patches))]
     image = renderer.render(np.array([place[1:] for place in places])).astype(float)
     for (black, white), place in zip(patches, places, strict=True):
         u, v = np.rint(eye.project(np.array([[place.x, place.y, 0.08]]))[0]).astype(int)

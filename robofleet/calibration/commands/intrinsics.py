@@ -140,8 +140,8 @@ def _earlier(file: Path) -> CameraModel | None:
         return None
 
 
-def _coefficients(lens: Kind, asked: int | None) -> int:
+def _coefficients(lens: Kind, requested: int | None) -> int:
     allowed = COEFFICIENTS[lens]
-    if asked is not None and asked not in allowed:
-        raise CalibrationError(f"--coefficients: a {lens} lens has {', '.join(map(str, allowed))}, not {asked}")
-    return asked or _USUAL[lens]
+    if requested is not None and requested not in allowed:
+        raise CalibrationError(f"--coefficients: a {lens} lens has {', '.join(map(str, allowed))}, not {requested}")
+    return requested or _USUAL[lens]

@@ -62,7 +62,9 @@ def arena(
     cameras, with commas between them, are placed at once, by one survey and by the tags that two of them see.
     """
     files = [known_camera(name, configs, live) for name in camera.split(",")]
-    if twice := [file.stem for k, file in enumerate(files) if file.resolve() in [its.resolve() for its in files[:k]]]:
+    if twice := [
+        file.stem for k, file in enumerate(files) if file.resolve() in [earlier.resolve() for earlier in files[:k]]
+    ]:
         raise CalibrationError(f"{camera}: {twice[0]} is written twice: name each camera once")
     config = live_camera(live, overrides)
     sides = size(arena_m, "--arena-m") if arena_m else None
@@ -99,7 +101,7 @@ def _taken(files: list[Path], images: list[Path], config: Config | None, count: 
         return [frames.taken(images, None, count)]
     if len(images) != len(files):
         raise CalibrationError(f"{len(images)} images or folders of {len(files)} cameras: name one for each, in order")
-    return [frames.taken([its], None, count) for its in images]
+    return [frames.taken([image], None, count) for image in images]
 
 
 def verify(

@@ -55,10 +55,10 @@ def offsets(
     $ robofleet calibrate offsets configs/platoon.yaml --lockstep --robots r1 --set tracker.source=truth
     """
     tree, driven, folder, data = _drive("offsets", config, overrides, lockstep, robots, out, recording)
-    found = _each(driven, lambda one: tag_offsets.find(one, slices.drive(tree.robot(one.robot))))
-    before = _each(driven, lambda one: robot_files.earlier(robot_files.file_of(config, one.robot), one.robot))
+    found = _each(driven, lambda drive: tag_offsets.find(drive, slices.drive(tree.robot(drive.robot))))
+    before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
     after = [robot_files.with_offsets(b, f, data) for b, f in zip(before, found, strict=True)]
-    page = robot_files.offsets_page(found, driven, [tree.robot(one.robot).vehicle for one in driven])
+    page = robot_files.offsets_page(found, driven, [tree.robot(drive.robot).vehicle for drive in driven])
     page.write(folder / "report.html")
     _keep(config, tree, after, robot_files.offsets_table(found), folder)
 
@@ -77,9 +77,9 @@ def latency(
     """
     tree, driven, folder, data = _drive("latency", config, overrides, lockstep, robots, out, recording)
     found = _each(driven, latencies.find)
-    before = _each(driven, lambda one: robot_files.earlier(robot_files.file_of(config, one.robot), one.robot))
+    before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
     after = [robot_files.with_latency(b, f, data) for b, f in zip(before, found, strict=True)]
-    known = [tree.robot(one.robot) for one in driven]
+    known = [tree.robot(drive.robot) for drive in driven]
     page = robot_files.latency_page(found, [(slices.delay_ns(tree, robot) / S, slices.drive(robot)) for robot in known])
     page.write(folder / "report.html")
     _keep(config, tree, after, robot_files.latency_table(found), folder)
@@ -99,7 +99,7 @@ def _drive(
     folder = out or report_file(None, command).parent
     if recording is not None:
         tree, driven = load_config(config, overrides), drive_file.chosen(recording, names)
-        for unknown in (one.robot for one in driven if one.robot not in {robot.id for robot in tree.robots}):
+        for unknown in (drive.robot for drive in driven if drive.robot not in {robot.id for robot in tree.robots}):
             raise CalibrationError(
                 f"{recording}: {unknown} drove, but {config} has no such robot: name its configuration"
             )
@@ -116,8 +116,8 @@ def _drive(
     driven = drives.extract(run, count)
     drive_file.save(folder / drive_file.FILE, driven)
     print(folder / drive_file.FILE)
-    for one in (one for one in driven if one.held_s):
-        print(f"{one.robot} was held for {one.held_s:.1f} s: another robot or the edge was near", file=sys.stderr)
+    for drive in (drive for drive in driven if drive.held_s):
+        print(f"{drive.robot} was held for {drive.held_s:.1f} s: another robot or the edge was near", file=sys.stderr)
     return tree, driven, folder, (folder / drive_file.FILE).read_bytes()
 
 
@@ -125,9 +125,9 @@ def _each(driven: Sequence[RobotDrive], find: Callable[[RobotDrive], Found]) -> 
     """Return what is found for every robot; CalibrationError with all that is refused."""
     found: list[Found] = []
     faults: list[str] = []
-    for one in driven:
+    for drive in driven:
         try:
-            found.append(find(one))
+            found.append(find(drive))
         except CalibrationError as refused:
             faults += refused.faults
     if faults:

@@ -39,9 +39,9 @@ Overrides = Annotated[
 ]
 
 
-def report_file(asked: Path | None, command: str) -> Path:
+def report_file(requested: Path | None, command: str) -> Path:
     """Return where the page goes."""
-    return asked or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
+    return requested or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
 
 
 def live(

@@ -105,8 +105,8 @@ def board(
         raise CalibrationError(f"--marker-mm {marker_mm:g}: must be smaller than its square of {square_mm:g} mm")
     named = "" if squares is None else f"--squares {squares} "
     command = f"board {named}--square-mm {square_mm:g} --marker-mm {marker_mm:g} --paper {paper.lower()}"
-    asked = None if squares is None else columns_and_rows(squares, "--squares")
-    page, (columns, rows) = board_page(asked, square_mm, marker_mm, paper.lower(), _command(command, out))
+    requested = None if squares is None else columns_and_rows(squares, "--squares")
+    page, (columns, rows) = board_page(requested, square_mm, marker_mm, paper.lower(), _command(command, out))
     print(*write([page], out))
     print(
         f"robofleet calibrate intrinsics --squares {columns}x{rows} --square-mm {square_mm:g} --marker-mm {marker_mm:g}"

@@ -51,11 +51,11 @@ def teleop(
     with bad_input():
         need_extra("teleop", "evdev")
         need_extra("lab", *LAB_MODULES)
-        tree, place = run_of(arena or None, config)
-        if why := joined_otherwise(tree, place, PERSON):
+        tree, access = run_of(arena or None, config)
+        if why := joined_otherwise(tree, access, PERSON):
             raise RefusedError(why)
         chosen = _group(tree, group)
-        robots = next(one for one in tree.groups if one.title == chosen).robots
+        robots = next(candidate for candidate in tree.groups if candidate.title == chosen).robots
         if out is not None and out not in robots:
             raise RefusedError(f"--out {out}: it is not in the group {chosen}: name one of {', '.join(robots)}")
         try:
@@ -65,7 +65,9 @@ def teleop(
     clock = WallClock()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        bus = joined(tree.arena.name, place.endpoint, place.role, clock, _JOINS_WITHIN_S, credentials=place.credentials)
+        bus = joined(
+            tree.arena.name, access.endpoint, access.role, clock, _JOINS_WITHIN_S, credentials=access.credentials
+        )
     except TimeoutError as error:
         print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
         raise typer.Exit(1) from error
@@ -75,7 +77,7 @@ def teleop(
     )
     try:
         with suppress(KeyboardInterrupt):
-            driving.drive(pad, tree, bus, clock, chosen, lambda: is_over(tree, place), out or robot)
+            driving.drive(pad, tree, bus, clock, chosen, lambda: is_over(tree, access), out or robot)
     except OSError as error:
         print(f"{pad.name} is gone ({error.strerror}): {robot} stands", file=sys.stderr)
         raise typer.Exit(1) from error

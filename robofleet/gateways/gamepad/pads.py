@@ -94,7 +94,7 @@ def opened(path: Path | None) -> EventPad:
 
     paths = [str(path)] if path is not None else evdev.list_devices(_DEVICES)
     try:
-        devices: list[Any] = [evdev.InputDevice(one) for one in paths]
+        devices: list[Any] = [evdev.InputDevice(file) for file in paths]
     except PermissionError as error:
         raise PadError(f"{error.filename}: this user may not read it: {_JOIN}") from error
     except OSError as error:
@@ -102,12 +102,14 @@ def opened(path: Path | None) -> EventPad:
     found = [device for device in devices if _is_pad(device)]
     if path is not None and not found:
         raise PadError(f"--device {path}: {devices[0].name} has no stick and no shoulder buttons: name a gamepad")
-    if not found and any(not os.access(one, os.R_OK | os.W_OK) for one in Path(_DEVICES).glob("event*")):
+    if not found and any(not os.access(file, os.R_OK | os.W_OK) for file in Path(_DEVICES).glob("event*")):
         raise PadError(f"no gamepad is among the devices of {_DEVICES} that this user may read: {_JOIN}")
     if not found:
         raise PadError("no gamepad is here: plug one in, or switch it on")
     if len(found) > 1:
-        raise PadError(f"several gamepads are here: name one with --device: {', '.join(one.path for one in found)}")
+        raise PadError(
+            f"several gamepads are here: name one with --device: {', '.join(device.path for device in found)}"
+        )
     return EventPad(found[0])
 
 

@@ -148,10 +148,10 @@ def _hint(error: Exception, version: int) -> str:
     """Return why a name may be missing: the installed package is of the other version."""
     if not isinstance(error, ImportError | NameError | AttributeError | TypeError):
         return ""
-    there = scripts.version_installed(scripts.installed())
-    if there == version:
+    installed = scripts.version_installed(scripts.installed())
+    if installed == version:
         return ""
-    return f": the script is of version {version}, the installed {scripts.PACKAGE} of version {there}"
+    return f": the script is of version {version}, the installed {scripts.PACKAGE} of version {installed}"
 
 
 def _tell(runs: "Runs") -> None:
@@ -160,9 +160,9 @@ def _tell(runs: "Runs") -> None:
     if run is None or not (summary := run.summary):
         return
     gap, changed = summary.get("min_gap_mm"), summary.get("filtered_fraction") or 0.0
-    said = [f"{summary['outcome']}", f"{run.steps} steps of {len(run.robots)} robots"]
-    said += [] if gap is None else [f"smallest gap between bodies {gap:.0f} mm"]
-    said.append(f"the barrier changed {changed:.1%} of the commands")
-    said += [f"the run was held and went on {run.resumed} time{'s' * (run.resumed > 1)}"] if run.resumed else []
-    print(printable(f"robofleet: {', '.join(said)}"))
+    parts = [f"{summary['outcome']}", f"{run.steps} steps of {len(run.robots)} robots"]
+    parts += [] if gap is None else [f"smallest gap between bodies {gap:.0f} mm"]
+    parts.append(f"the barrier changed {changed:.1%} of the commands")
+    parts += [f"the run was held and went on {run.resumed} time{'s' * (run.resumed > 1)}"] if run.resumed else []
+    print(printable(f"robofleet: {', '.join(parts)}"))
     print(printable(f"robofleet: {run.folder}/report.html"))

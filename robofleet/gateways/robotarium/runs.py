@@ -83,8 +83,8 @@ class Runs:
         """Yield the keys of the configuration that the script decides."""
         members = [robot.id for robot in self._config.members][: starts.shape[1]]
         rows = {robot.id: row for row, robot in enumerate(self._config.robots)}
-        for place, (x, y, psi) in enumerate(starts.T.tolist()):
-            key, robot = f"robots.{rows[members[place]]}", self._config.robot(members[place])
+        for index, (x, y, psi) in enumerate(starts.T.tolist()):
+            key, robot = f"robots.{rows[members[index]]}", self._config.robot(members[index])
             if self.wanted.ideal and robot.driver == "simulated":
                 yield f"{key}.vehicle=ideal"
             if placed(self._config):
@@ -143,8 +143,8 @@ class Run:
         return self._angles() - self._first
 
     def _angles(self) -> Array:
-        said = self._fleet.readings
-        return np.vstack([said["left_angle_rad"], said["right_angle_rad"]]).astype(np.float64)
+        readings = self._fleet.readings
+        return np.vstack([readings["left_angle_rad"], readings["right_angle_rad"]]).astype(np.float64)
 
     def step(self, velocities: Array) -> None:
         """Drive with v [m/s], omega [rad/s] (2, N) until the next tick; FleetError where there is none."""

@@ -101,7 +101,7 @@ def _named(tree: ast.AST) -> tuple[set[str], set[str]]:
     for node in nodes:
         match node:
             case ast.ImportFrom(module=str(module), names=imported) if module.partition(".")[0] == PACKAGE:
-                utilities |= {one.name for one in imported}
+                utilities |= {alias.name for alias in imported}
             case ast.Call(func=ast.Name(id=name)):
                 utilities.add(name)
             case ast.Call(func=ast.Attribute(value=ast.Name(), attr=name)) if name in _UTILITIES[1] | _UTILITIES[2]:

@@ -129,8 +129,8 @@ def collided(poses: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the pairs of robots that are too close, the lower numbers first."""
     ahead = poses[:2] + COLLISION_OFFSET * np.vstack([np.cos(poses[2]), np.sin(poses[2])])
     apart = np.hypot(*(ahead[:, :, None] - ahead[:, None, :]))
-    one, other = np.nonzero(np.triu(apart <= COLLISION_DIAMETER, 1))
-    return one, other
+    first, other = np.nonzero(np.triu(apart <= COLLISION_DIAMETER, 1))
+    return first, other
 
 
 def utility(name: str) -> Callable[..., Any]:

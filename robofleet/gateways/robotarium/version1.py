@@ -50,8 +50,8 @@ class Robotarium(Simulator):
         """Show colours (3, N), 0 to 255, on the robots of the figure."""
         if self._drawing is not None:
             rgb = np.clip(np.asarray(colours, np.float64) / 255.0, 0.0, 1.0)
-            for place, robot in enumerate(np.asarray(ids, np.intp).ravel()):
-                self._drawing.colour(int(robot), tuple(rgb[:, place]))
+            for index, robot in enumerate(np.asarray(ids, np.intp).ravel()):
+                self._drawing.colour(int(robot), tuple(rgb[:, index]))
 
     set_left_leds = set_right_leds = set_leds
 

@@ -147,12 +147,12 @@ class Robotarium(Simulator):
 
     def _told(self, which: str, count: int) -> Array:
         """Return what sensors of a kind say (count, N), NaN where a robot has none."""
-        said = np.full((count, self.number_of_robots), np.nan)
+        filled = np.full((count, self.number_of_robots), np.nan)
         for robot, reading in enumerate(self._run.sensors):
             value = None if reading is None else getattr(reading, which)
             if value is not None and np.size(value) == count:
-                said[:, robot] = value
-        return said
+                filled[:, robot] = value
+        return filled
 
     def _random(self, count: int) -> Array:
         utility("generate_initial_poses")(

@@ -56,9 +56,9 @@ class Camera:
         self._info.header.stamp = stamp
         self._lens.publish(self._info)
         if wanted(self._compressed):
-            said = CompressedImage(format="mono8; jpeg compressed ", data=jpeg)
-            said.header.stamp, said.header.frame_id = stamp, self._frame
-            self._compressed.publish(said)
+            image = CompressedImage(format="mono8; jpeg compressed ", data=jpeg)
+            image.header.stamp, image.header.frame_id = stamp, self._frame
+            self._compressed.publish(image)
         if wanted(self._image):
             pixels = decoded(jpeg)
             if pixels is not None:
@@ -103,14 +103,14 @@ def camera_info(model: CameraModel, frame: str) -> CameraInfo:
 
 def place(camera: CameraSettings, frames: Frames, stamp: Any) -> TransformStamped | None:
     """Return where the camera is in the map; None where nobody measured it."""
-    there = camera.model.T_world_camera
-    if there is None:
+    pose = camera.model.T_world_camera
+    if pose is None:
         return None
     message = TransformStamped(child_frame_id=frames.optical(topics.ros_name(camera.name)))
     message.header.stamp, message.header.frame_id = stamp, frames.map
     way, turn = message.transform.translation, message.transform.rotation
-    way.x, way.y, way.z = map(float, there.position_m)
-    axis = np.array(there.rotation_rad, dtype=np.float64)
+    way.x, way.y, way.z = map(float, pose.position_m)
+    axis = np.array(pose.rotation_rad, dtype=np.float64)
     angle = float(np.linalg.norm(axis))
     turn.x, turn.y, turn.z = (axis * (math.sin(angle / 2.0) / angle if angle else 0.5)).tolist()
     turn.w = math.cos(angle / 2.0)

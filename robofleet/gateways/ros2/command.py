@@ -19,7 +19,7 @@ from robofleet.operator.commands import OPERATOR, running_names
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
-    from robofleet.gateways.place import Place
+    from robofleet.gateways.place import ArenaAccess
 
 app = typer.Typer()
 SHARE = Path(__file__).parent / "share"  # the launch file
@@ -94,9 +94,9 @@ def ros2(
         if overrides or out is not None or (arena and Path(arena).suffix in CONFIGURATIONS):
             run = f"`robofleet run {arena or 'CONFIG'}`"
             raise RefusedError(f"a run in real time is another process: start {run}, or write --lockstep")
-        tree, place = run_of(arena or None, config)
+        tree, access = run_of(arena or None, config)
         _check_names(tree)
-        _serve(tree, place, namespace)
+        _serve(tree, access, namespace)
 
 
 def _need_ros() -> None:
@@ -181,11 +181,11 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
         raise typer.Exit(1)
 
 
-def _serve(config: "Config", place: "Place", namespace: str) -> None:
+def _serve(config: "Config", access: "ArenaAccess", namespace: str) -> None:
     from robofleet.gateways.ros2 import live  # noqa: PLC0415
 
     try:
-        live.serve(config, place, namespace)
+        live.serve(config, access, namespace)
     except TimeoutError as error:
         print(f"the run of {config.arena.name}: {error}", file=sys.stderr)
         raise typer.Exit(1) from error

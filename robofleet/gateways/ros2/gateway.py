@@ -23,7 +23,7 @@ from robofleet.gateways.served import Served
 NODE = "robofleet"
 
 
-class Part(Protocol):
+class Component(Protocol):
     """A part of the gateway: it publishes, or subscribes."""
 
     def step(self, now_ns: int) -> None:
@@ -46,7 +46,7 @@ class Gateway:
         self._ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
         robots = Robots(graph, config, names, bus, self._ticks, wake)
         self.velocities = Velocities(graph, config, names, bus, self._ticks)
-        self._parts: list[Part] = [
+        self._parts: list[Component] = [
             self.velocities, robots, Run(graph, config, bus, served, wake), Sensing(graph, config, names, bus, wake)
         ]  # fmt: skip
         if config.tracker.source == "camera":

@@ -18,7 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import Place, is_over, joined_otherwise
+from robofleet.gateways.place import ArenaAccess, is_over, joined_otherwise
 from robofleet.gateways.ros2 import services
 from robofleet.gateways.ros2.gateway import NODE, Gateway
 from robofleet.gateways.served import Served
@@ -52,7 +52,7 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split()).partition(", at /")[0]
 
 
-def serve(config: Config, place: Place, namespace: str) -> None:
+def serve(config: Config, place: ArenaAccess, namespace: str) -> None:
     """Serve a run until it ends, or a signal comes; TimeoutError if its bus does not answer, RefusedError as ``node``.
 
     The bus wakes the node, so it is left before the node is destroyed.

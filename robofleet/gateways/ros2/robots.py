@@ -154,44 +154,44 @@ class _Robot:
             wheel.transform.translation.z = drive.wheel_radius
 
     def say_pose(self, stamp: Any, pose: Sequence[float], covariance: Sequence[float]) -> None:
-        said, whole = self._seen, np.zeros(36)
-        said.header.stamp = stamp
-        _place(said.pose.pose, pose)
-        for place, value in zip(_PLACES, covariance, strict=True):
-            whole[place] = whole[_MIRRORED.get(place, place)] = value
-        said.pose.covariance = whole
-        self._pose.publish(said)
+        message, whole = self._seen, np.zeros(36)
+        message.header.stamp = stamp
+        _place(message.pose.pose, pose)
+        for index, value in zip(_PLACES, covariance, strict=True):
+            whole[index] = whole[_MIRRORED.get(index, index)] = value
+        message.pose.covariance = whole
+        self._pose.publish(message)
 
     def say_odometry(self, stamp: Any, pose: Sequence[float], twist: Sequence[float]) -> None:
         if wanted(self._odom):
-            said = self._moved
-            said.header.stamp = stamp
-            _place(said.pose.pose, pose)
-            said.twist.twist.linear.x, said.twist.twist.angular.z = twist
-            self._odom.publish(said)
+            message = self._moved
+            message.header.stamp = stamp
+            _place(message.pose.pose, pose)
+            message.twist.twist.linear.x, message.twist.twist.angular.z = twist
+            self._odom.publish(message)
 
     def say_wheels(self, stamp: Any, angles: Sequence[float], speeds: Sequence[float]) -> None:
         if wanted(self._joints):
-            said = self._turned
-            said.header.stamp = stamp
-            said.position, said.velocity = angles, speeds
-            self._joints.publish(said)
+            message = self._turned
+            message.header.stamp = stamp
+            message.position, message.velocity = angles, speeds
+            self._joints.publish(message)
 
     def say_battery(self, stamp: Any, charge: float) -> None:
-        said = self._charged
-        said.header.stamp = stamp
-        said.percentage = math.nan if charge < 0.0 else single(charge)
-        self._battery.publish(said)
+        message = self._charged
+        message.header.stamp = stamp
+        message.percentage = math.nan if charge < 0.0 else single(charge)
+        self._battery.publish(message)
 
     def transforms(
-        self, stamp: Any, place: Sequence[float] | None, pose: Sequence[float], angles: Sequence[float]
+        self, stamp: Any, correction: Sequence[float] | None, pose: Sequence[float], angles: Sequence[float]
     ) -> tuple[TransformStamped, ...]:
         """Return odom -> base_link -> wheels, and where the tracker has seen the robot map -> odom."""
         for wheel, angle in zip(self._wheels, angles, strict=True):
             wheel.header.stamp = stamp
             wheel.transform.rotation.y, wheel.transform.rotation.w = math.sin(angle / 2.0), math.cos(angle / 2.0)
         moved = _transform(self._from_odom, stamp, pose), *self._wheels
-        return moved if place is None else (_transform(self._from_map, stamp, place), *moved)
+        return moved if correction is None else (_transform(self._from_map, stamp, correction), *moved)
 
 
 def heading(psi: float) -> Quaternion:

@@ -14,9 +14,9 @@ def serve(node: Node, ask: Ask) -> None:
     """Serve them; the node goes on while one is answered."""
 
     async def answer(what: str, _request: Any, response: Any) -> Any:
-        told: Future = Future(executor=node.executor)
-        ask(what).add_done_callback(lambda done: None if done.cancelled() else told.set_result(done.result()))
-        response.success, response.message = await told
+        outcome: Future = Future(executor=node.executor)
+        ask(what).add_done_callback(lambda done: None if done.cancelled() else outcome.set_result(done.result()))
+        response.success, response.message = await outcome
         return response
 
     for what in SERVICES:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robofleet.core.refusal import LAB_MODULES, bad_input, need_extra
-from robofleet.gateways.place import Place, run_of
+from robofleet.gateways.place import ArenaAccess, run_of
 from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, RERUN, Address
 from robofleet.operator.commands import OPERATOR, ArenaName, LifelineFd
 
@@ -72,13 +72,13 @@ def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifel
         if lifeline is not None:
             _of_run(viewer, Path(arena or ""), at, lifeline)
             return
-        tree, place = run_of(arena or None, config)
+        tree, access = run_of(arena or None, config)
         at.check(tree.arena.name, "--at")
         from robofleet.gateways.viewers import live  # noqa: PLC0415
         from robofleet.nodes.node import Lifeline  # noqa: PLC0415
 
         try:
-            live.serve(viewer, tree, place, at, place.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
+            live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
         except TimeoutError as error:
             print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
             raise typer.Exit(1) from error
@@ -94,4 +94,4 @@ def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:
     tree, line = load_config(file), Lifeline(lifeline)
     with line.logged(viewer, tree.arena.name):
         folder = file.absolute().parent
-        live.serve(viewer, tree, Place(tree.bus.endpoint, None, MAY_ALL, folder), at, folder, line)
+        live.serve(viewer, tree, ArenaAccess(tree.bus.endpoint, None, MAY_ALL, folder), at, folder, line)

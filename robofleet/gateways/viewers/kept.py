@@ -9,7 +9,7 @@ _LENS = "/calibration"  # of any camera
 _SCENES = "/arena", "/fleet"  # entities stay until they are taken away
 
 
-class Kept:
+class RetainedMessages:
     """The newest of each topic that is told seldom."""
 
     def __init__(self) -> None:

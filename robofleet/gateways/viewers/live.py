@@ -16,7 +16,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import Place, is_over
+from robofleet.gateways.place import ArenaAccess, is_over
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.address import RERUN, Address
 from robofleet.nodes.node import Lifeline
@@ -47,7 +47,7 @@ class Run(NamedTuple):
     """The run that a server shows."""
 
     config: Config
-    place: Place
+    place: ArenaAccess
     folder: Path  # for what a viewer needs
     ask: Asking
 
@@ -62,7 +62,7 @@ class Opened(NamedTuple):
 def serve(
     viewer: str,
     config: Config,
-    place: Place,
+    place: ArenaAccess,
     at: Address,
     folder: Path,
     lifeline: Lifeline,

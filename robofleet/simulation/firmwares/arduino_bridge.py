@@ -90,9 +90,9 @@ class ArduinoBridgeFirmware:
         elif letter == "r":
             self._zero, self._target = self._hardware.counts, (0, 0)
         elif letter == "u":
-            told = [_integer(part) for part in self._arguments[0].split(b"\0")[0].split(b":") if part]
+            gains = [_integer(part) for part in self._arguments[0].split(b"\0")[0].split(b":") if part]
             # a gain that is missing is whatever stood on the stack: here the one from before
-            kp, kd, ki, ko = (*told[:4], *self.gains[len(told) :])
+            kp, kd, ki, ko = (*gains[:4], *self.gains[len(gains) :])
             self.gains = kp, kd, ki, ko
         else:
             return _OTHERS.get(self._letter, b"Invalid Command")

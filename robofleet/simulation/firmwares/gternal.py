@@ -90,20 +90,20 @@ class GTernalFirmware:
         self._object = _Reader().read()
         next(self._object)
 
-    def _obey(self, asked: Any, now_ns: int) -> bytes:
+    def _obey(self, call: Any, now_ns: int) -> bytes:
         """Do what an object asks, in its order."""
         self._begin()
         status: list[int] = []
         body: list[dict[str, Any]] = []
-        interfaces, bodies = _member(asked, "iface"), _member(asked, "body")
-        for index, request in enumerate(_member(asked, "request")):
+        interfaces, bodies = _member(call, "iface"), _member(call, "body")
+        for index, request in enumerate(_member(call, "request")):
             if request in ("read", "write"):
                 self._writes = request == "write"
             interface = interfaces[index] if index < len(interfaces) else None
             given = bodies[index] if index < len(bodies) else None
-            known, said = self._write(interface, given, now_ns) if self._writes else self._read(interface, now_ns)
+            known, answer = self._write(interface, given, now_ns) if self._writes else self._read(interface, now_ns)
             status += [1] * known
-            body.append(said)
+            body.append(answer)
         self._follow()
         return json.dumps({"status": status, "body": body}, separators=(",", ":")).encode()
 
@@ -196,8 +196,8 @@ class _Reader:
         return self._byte
 
 
-def _member(asked: Any, name: str) -> list[Any]:
-    found = asked.get(name)
+def _member(value: Any, name: str) -> list[Any]:
+    found = value.get(name)
     return found if isinstance(found, list) else []
 
 

@@ -104,8 +104,8 @@ def unheld(
         until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else at_ns[last]
         for stands in stuck:
             start_ns, end_ns = max(at_ns[first], stands.start_ns), min(until_ns, stands.end_ns)
-            heard = all(out.end_ns < start_ns or out.start_ns > end_ns for out in outages)
-            if end_ns - start_ns > _HELD_WITHIN_NS and heard:
+            unbroken = all(out.end_ns < start_ns or out.start_ns > end_ns for out in outages)
+            if end_ns - start_ns > _HELD_WITHIN_NS and unbroken:
                 numbers = f"its output was to turn for {(end_ns - start_ns) / 1e6:.0f} ms"
                 found.append(Violation("a wheel stands and the run goes on", end_ns / S, robot, numbers))
     return found

@@ -88,7 +88,7 @@ class _Player:
         self._longest_queue = 0
         self._stops_ns: list[int] = []
         self._answer: Answer | None = None
-        self._said = b""  # by the supervisor, to the newest request
+        self._answer_text = b""  # by the supervisor, to the newest request
         self._crowded = False
         self._rng = generator(config.run.seed, "operator")
 
@@ -163,7 +163,7 @@ class _Player:
         self._crowded = self._plan.outside_s < math.inf and self._no_room()
         if not self._crowded:
             words = lockstep.status.describe(self._config.ids)
-            numbers = f"{lockstep.status.phase.name}: {words}; answer {self._said!r}; turned: {sorted(turned)}"
+            numbers = f"{lockstep.status.phase.name}: {words}; answer {self._answer_text!r}; turned: {sorted(turned)}"
             self._fail("it does not run again within 5 s", numbers)
 
     def _no_room(self) -> bool:
@@ -195,15 +195,15 @@ class _Player:
     def _look(self) -> None:
         """Do what an operator does who wants the fleet to run."""
         self._longest_queue = max(self._longest_queue, self._lockstep.backlog)
-        self._said = (self._answer and self._answer.take()) or self._said
+        self._answer_text = (self._answer and self._answer.take()) or self._answer_text
         request = _NEXT.get(self._lockstep.status.phase)
-        if request == b"start" and self._said.startswith(b"refused"):
+        if request == b"start" and self._answer_text.startswith(b"refused"):
             request = b"reset"
         if request is not None:
             self._ask(request)
 
     def _ask(self, request: bytes) -> None:
-        self._said, self._answer = b"", self._lockstep.request(request)
+        self._answer_text, self._answer = b"", self._lockstep.request(request)
 
     def _stop(self) -> None:
         """Stop them all, as whoever stops a run does."""
@@ -238,7 +238,7 @@ class _Player:
         truths, said_ns = [], []
         faults = self._lockstep.faults
         assert faults is not None
-        asked = stops(self._stops_ns, resets)
+        stops_asked = stops(self._stops_ns, resets)
         unheard: list[Outage] = []
         for row, robot in enumerate(config.bodies):
             truths.append(recording.of_robot(TRUTH, robot.id))
@@ -249,7 +249,7 @@ class _Player:
             self._found += audit.violations(ledger.decisions[robot.id])
             unreached = out_of_reach(faults, robot.id)
             unheard += unreached
-            self._found += unlatched(robot.id, ledger.decisions[robot.id], asked, unreached)
+            self._found += unlatched(robot.id, ledger.decisions[robot.id], stops_asked, unreached)
             runaways = self._acting("motor_runs", robot=robot.id)
             if row < len(config.members):  # a hand moves bystanders
                 self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
@@ -261,7 +261,7 @@ class _Player:
         self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
         if self._longest_queue > _MOST_QUEUED:
             self._fail("a queue grows without bound", f"{self._longest_queue} steps")
-        self._found += going_on(self._states, asked, self._outages("supervisor"), unheard)
+        self._found += going_on(self._states, stops_asked, self._outages("supervisor"), unheard)
         self._found += without_cause(self._states, config.ids[: len(config.members)])
         self._found += unanswered(self._states, len(config.members), self._of_the_fleet(), run_ns)
 

@@ -50,8 +50,8 @@ class States(NamedTuple):
 
     def events(self) -> set[Event]:
         """Return every cause that was given, for the run or for a robot alone."""
-        said = {*self.heads["cause"].tolist(), *self.heads["items"]["cause"].ravel().tolist()}
-        return {Event(cause) for cause in said if cause in CAUSES}
+        causes = {*self.heads["cause"].tolist(), *self.heads["items"]["cause"].ravel().tolist()}
+        return {Event(cause) for cause in causes if cause in CAUSES}
 
 
 def moved_unasked(states: States, row: int, robot: str, targets: Array) -> list[Violation]:

@@ -20,9 +20,9 @@ def _after(seq: int) -> int:
     return (seq + 1) % (1 << 64)
 
 
-def _all(said: Any, **changes: Any) -> Any:
+def _all(message: Any, **changes: Any) -> Any:
     """Return a message in which something is changed for every robot."""
-    return said._replace(robots=tuple(robot._replace(**changes) for robot in said.robots))
+    return message._replace(robots=tuple(robot._replace(**changes) for robot in message.robots))
 
 
 _COMMANDS: tuple[Callable[[UnitCommand, float], UnitCommand], ...] = (

@@ -142,8 +142,8 @@ class GateAudit:
         permission = self._valid_permission(decision, before)
         change = f"{Latch(before.latch).name} {before.latch_id} to {Latch(state.latch).name} {state.latch_id}"
         if state.latch > before.latch or state.latch_id > before.latch_id:
-            asked = max(inputs.latch, permission.latch if permission else Latch.NONE)
-            if state.latch != asked:
+            latch = max(inputs.latch, permission.latch if permission else Latch.NONE)
+            if state.latch != latch:
                 self._fail(true_ns, "a latch that nobody asked for", change)
             return
         rest = before.output == STOP and not inputs.turning and not inputs.latch

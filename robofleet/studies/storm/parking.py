@@ -52,9 +52,9 @@ class Parking:
             return
         robot = self._robot(like, number, first)
         if self._rng.random() < _PUSHED:
-            there = next((at for at in places if self._pushable(like, np.array(first), np.array(at))), None)
-            if there is not None:
-                self._push(robot.id, np.array(first), np.array(there))
+            spot = next((at for at in places if self._pushable(like, np.array(first), np.array(at))), None)
+            if spot is not None:
+                self._push(robot.id, np.array(first), np.array(spot))
         if self._rng.random() < _HIDDEN:
             at_s, duration_s = self._when(0.05, 4.0)
             self._faults.append(PoseFault(kind="pose_dropout", robot=robot.id, at_s=at_s, duration_s=duration_s))
@@ -84,8 +84,8 @@ class Parking:
 
     def _accepted(self, like: Robot, places: list[tuple[float, float]]) -> list[tuple[float, float]]:
         """Return the places at which every behaviour accepts such a robot: all are judged at once."""
-        its, refused = barrier.body(self._config, like), set()
-        parked = tuple((f"parked.{k}", its, (*at, 0.0)) for k, at in enumerate(places))
+        body, refused = barrier.body(self._config, like), set()
+        parked = tuple((f"parked.{k}", body, (*at, 0.0)) for k, at in enumerate(places))
         for group in self._config.groups:
             behaviour = groups.made(group, replace(groups.team(self._config, group), bystanders=parked))
             refused |= {bound.path for bound in behaviour.bounds() if not bound.holds}
@@ -93,8 +93,8 @@ class Parking:
 
     def _near(self, like: Robot) -> float:
         config = self._config
-        its, keepout = barrier.body(config, like), barrier.keepout(config)
-        return max(apart(keepout, barrier.body(config, robot), its) for robot in config.members) + _MARGIN_M
+        body, keepout = barrier.body(config, like), barrier.keepout(config)
+        return max(apart(keepout, barrier.body(config, robot), body) for robot in config.members) + _MARGIN_M
 
     def _free(self, like: Robot, at: Array) -> bool:
         """Return whether a robot may stand there: inside, clear of the ways, of the starts and of the others."""
@@ -111,14 +111,14 @@ class Parking:
     def _off_the_ways(self, at: Array) -> float:
         return float(np.hypot(*(self._lines[:, :2] - at).T).min(initial=math.inf))
 
-    def _pushable(self, like: Robot, here: Array, there: Array) -> bool:
+    def _pushable(self, like: Robot, here: Array, target: Array) -> bool:
         """Return whether a hand may push it from one place to another one: straight, and never onto a way."""
-        middles = (here + share * (there - here) for share in (0.25, 0.5, 0.75))
-        return math.dist(here, there) <= 2 * _PUSH_M and all(self._free(like, at) for at in middles)
+        middles = (here + share * (target - here) for share in (0.25, 0.5, 0.75))
+        return math.dist(here, target) <= 2 * _PUSH_M and all(self._free(like, at) for at in middles)
 
-    def _push(self, robot: str, here: Array, there: Array) -> None:
+    def _push(self, robot: str, here: Array, target: Array) -> None:
         at_s, duration_s = self._when(*_PUSH_S)
-        velocity = (there - here) * min(1.0, _PUSH_M / math.dist(here, there)) / duration_s
+        velocity = (target - here) * min(1.0, _PUSH_M / math.dist(here, target)) / duration_s
         v_x, v_y = velocity.round(4).tolist()
         self._faults.append(Push(kind="pushed", robot=robot, velocity_m_s=(v_x, v_y), at_s=at_s, duration_s=duration_s))
 

@@ -54,12 +54,12 @@ def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
 
 
 def unlatched(
-    robot: str, decisions: Sequence[GateDecision], asked: Sequence[Stop], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], requests: Sequence[Stop], outages: Sequence[Outage]
 ) -> list[Violation]:
     """Find stops that did not latch a gate in time, and latches that went before a reset was asked for."""
     found = []
     at_ns = [decision.true_ns for decision in decisions]
-    for stop in asked:
+    for stop in requests:
         due_ns = stop.at_ns + _WITHIN_NS
         if _meets(outages, stop.at_ns, due_ns):
             continue
@@ -77,7 +77,7 @@ def unlatched(
 
 
 def going_on(
-    states: States, asked: Sequence[Stop], asleep: Sequence[Outage], outages: Sequence[Outage]
+    states: States, requests: Sequence[Stop], asleep: Sequence[Outage], outages: Sequence[Outage]
 ) -> list[Violation]:
     """Find states that let the fleet go on after a stop.
 
@@ -86,7 +86,7 @@ def going_on(
     """
     found = []
     phases = states.heads["phase"]
-    for stop in asked:
+    for stop in requests:
         due_ns = float(stop.at_ns + _STANDS_WITHIN_NS)
         for outage in sorted(asleep):
             if outage.start_ns <= due_ns:

@@ -22,9 +22,9 @@ def storm(config: Config, seeds: Sequence[int], engine: Engine, watch: Watch) ->
     compile_kernels(config)  # once, on disk, before every worker wants the same
     tally = Tally()
     with closing(engine.each(partial(examine, config), seeds)) as results:
-        for place, episode, failure in results:
+        for index, episode, failure in results:
             if episode is None:
-                tally.unplayed.append(f"seed {seeds[place]} could not be played: {failure}")
+                tally.unplayed.append(f"seed {seeds[index]} could not be played: {failure}")
             else:
                 tally.add(episode)
                 watch(tally, episode)

@@ -27,7 +27,7 @@ class Factor:
     name: str  # the end of its key by which it is known
     key: str
     levels: tuple[str, ...]
-    of: NDArray[np.int64]  # (R,) each run's level
+    run_levels: NDArray[np.int64]  # (R,) each run's level
 
     def __len__(self) -> int:
         """Return how many levels there are."""
@@ -66,8 +66,8 @@ def factors(study: Study) -> list[Factor]:
     names = _short(study.keys)
     found = [_factor(study, key, names[key]) for key in study.keys]
     files = list(dict.fromkeys(run.faults for run in study.runs))
-    of = np.array([files.index(run.faults) for run in study.runs])
-    found.append(Factor("faults", "faults", tuple("none" if f is None else Path(f).stem for f in files), of))
+    run_levels = np.array([files.index(run.faults) for run in study.runs])
+    found.append(Factor("faults", "faults", tuple("none" if f is None else Path(f).stem for f in files), run_levels))
     return [factor for factor in found if len(factor) > 1]
 
 
@@ -104,10 +104,10 @@ def _judged(summaries: Sequence[dict[str, Any] | None]) -> Iterator[Measure]:
 def _own(summary: dict[str, Any] | None) -> Iterator[tuple[str, str, float]]:
     """Yield the groups' own figures that no bound judges."""
     for name, group in summary["groups"].items() if summary else ():
-        of = f" of {name}" if summary and len(summary["groups"]) > 1 else ""
+        tail = f" of {name}" if summary and len(summary["groups"]) > 1 else ""
         for own in own_figures(group):
             if own.mean is not None and own.key not in JUDGED_KEYS:
-                yield f"{own.label}{', mean' if own.each else ''}{of}", own.unit, own.mean
+                yield f"{own.label}{', mean' if own.each else ''}{tail}", own.unit, own.mean
 
 
 def _factor(study: Study, key: str, name: str) -> Factor:
@@ -126,9 +126,9 @@ def _classes(key: str, name: str, values: Array, *, logarithmic: bool) -> Factor
     """Return the classes into which numbers fall, equally wide."""
     low, high = values.min(), values.max()
     edges = np.geomspace(low, high, _BINS + 1) if logarithmic else np.linspace(low, high, _BINS + 1)
-    of = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
+    run_levels = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
     levels = tuple(f"{a:.3g}–{b:.3g}" for a, b in pairwise(edges))
-    return Factor(name, key, levels, of)
+    return Factor(name, key, levels, run_levels)
 
 
 def _short(keys: Sequence[str]) -> dict[str, str]:

@@ -70,5 +70,5 @@ def _read(stream: BinaryIO, file: Path, study: Study) -> dict[int, Played]:
 
 
 def _run(line: bytes) -> tuple[int, Played]:
-    told = json.loads(line)
-    return told.pop("run"), Played(**told)
+    fields = json.loads(line)
+    return fields.pop("run"), Played(**fields)

@@ -22,7 +22,7 @@ from robofleet.studies.sweep.plan import Setting, Sweep, settings
 
 _SEED = "run.seed"
 
-Told = Callable[[int], AbstractContextManager[Bar]]  # shows how many of so many settings were checked
+Progress = Callable[[int], AbstractContextManager[Bar]]  # shows how many of so many settings were checked
 
 
 class Planned(NamedTuple):
@@ -48,7 +48,7 @@ class Study(NamedTuple):
     digest: str  # of everything that decides its results but the machine
 
 
-def load(file: Path, told: Told) -> Study:
+def load(file: Path, progress: Progress) -> Study:
     """Read a sweep and check each of its runs; ConfigError with everything that is wrong, where it stands."""
     sweep, root = load_placed(Sweep, file)
     if wrong := list(_complaints(sweep, root)):
@@ -58,9 +58,9 @@ def load(file: Path, told: Told) -> Study:
     changes = [Change(key, _written(root, ("set", key), value)) for key, value in sweep.set.items()]
     plans: list[Planned] = []
     broken = _Broken()
-    of = sweep.total // len(sweep.every_seed)
-    for done, setting in enumerate(_each(sweep, told(of))):
-        own = [Change(key, _written(root, place, setting.values[key])) for key, place in setting.places.items()]
+    count = sweep.total // len(sweep.every_seed)
+    for done, setting in enumerate(_each(sweep, progress(count))):
+        own = [Change(key, _written(root, path, setting.values[key])) for key, path in setting.places.items()]
         name = sweep.faults[setting.faults]
         faults = None if name is None else _beside(file, name)
         try:
@@ -74,9 +74,9 @@ def load(file: Path, told: Told) -> Study:
             replay = f"{words} --seed {seeded.run.seed}"
             plans.append(Planned(len(plans) + 1, setting.values, name, seeded.run.seed, seeded, replay))
     if broken.lines:
-        raise ConfigError(broken.said(of))
+        raise ConfigError(broken.said(count))
     random = sweep.random.keys.items() if sweep.random else ()
-    spans = {key: one.log_uniform is not None for key, one in random if one.span is not None}
+    spans = {key: distribution.log_uniform is not None for key, distribution in random if distribution.span is not None}
     return Study(file.stem, file, config, sweep.keys, spans, tuple(plans), _digest(plans))
 
 
@@ -85,8 +85,8 @@ def _complaints(sweep: Sweep, root: Node) -> Iterator[Mistake]:
     if not sweep.keys:
         message = "names no key to vary: add `grid: {controller.alpha: [30, 45]}`, or `random`"
         yield mistake_at(root, (), message)
-    for key, one in sweep.random.keys.items() if sweep.random else ():
-        if (message := one.complaint() or "") != "":
+    for key, distribution in sweep.random.keys.items() if sweep.random else ():
+        if (message := distribution.complaint() or "") != "":
             yield mistake_at(root, ("random", "keys", key), message)
     parts: dict[str, tuple[str, ...]] = {}
     for part in (("set",), ("grid",), ("random", "keys")):
@@ -127,18 +127,18 @@ class _Broken:
         """Take what is wrong with a setting."""
         values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.values.items())
         for line in error.faults:
-            place = tuple(line.split(": ")[:2])
-            self.lines.setdefault(place, (line, f"run {number}: {values}"))
-            self._times[place] = self._times.get(place, 0) + 1
+            position = tuple(line.split(": ")[:2])
+            self.lines.setdefault(position, (line, f"run {number}: {values}"))
+            self._times[position] = self._times.get(position, 0) + 1
 
-    def said(self, of: int) -> Iterator[str]:
+    def said(self, count: int) -> Iterator[str]:
         """Yield the lines; what is wrong with every setting needs no example."""
-        for place, (line, example) in self.lines.items():
-            times = self._times[place]
-            if times == of:
+        for position, (line, example) in self.lines.items():
+            times = self._times[position]
+            if times == count:
                 yield line
             else:
-                yield printable(f"{line} ({example}; so in {counted(times, 'setting')} of {of})")
+                yield printable(f"{line} ({example}; so in {counted(times, 'setting')} of {count})")
 
 
 def _beside(file: Path, name: str) -> Path:
@@ -179,7 +179,7 @@ def _words(config: Path, values: dict[str, Any], faults: Path | None) -> str:
 
 
 def _digest(plans: list[Planned]) -> str:
-    said = blake2b(version("robofleet").encode(), digest_size=16)
+    digest = blake2b(version("robofleet").encode(), digest_size=16)
     for plan in plans:
-        said.update(f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.config.model_dump_json()}\n".encode())
-    return said.hexdigest()
+        digest.update(f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.config.model_dump_json()}\n".encode())
+    return digest.hexdigest()

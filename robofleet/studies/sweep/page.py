@@ -40,13 +40,15 @@ def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]
 
 def _subtitle(study: Study, runs: Sequence[Ran]) -> str:
     seeds = len({run.plan.seed for run in runs})
-    said = [f"{len(runs):,} runs of {study.config}", f"{seeds} seed{'s' * (seeds > 1)}", "in lockstep"]
-    return f"{utc_now():%Y-%m-%d %H:%M:%S} UTC; {', '.join(said)}"
+    parts = [f"{len(runs):,} runs of {study.config}", f"{seeds} seed{'s' * (seeds > 1)}", "in lockstep"]
+    return f"{utc_now():%Y-%m-%d %H:%M:%S} UTC; {', '.join(parts)}"
 
 
 def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
     met, not_judged, missed, fault = (int((endings == ending).sum()) for ending in Ending)
-    said = f"{len(runs) - fault:,} of {len(runs):,} runs completed" if fault else f"All {len(runs):,} runs completed"
+    sentence = (
+        f"{len(runs) - fault:,} of {len(runs):,} runs completed" if fault else f"All {len(runs):,} runs completed"
+    )
     lines = [f"{fault:,} did not: the commands that replay them are below."] if fault else []
     if missed:
         lines.append(f"{missed:,} completed and missed a bound.")
@@ -54,7 +56,7 @@ def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
         lines.append(f"{not_judged:,} completed and missed no bound, but not every bound was judged: see below.")
     if met and not missed and not not_judged and any(ran.played and ran.played.summary["bounds"] for ran in runs):
         lines.append("Every run that completed met its bounds.")
-    page.verdict(said, good=not fault and not missed and not not_judged, detail="\n".join(lines))
+    page.verdict(sentence, good=not fault and not missed and not not_judged, detail="\n".join(lines))
 
 
 def _tile(measure: Measure, runs: Sequence[Ran]) -> Tile:
@@ -97,8 +99,8 @@ def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], endin
         return
     if len(varied) > 1:
         page.section("Two settings together", "Each cell is the median of its runs.")
-        for one, other in islice(combinations(varied, 2), _PAIRS):
-            across, up = (one, other) if len(one) >= len(other) else (other, one)
+        for left, other in islice(combinations(varied, 2), _PAIRS):
+            across, up = (left, other) if len(left) >= len(other) else (other, left)
             figure = plots.together(across, up, shown, endings)
             page.figure(figure, f"{up.key} over {across.key}.", title=f"{across.name} and {up.name}")
     page.section("One setting at a time", "A box holds half of the runs, its line is the median; a point is a run.")
@@ -140,7 +142,7 @@ def _origin(page: Page, study: Study, runs: Sequence[Ran], files: Sequence[Path]
     page.section("This sweep", f"All figures of all runs: {', '.join(file.name for file in files)}.")
     played = [ran.played for ran in runs if ran.played is not None]
     if played:
-        cpu, lockstep = (np.array([getattr(one, name) for one in played]) for name in ("cpu_s", "lockstep_s"))
+        cpu, lockstep = (np.array([getattr(result, name) for result in played]) for name in ("cpu_s", "lockstep_s"))
         page.note(
             f"A run took {np.median(cpu):.2f} s of a processor (median), {100 * np.median(lockstep / cpu):.0f} % of it "
             f"in lockstep's steps, and all of them {cpu.sum():.0f} s; {TIMES} has each run's."

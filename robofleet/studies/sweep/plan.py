@@ -42,11 +42,11 @@ class Distribution(Model):
 
     def complaint(self) -> str | None:
         """Return what is wrong with it, if anything."""
-        said = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(said) != 1:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) != 1:
             return "say one of uniform, log_uniform, integers, choice, as {uniform: [0.2, 0.4]}"
         if self.span is not None and not self.span[0] < self.span[1]:
-            return f"{said[0]} must rise: write [{self.span[1]:g}, {self.span[0]:g}]"
+            return f"{given[0]} must rise: write [{self.span[1]:g}, {self.span[0]:g}]"
         if self.log_uniform is not None and self.log_uniform[0] <= 0:
             return "log_uniform needs positive numbers: make the first greater than 0"
         return None

@@ -46,7 +46,7 @@ def breaking(factors: Sequence[Factor], endings: Endings) -> Figure:
     panels = figure.subplots(len(factors), 1, squeeze=False, height_ratios=[len(factor) + 0.6 for factor in factors])
     for axes, factor in zip(panels.flat, factors, strict=True):
         counts = np.array(
-            [[np.sum((factor.of == k) & (endings == ending)) for ending in Ending] for k in range(len(factor))]
+            [[np.sum((factor.run_levels == k) & (endings == ending)) for ending in Ending] for k in range(len(factor))]
         )
         share = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         left = np.zeros(len(factor))
@@ -101,7 +101,7 @@ def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
 def _cells(axes: Axes, across: Factor, up: Factor, measure: Measure, *, red: bool) -> None:
     medians = np.full((len(up), len(across)), np.nan)
     for i, k in itertools.product(range(len(up)), range(len(across))):
-        values = measure.values[(up.of == i) & (across.of == k)]
+        values = measure.values[(up.run_levels == i) & (across.run_levels == k)]
         if np.isfinite(values).any():
             medians[i, k] = values.mean() if red else np.nanmedian(values)
     low, high = (0.0, 100.0) if red else scale(medians, measure.limit)
@@ -129,7 +129,7 @@ def _cells(axes: Axes, across: Factor, up: Factor, measure: Measure, *, red: boo
 
 
 def _boxes(axes: Axes, factor: Factor, measure: Measure, endings: Endings) -> None:
-    values = [measure.values[(factor.of == k) & np.isfinite(measure.values)] for k in range(len(factor))]
+    values = [measure.values[(factor.run_levels == k) & np.isfinite(measure.values)] for k in range(len(factor))]
     places = np.arange(len(factor), dtype=np.float64)
     axes.boxplot(
         values, positions=places, widths=0.55, showfliers=False, patch_artist=True, manage_ticks=False,
@@ -139,10 +139,10 @@ def _boxes(axes: Axes, factor: Factor, measure: Measure, endings: Endings) -> No
     )  # fmt: skip
     spread = 0.16 * np.sin(12.9898 * np.arange(len(endings)))  # beside each other, the same every time
     for ending, (_, colour) in enumerate(ENDINGS):
-        of = (endings == ending) & np.isfinite(measure.values)
+        drawn = (endings == ending) & np.isfinite(measure.values)
         quiet = ending == Ending.MET
         axes.plot(
-            factor.of[of] + spread[of], measure.values[of], "o", ms=2.6 if quiet else 4, mew=0,
+            factor.run_levels[drawn] + spread[drawn], measure.values[drawn], "o", ms=2.6 if quiet else 4, mew=0,
             color=INK if quiet else colour, alpha=0.45 if quiet else 1, rasterized=len(endings) > 2000,
         )  # fmt: skip
     if measure.limit is not None and _near(measure.limit, measure.values):

@@ -21,8 +21,8 @@ def run(study: Study, engine: Engine, journal: Journal, watch: Watch) -> list[Ra
         compile_kernels(left[0].config)  # once, on disk, before every worker wants the same
     jobs = [Job(study.config.stem, run.config) for run in left]
     with closing(engine.each(play, jobs)) as results:
-        for place, played, failure in results:
-            plan = left[place]
+        for index, played, failure in results:
+            plan = left[index]
             if played is None:
                 failures[plan.number] = failure
             else:

@@ -126,11 +126,11 @@ def _flat(tree: dict[str, Any], path: str, robots: Sequence[str]) -> Iterator[tu
         if name in _LEFT_OUT:
             continue
         if isinstance(value, list):
-            if any(isinstance(one, dict) for one in value) or key == "events":
+            if any(isinstance(entry, dict) for entry in value) or key == "events":
                 yield name, len(value)
                 continue
-            of = robots[len(robots) - len(value) :] if len(robots) - len(value) in (0, 1) else range(len(value))
-            value = {str(one): number for one, number in zip(of, value, strict=True)}  # noqa: PLW2901
+            owners = robots[len(robots) - len(value) :] if len(robots) - len(value) in (0, 1) else range(len(value))
+            value = {str(entry): number for entry, number in zip(owners, value, strict=True)}  # noqa: PLW2901
         if isinstance(value, dict):
             yield from _flat(value, f"{name}.", robots)
         else:

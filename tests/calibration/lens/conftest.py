@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.calibration.board import Board, View
+from robofleet.calibration.board import Board, BoardView
 
 Array = NDArray[np.float64]
 BOARD = Board()
@@ -105,14 +105,16 @@ class TrueCamera:
         image = 25 + 0.8 * cv2.GaussianBlur(image, (0, 0), blur)
         return np.asarray(np.clip(image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8))
 
-    def view(self, name: str, pose: Array, noise_px: float, rng: np.random.Generator, board: Board = BOARD) -> View:
+    def view(
+        self, name: str, pose: Array, noise_px: float, rng: np.random.Generator, board: Board = BOARD
+    ) -> BoardView:
         """Return the corners inside the image, with noise."""
         points = board.corners
         pixels = self.pixels(points @ cv2.Rodrigues(pose[:3])[0].T + pose[3:])
         inside = ((pixels > 3) & (pixels < np.array(self.size) - 4)).all(axis=1)
         noisy = pixels[inside] + rng.normal(0, noise_px, (inside.sum(), 2))
         image = np.frombuffer(name.encode(), np.uint8).reshape(1, -1)
-        return View(name, points[inside], noisy, np.flatnonzero(inside), image)
+        return BoardView(name, points[inside], noisy, np.flatnonzero(inside), image)
 
     def pose(
         self, u: float, v: float, distance: float, left_deg: float, upper_deg: float, spin_deg: float = 0

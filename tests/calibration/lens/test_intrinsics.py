@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from robofleet.calibration.board import Board, View
+from robofleet.calibration.board import Board, BoardView
 from robofleet.calibration.floor import COLUMNS as COLUMNS_ASKED
 from robofleet.calibration.floor import ROWS as ROWS_ASKED
 from robofleet.calibration.floor import Ceiling, FloorErrors
@@ -20,12 +20,12 @@ BOARD = Board()
 CEILING = Ceiling(2.5, 0.08)
 
 
-def measured(camera, views: Sequence[View], coefficients: int = 5) -> Measured:  # type: ignore[no-untyped-def]
+def measured(camera, views: Sequence[BoardView], coefficients: int = 5) -> Measured:  # type: ignore[no-untyped-def]
     count = 4 if camera.kind == "fisheye" else coefficients
     return measure(views, Asked(BOARD, camera.kind, count, camera.size, CEILING))
 
 
-def seen(camera, poses, noise_px: float, rng: np.random.Generator) -> list[View]:  # type: ignore[no-untyped-def]
+def seen(camera, poses, noise_px: float, rng: np.random.Generator) -> list[BoardView]:  # type: ignore[no-untyped-def]
     views = [camera.view(f"{k:02d}.png", pose, noise_px, rng) for k, pose in enumerate(poses)]
     return [view for view in views if len(view.ids) >= 12]
 
@@ -90,7 +90,7 @@ def test_each_lack_is_named(true_camera) -> None:  # type: ignore[no-untyped-def
     assert measured(true_camera, views).faults() == []
     assert any("8 views" in fault for fault in measured(true_camera, views[:8]).faults())
 
-    def reasons(kept: Callable[[View], bool]) -> str:
+    def reasons(kept: Callable[[BoardView], bool]) -> str:
         return "\n".join(measured(true_camera, [view for view in views if kept(view)]).faults())
 
     w, h = true_camera.size

@@ -15,7 +15,7 @@ from robofleet.calibration.consensus import agree
 from robofleet.calibration.fiducials import Marks
 from robofleet.calibration.placing import Lens, change_between, moved
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.together import View, agree_together
+from robofleet.calibration.together import SurveyView, agree_together
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from tests.calibration.place.test_arena import CAMERA, DOWN, LENS, PIXEL, SIZE, SURVEY_M
@@ -34,7 +34,7 @@ def hung(rng: np.random.Generator) -> list[CameraGeometry]:
     return [CAMERA.moved(moved(T, rng.normal(0.0, 1.0, 6) * [0.03, 0.03, 0.3, 0.03, 0.03, 0.05])) for T in sides]
 
 
-def views(cameras: list[CameraGeometry], rng: np.random.Generator, open_: tuple[int, ...] = ()) -> list[View]:
+def views(cameras: list[CameraGeometry], rng: np.random.Generator, open_: tuple[int, ...] = ()) -> list[SurveyView]:
     """What each camera sees of one survey; ``open_``: tags that nobody surveyed."""
     true = np.column_stack([TAGS, np.zeros(len(TAGS))])
     points = true + np.column_stack([rng.normal(0.0, SURVEY_M, (len(TAGS), 2)), np.zeros(len(TAGS))])
@@ -46,7 +46,7 @@ def views(cameras: list[CameraGeometry], rng: np.random.Generator, open_: tuple[
         nan, n = np.full((len(seen), 2), np.nan), len(seen)
         names = tuple(f"tag {k}" for k in seen)
         marks = Marks(names, points[seen], nan[:, 0], np.full(n, 0.1), pixels, nan, np.full(n, PIXEL))
-        found.append(View(name, LENS, marks))
+        found.append(SurveyView(name, LENS, marks))
     return found
 
 

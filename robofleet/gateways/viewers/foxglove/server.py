@@ -22,7 +22,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.viewers.address import Address
 from robofleet.gateways.viewers.foxglove.services import new_key, services
-from robofleet.gateways.viewers.kept import Kept
+from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Opened, Run
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import Channel as Described
@@ -50,13 +50,13 @@ class Server(ServerListener):
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         context = self._context = Context()  # it lives as long as somebody holds it
         self._channels = {
-            one.topic: Channel(
-                one.topic, message_encoding=one.encoding, context=context,
-                schema=Schema(name=one.schema, encoding=one.schema_encoding, data=one.description),
+            channel.topic: Channel(
+                channel.topic, message_encoding=channel.encoding, context=context,
+                schema=Schema(name=channel.schema, encoding=channel.schema_encoding, data=channel.description),
             )
-            for one in channels
+            for channel in channels
         }  # fmt: skip
-        self._kept, self._new = Kept(), SimpleQueue[str]()
+        self._kept, self._new = RetainedMessages(), SimpleQueue[str]()
         self.subscriptions = 0  # of all viewers, so far
         try:
             self._server = start_server(
@@ -123,7 +123,7 @@ def written(config: Config, folder: Path, *, asks: bool) -> tuple[Path, str]:
         return layouts.layout(recording, SERVICES if asks else (), {"key": key})
 
     try:
-        found, its = read_plain(file, _LARGEST), file.lstat()
+        found, status = read_plain(file, _LARGEST), file.lstat()
     except FileNotFoundError:
         key = new_key() if asks else ""
         with replaced(file) as stream:
@@ -134,7 +134,7 @@ def written(config: Config, folder: Path, *, asks: bool) -> tuple[Path, str]:
         raise RefusedError(f"{file}: {error.strerror}: move it away, or start this in another folder") from error
     kept = _KEY.search(found)
     own = kept[1].decode() if kept is not None else ""
-    private = its.st_uid in (os.geteuid(), folder.stat().st_uid) and not its.st_mode & 0o077
+    private = status.st_uid in (os.geteuid(), folder.stat().st_uid) and not status.st_mode & 0o077
     if not private or bool(own) != asks or found != layout(own):
         raise RefusedError(f"{file} is not the layout of this run: move it away, or start this in another folder")
     return file, own

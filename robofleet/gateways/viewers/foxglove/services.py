@@ -43,16 +43,16 @@ def _schema(name: str, described: object) -> MessageSchema:
 
 def _answer(ask: Ask, key: str, what: str, request: ServiceRequest) -> bytes:
     try:
-        done, said = ask(what).result(_WITHIN_S) if _permitted(request.payload, key) else (False, _STRANGER)
+        done, text = ask(what).result(_WITHIN_S) if _permitted(request.payload, key) else (False, _STRANGER)
     except TimeoutError:
-        done, said = False, f"no answer within {_WITHIN_S:g} s: the requests before it wait, too"
-    return dumps({"success": done, "message": said}).encode()
+        done, text = False, f"no answer within {_WITHIN_S:g} s: the requests before it wait, too"
+    return dumps({"success": done, "message": text}).encode()
 
 
 def _permitted(payload: bytes, key: str) -> bool:
     try:
-        said = json.loads(payload) if len(payload) <= _LARGEST else None
+        fields = json.loads(payload) if len(payload) <= _LARGEST else None
     except (ValueError, RecursionError):
         return False
-    shown = said.get("key") if isinstance(said, dict) else None
+    shown = fields.get("key") if isinstance(fields, dict) else None
     return isinstance(shown, str) and secrets.compare_digest(shown.encode(), key.encode())

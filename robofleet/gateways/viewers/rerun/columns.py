@@ -26,7 +26,7 @@ class Row(NamedTuple):
 
     log_ns: int
     stamp_ns: int | None  # the date in the message, where it has one
-    of: Any
+    archetype: Any
 
 
 class Kind(NamedTuple):
@@ -47,12 +47,12 @@ def kind(channel: Channel) -> Kind | None:
     return Kind(lambda log_ns, message: (Row(log_ns, None, message),), lambda messages: _scalars(channel, messages))
 
 
-def send(recording: rr.RecordingStream, path: str, rows: Sequence[Row], of: Kind) -> None:
+def send(recording: rr.RecordingStream, path: str, rows: Sequence[Row], kind: Kind) -> None:
     """Send the rows of an entity."""
     times = [_times(TIMELINE, [row.log_ns for row in rows])]
     if rows[0].stamp_ns is not None:
         times.append(_times(STAMPED, [row.stamp_ns or 0 for row in rows]))
-    recording.send_columns(path, times, of.columns([row.of for row in rows]))
+    recording.send_columns(path, times, kind.columns([row.archetype for row in rows]))
 
 
 def date_ns(at: Timestamp) -> int:
@@ -102,8 +102,8 @@ def _scalars(channel: Channel, messages: Sequence[bytes]) -> Iterable[rr.Compone
 
 
 def _xyz(vectors: Iterable[Vector3]) -> list[tuple[float, float, float]]:
-    return [(one.x, one.y, one.z) for one in vectors]
+    return [(vector.x, vector.y, vector.z) for vector in vectors]
 
 
 def _turns(rotations: Iterable[Quaternion]) -> list[tuple[float, float, float, float]]:
-    return [(one.x, one.y, one.z, one.w) for one in rotations]
+    return [(rotation.x, rotation.y, rotation.z, rotation.w) for rotation in rotations]

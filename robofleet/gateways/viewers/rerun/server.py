@@ -22,7 +22,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.viewers.address import Address
-from robofleet.gateways.viewers.kept import Kept
+from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Opened, Run
 from robofleet.gateways.viewers.rerun import columns
 from robofleet.gateways.viewers.rerun.shapes import of_annotations, of_entity
@@ -55,10 +55,12 @@ class Server:
         _wait_for(own)
         self._recording.send_recording_name(name)
         self._recording.send_blueprint(shown)
-        drawn = [one for one in channels if one.encoding == PROTOBUF]
-        self._columns = {one.topic: kind for one in drawn if (kind := columns.kind(one)) is not None}
-        self._singles = {one.topic: self._single(one) for one in drawn if one.topic not in self._columns}
-        self._kept, self._rows = Kept(), dict[str, list[columns.Row]]()
+        drawn = [channel for channel in channels if channel.encoding == PROTOBUF]
+        self._columns = {channel.topic: kind for channel in drawn if (kind := columns.kind(channel)) is not None}
+        self._singles = {
+            channel.topic: self._single(channel) for channel in drawn if channel.topic not in self._columns
+        }
+        self._kept, self._rows = RetainedMessages(), dict[str, list[columns.Row]]()
         self._sent_ns = self._again_ns = 0
         self._has: dict[str, set[type]] = {}  # what an entity consists of
         self._planes: dict[str, rr.CoordinateFrame] = {}  # of the newest picture of each camera
@@ -97,14 +99,14 @@ class Server:
                 columns.send(self._recording, topic, rows, self._columns[topic])
 
     def _single(self, channel: Channel) -> Callable[[int, bytes], None]:
-        of: dict[str, Callable[[str, int, bytes], None]] = {
+        senders: dict[str, Callable[[str, int, bytes], None]] = {
             CompressedImage.DESCRIPTOR.full_name: self._picture,
             ImageAnnotations.DESCRIPTOR.full_name: self._annotations,
             CameraCalibration.DESCRIPTOR.full_name: self._lens,
             Log.DESCRIPTOR.full_name: self._line,
             SceneUpdate.DESCRIPTOR.full_name: self._scene,
         }
-        return partial(of[channel.schema], channel.topic)
+        return partial(senders[channel.schema], channel.topic)
 
     def _log(self, path: str, log_ns: int, stamp_ns: int | None, *what: rr.AsComponents) -> None:
         """Show archetypes of an entity at a time."""
@@ -149,7 +151,7 @@ class Server:
 
     def _entity(self, path: str, log_ns: int, entity: SceneEntity) -> None:
         shown = [*of_entity(entity)]
-        kinds = {type(one) for one in shown}
+        kinds = {type(shape) for shape in shown}
         if self._has.get(path, kinds) - kinds:
             self._log(path, log_ns, None, rr.Clear(recursive=False))
         self._has[path] = kinds

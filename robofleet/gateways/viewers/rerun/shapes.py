@@ -90,8 +90,8 @@ def _turn(pose: Pose) -> tuple[float, float, float, float]:
     return pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w
 
 
-def _xyz(of: Point3 | Vector3) -> tuple[float, float, float]:
-    return of.x, of.y, of.z
+def _xyz(vector: Point3 | Vector3) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def _colours(primitives: Iterable[object]) -> list[tuple[int, ...]]:
