@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from robofleet import cli
+from robofleet.operator import run_command
 
 ROOT = Path(__file__).parent.parent
 PLATOON = (ROOT / "configs" / "platoon.yaml").read_text()
@@ -750,7 +751,7 @@ def test_a_mistake_is_one_line_with_its_place_and_its_cure(
 ) -> None:
     at = prepared(folder, mistake)
     before = content_of(folder)
-    monkeypatch.setattr(cli, "_result", lambda *a, **k: pytest.fail("it was started"))
+    monkeypatch.setattr(run_command, "_result", lambda *a, **k: pytest.fail("it was started"))
     monkeypatch.setattr(sys, "argv", ["robofleet", *mistake.typed.split()])
     with pytest.raises(SystemExit) as ended:
         cli.main()

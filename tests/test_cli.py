@@ -17,6 +17,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
+from robofleet.operator import run_command
 from tests.recording.recorded import room_for
 
 pytestmark = pytest.mark.usefixtures("unplotted")
@@ -62,7 +63,7 @@ def refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]
 
     def run(*arguments: object) -> str:
         started: list[Any] = []
-        monkeypatch.setattr(cli, "_result", lambda *a, **k: started.append((a, k)))
+        monkeypatch.setattr(run_command, "_result", lambda *a, **k: started.append((a, k)))
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         result = robofleet("run", *arguments)
         assert result.exit_code == 2, result.output

@@ -177,7 +177,7 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     elif "--lockstep" in rest and "tracker.source=truth" in rest:  # images take long
         run_shortly(arguments, monkeypatch)
     elif not (mention and name in group.commands):
-        values = parsed(group.commands[name], rest)
+        values = parsed(group.commands[name].loaded, rest)
         if "config" in values and values["config"] is not None:
             changes, faults = [*(values.get("overrides") or ())], values.get("faults")
             if values.get("lockstep"):

@@ -58,7 +58,7 @@ def test_a_script_is_the_command_of_its_name(tool: str, name: str) -> None:
     script = subprocess.run(
         [sys.executable, TOOLS / f"{tool}.py", "--help"], capture_output=True, text=True, check=True
     )
-    assert script.stdout == CliRunner().invoke(cli.app, [name, "--help"]).stdout
+    assert script.stdout == CliRunner().invoke(cli.app, [name, "--help"], prog_name="robofleet").stdout
 
 
 def test_another_python_is_sent_to_the_one_of_this_folder(

@@ -13,7 +13,7 @@ from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
 from robofleet.config.yamlfile import Source, read_yaml
 from robofleet.core.clock import utc_now
-from robofleet.core.errors import RobofleetError
+from robofleet.core.errors import BadInputError
 from robofleet.core.settings import Model
 
 KEPT = "earlier"  # folder beside a calibration, of those that it replaced
@@ -21,7 +21,7 @@ KEPT = "earlier"  # folder beside a calibration, of those that it replaced
 M = TypeVar("M", bound=Model)
 
 
-class CalibrationError(RobofleetError):
+class CalibrationError(BadInputError):
     """A measurement or a file that cannot be used: one line for each fault, and how to mend it."""
 
     def __init__(self, faults: Iterable[str] | str) -> None:

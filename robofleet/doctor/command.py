@@ -11,10 +11,7 @@ from robofleet.core.valid_json import dumps
 if TYPE_CHECKING:
     from robofleet.doctor.needs import Needs
 
-app = typer.Typer()
 
-
-@app.command()
 def doctor(
     config: Annotated[
         Path | None,

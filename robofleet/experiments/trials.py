@@ -10,10 +10,7 @@ from robofleet.core.clock import utc_now
 from robofleet.core.refusal import RefusedError, bad_input, new_folder
 from robofleet.core.valid_json import dumps
 
-app = typer.Typer()
 
-
-@app.command()
 def paper(
     experiment: Annotated[
         str,

@@ -12,13 +12,11 @@ import typer
 
 from robofleet.core import folders
 from robofleet.core.refusal import RefusedError
-from robofleet.hosts.keys_commands import PANEL, refused
+from robofleet.hosts.keys_commands import refused
 
-app = typer.Typer()
 _SERVICE = Path("/etc/systemd/system/robofleet-unit.service")
 
 
-@app.command(rich_help_panel=PANEL)
 def join(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="What `robofleet keys bundle` made.")],
     service: Annotated[

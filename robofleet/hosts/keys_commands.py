@@ -1,4 +1,7 @@
-"""The commands of an arena's keys: who may join from another host."""
+"""Who may join an arena from another host: authority and certificates.
+
+$ robofleet keys init lab
+"""
 
 import shlex
 from collections.abc import Iterator
@@ -13,13 +16,7 @@ from robofleet.core.refusal import RefusedError, bad_input, need_extra
 if TYPE_CHECKING:
     from robofleet.hosts.authority import Authority, Entry
 
-PANEL = "Robots with computers of their own"
-app = typer.Typer()
-keys = typer.Typer(
-    no_args_is_help=True,
-    help="Who may join an arena from another host: authority and certificates.\n\n$ robofleet keys init lab",
-)
-app.add_typer(keys, name="keys", rich_help_panel=PANEL)
+app = typer.Typer(no_args_is_help=True, help=__doc__)
 
 ArenaName = Annotated[str, typer.Argument(metavar="ARENA", help="arena.name of the configuration.")]
 Who = Annotated[str, typer.Argument(metavar="NAME", help="A unit, a process, or a person.")]
@@ -60,7 +57,7 @@ def _named(name: str) -> str:
     return name
 
 
-@keys.command()
+@app.command()
 def init(
     arena: ArenaName,
     address: Annotated[
@@ -89,7 +86,7 @@ def init(
     print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
 
 
-@keys.command()
+@app.command()
 def add(
     arena: ArenaName,
     name: Annotated[
@@ -178,7 +175,7 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
         print(f"Next: robofleet keys bundle {arena} {units[0]} --router quic/THIS_COMPUTERS_ADDRESS:7447")
 
 
-@keys.command("list")
+@app.command("list")
 def listed(
     arena: ArenaName, as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False
 ) -> None:
@@ -215,7 +212,7 @@ def _row(name: str, entry: "Entry") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@keys.command()
+@app.command()
 def renew(
     arena: ArenaName,
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="Default with --all: everybody.")] = None,
@@ -236,7 +233,7 @@ def renew(
     print(f"Next: robofleet keys bundle {arena} NAME, for whoever is on another computer, and join it there again")
 
 
-@keys.command()
+@app.command()
 def revoke(arena: ArenaName, name: Who) -> None:
     """Let nobody in by a name's certificate any more, at once.
 
@@ -256,7 +253,7 @@ def revoke(arena: ArenaName, name: Who) -> None:
     )
 
 
-@keys.command()
+@app.command()
 def bundle(
     arena: ArenaName,
     name: Who,

@@ -2,7 +2,6 @@
 
 import os
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,10 +19,6 @@ if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.operator.elsewhere import Elsewhere
     from robofleet.runs.table import Row
-
-app = typer.Typer()
-OPERATOR = "A running arena, from any terminal"
-PROCESSES = "One process of a run, by itself"
 
 
 def running_names() -> list[str]:
@@ -46,7 +41,6 @@ ArenaName = Annotated[
 LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
 
 
-@app.command(rich_help_panel=OPERATOR)
 def stop(arena: ArenaName = None) -> None:
     """Emergency stop: every robot stands at once, and its gate stays latched, also through a restart.
 
@@ -58,20 +52,54 @@ def stop(arena: ArenaName = None) -> None:
     raise typer.Exit(direct.stop(arena))
 
 
-def _requesting(what: str, described: str) -> None:
-    """Make a command that asks the supervisor."""
+def arm(arena: ArenaName = None) -> None:
+    """Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.
 
-    def command(arena: ArenaName = None) -> None:
-        raise typer.Exit(direct.request(what, arena))
-
-    app.command(what, help=f"{described}\n\n$ robofleet {what}", rich_help_panel=OPERATOR)(command)
-
-
-for _what, _described in direct.REQUESTS.items():
-    _requesting(_what, _described)
+    $ robofleet arm
+    """
+    raise typer.Exit(direct.request("arm", arena))
 
 
-@app.command(rich_help_panel=OPERATOR)
+def start(arena: ArenaName = None) -> None:
+    """Start a fleet that waits for its operator (run.start: operator).
+
+    $ robofleet start
+    """
+    raise typer.Exit(direct.request("start", arena))
+
+
+def hold(arena: ArenaName = None) -> None:
+    """Let every robot stand; `robofleet resume` goes on.
+
+    $ robofleet hold
+    """
+    raise typer.Exit(direct.request("hold", arena))
+
+
+def resume(arena: ArenaName = None) -> None:
+    """Continue after a hold.
+
+    $ robofleet resume
+    """
+    raise typer.Exit(direct.request("resume", arena))
+
+
+def park(arena: ArenaName = None) -> None:
+    """Let every robot drive to its place to park; the run ends there.
+
+    $ robofleet park
+    """
+    raise typer.Exit(direct.request("park", arena))
+
+
+def reset(arena: ArenaName = None) -> None:
+    """Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.
+
+    $ robofleet reset
+    """
+    raise typer.Exit(direct.request("reset", arena))
+
+
 def status(
     arena: ArenaName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
@@ -112,26 +140,16 @@ def _told(done: bool, what: str) -> None:
         raise typer.Exit(1)
 
 
-def _process(row: "Row") -> None:
-    def command(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-        _be(row, config, lifeline)
-
-    _add(row, command)
-
-
 def tracker(
     config: ConfigPath,
     camera: Annotated[str, typer.Option(metavar="NAME", help="The tracker's camera, if CONFIG has several.")] = "",
     lifeline: LifelineFd = None,
 ) -> None:
-    """Be a camera's tracker."""
+    """The tracker of a run, and its camera.
+
+    $ robofleet tracker lab.yaml
+    """
     _be(table.TRACKER, config, lifeline, camera=camera)
-
-
-def _add(row: "Row", command: Callable[..., None]) -> None:
-    robots = " --robots r1,r2" if row is table.DRIVER else ""
-    described = f"{row.what}\n\n$ robofleet {row.name} lab.yaml{robots}"
-    app.command(row.name, help=described, rich_help_panel=PROCESSES)(command)
 
 
 def _be(
@@ -146,8 +164,28 @@ def _be(
         child.main(row, config, file.parent, lifeline, robots, camera, take_over=take_over)
 
 
-for _row in (table.SUPERVISOR, table.RECORDER, table.TWINS):
-    _process(_row)
+def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
+    """The supervisor of a run.
+
+    $ robofleet supervisor lab.yaml
+    """
+    _be(table.SUPERVISOR, config, lifeline)
+
+
+def recorder(config: ConfigPath, lifeline: LifelineFd = None) -> None:
+    """The recorder of a run: it writes run.mcap beside CONFIG.
+
+    $ robofleet recorder lab.yaml
+    """
+    _be(table.RECORDER, config, lifeline)
+
+
+def twins(config: ConfigPath, lifeline: LifelineFd = None) -> None:
+    """The firmware twins of a run: they answer on serial ports in the place of robots.
+
+    $ robofleet twins lab.yaml
+    """
+    _be(table.TWINS, config, lifeline)
 
 
 def controller(
@@ -155,7 +193,10 @@ def controller(
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """Be the controller."""
+    """The controller of a run.
+
+    $ robofleet controller lab.yaml
+    """
     _be(table.CONTROLLER, config, lifeline, take_over=takeover)
 
 
@@ -170,7 +211,10 @@ def driver(
     ] = None,
     lifeline: LifelineFd = None,
 ) -> None:
-    """Be a driver's process."""
+    """The drivers of some robots: what a robot's own computer runs.
+
+    $ robofleet driver lab.yaml --robots r1,r2
+    """
     if unit is not None:
         if config is not None or robots is not None:
             _wrong("--unit: each run brings its configuration: leave CONFIG and --robots out")
@@ -211,7 +255,10 @@ def router(
     ] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """Be the router."""
+    """The router of a run's bus.
+
+    $ robofleet router lab.yaml
+    """
     if print_config:
         from robofleet.hosts.network import settings_of  # noqa: PLC0415
 
@@ -221,13 +268,6 @@ def router(
     _be(table.ROUTER, config, lifeline)
 
 
-_add(table.CONTROLLER, controller)
-_add(table.TRACKER, tracker)
-_add(table.DRIVER, driver)
-_add(table.ROUTER, router)
-
-
-@app.command(rich_help_panel=OPERATOR)
 def hosts(
     arena: Annotated[
         str | None,
@@ -271,7 +311,6 @@ def hosts(
         Console().print(asking.table(found))
 
 
-@app.command(rich_help_panel=OPERATOR)
 def web(
     run: Annotated[
         str | None,

@@ -13,15 +13,7 @@ from robofleet.core.log_lines import never_raise
 from robofleet.core.valid_json import dumps
 from robofleet.operator.terminal.plain_terminal import speak_its_language
 
-# what is asked of the supervisor, and what that does
-REQUESTS = {
-    "arm": "Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.",
-    "start": "Start a fleet that waits for its operator (run.start: operator).",
-    "hold": "Let every robot stand; `robofleet resume` goes on.",
-    "resume": "Continue after a hold.",
-    "park": "Let every robot drive to its place to park; the run ends there.",
-    "reset": "Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.",
-}
+REQUESTS = "arm", "start", "hold", "resume", "park", "reset"  # which the supervisor serves
 _THEN = {"park": "every robot drives to its place to park; the run ends there"}
 _WORDS = 2  # a command, and an arena
 _COLLECT_AFTER = 50_000  # objects: loading libraries makes many, and hardly any garbage

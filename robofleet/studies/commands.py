@@ -11,8 +11,6 @@ from robofleet.core.clock import S, WallClock, utc_now
 from robofleet.core.refusal import bad_input, how_to_install
 from robofleet.core.valid_json import dumps
 
-app = typer.Typer()
-
 On = Annotated[
     str,
     typer.Option(
@@ -22,7 +20,6 @@ On = Annotated[
 Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="How many at once; default: one a processor.")]
 
 
-@app.command()
 def storm(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A configuration of simulated robots.")],
     seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
@@ -55,7 +52,6 @@ def storm(
         raise typer.Exit(1)
 
 
-@app.command()
 def sweep(
     sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="What varies: robofleet/studies describes the file.")],
     on: On = "local",

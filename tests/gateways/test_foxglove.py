@@ -21,11 +21,11 @@ from robofleet.core import refusal
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES, Asked
 from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, Address, completed
 from robofleet.gateways.viewers.foxglove.server import Server, written
 from robofleet.gateways.viewers.foxglove.services import services
 from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Opened, Viewers
+from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, completed
 from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
 from tests.gateways.overheard import EPOCH_NS, Overheard

@@ -22,9 +22,9 @@ from robofleet.core import refusal
 from robofleet.core.clock import S
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.address import DEFAULTS, RERUN, Address, completed
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.gateways.viewers.rerun.server import Server
+from robofleet.operator.viewer_address import DEFAULTS, RERUN, Address, completed
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import Channel
 from robofleet.reports.layouts.rerun_blueprint import TIMELINE, blueprint

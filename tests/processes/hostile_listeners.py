@@ -100,8 +100,8 @@ class Keeping:
 
 
 def _rerun(config: Config, channels: Sequence[Channel]) -> Opened:
-    from robofleet.gateways.viewers.address import Address
     from robofleet.gateways.viewers.rerun.server import Server
+    from robofleet.operator.viewer_address import Address
     from robofleet.reports.layouts.rerun_blueprint import blueprint
 
     return Opened(Server("hostile", Address("127.0.0.1", 0), blueprint(Recording(config)), channels, "1MB"), "")

@@ -10,16 +10,14 @@ import typer
 
 from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, need_extra
 from robofleet.gateways.place import is_over, joined_otherwise, run_of
-from robofleet.operator.commands import OPERATOR, ArenaName
+from robofleet.operator.commands import ArenaName
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
 
-app = typer.Typer()
 _JOINS_WITHIN_S = 3.0
 
 
-@app.command(rich_help_panel=OPERATOR)
 def teleop(
     arena: ArenaName = None,
     config: Annotated[

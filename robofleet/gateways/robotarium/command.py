@@ -19,12 +19,10 @@ from robofleet.gateways.robotarium import script as scripts
 if TYPE_CHECKING:
     from robofleet.gateways.robotarium.runs import Runs
 
-app = typer.Typer()
 
 _CONFIG = SHIPPED / "robotarium.yaml"
 
 
-@app.command()
 def robotarium(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT", help="A script for the Robotarium's Python simulator.")],
     rest: Annotated[

@@ -15,13 +15,12 @@ from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install, need_extra, new_folder
 from robofleet.gateways.place import run_of
 from robofleet.gateways.ros2 import topics
-from robofleet.operator.commands import OPERATOR, running_names
+from robofleet.operator.commands import running_names
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.gateways.place import ArenaAccess
 
-app = typer.Typer()
 SHARE = Path(__file__).parent / "share"  # the launch file
 
 _TYPES = topics.SERVICE, *(kind for row in topics.TOPICS for kind in row.type.split(" or "))
@@ -31,7 +30,6 @@ _RAISED = 1  # exit code of a Python that could not import
 _OPTIONAL = "tf2_msgs"  # which PyPI does not have
 
 
-@app.command(rich_help_panel=OPERATOR)
 def ros2(
     arena: Annotated[
         str | None,

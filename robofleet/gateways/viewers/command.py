@@ -6,12 +6,11 @@ from typing import Annotated
 
 import typer
 
-from robofleet.core.refusal import LAB_MODULES, bad_input, need_extra
+from robofleet.core.refusal import bad_input
 from robofleet.gateways.place import ArenaAccess, run_of
-from robofleet.gateways.viewers.address import DEFAULTS, FOXGLOVE, RERUN, Address
-from robofleet.operator.commands import OPERATOR, ArenaName, LifelineFd
+from robofleet.operator.commands import ArenaName, LifelineFd
+from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
 
-app = typer.Typer()
 _JOINS_WITHIN_S = 3.0  # a run that is on
 
 _Copy = Annotated[
@@ -19,7 +18,6 @@ _Copy = Annotated[
 ]
 
 
-@app.command(rich_help_panel=OPERATOR)
 def foxglove(
     arena: ArenaName = None,
     config: _Copy = None,
@@ -39,7 +37,6 @@ def foxglove(
     _serve(FOXGLOVE, arena, config, at, lifeline)
 
 
-@app.command(rich_help_panel=OPERATOR)
 def rerun(
     arena: ArenaName = None,
     config: _Copy = None,
@@ -57,12 +54,6 @@ def rerun(
     The run does not need it: start and end it at any time. `robofleet run --rerun` starts it with the run.
     """
     _serve(RERUN, arena, config, at, lifeline)
-
-
-def need(viewer: str) -> None:
-    """Refuse where a viewer's library is missing."""
-    need_extra(viewer, viewer)  # its module, and the extra that brings it, have its name
-    need_extra("lab", *LAB_MODULES)
 
 
 def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifeline: int | None) -> None:

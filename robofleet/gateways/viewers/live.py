@@ -18,8 +18,8 @@ from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
 from robofleet.gateways.place import ArenaAccess, is_over
 from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.address import RERUN, Address
 from robofleet.nodes.node import Lifeline
+from robofleet.operator.viewer_address import RERUN, Address
 from robofleet.recording.channels import keys
 from robofleet.recording.scenes.drawn import Channel, Drawn, of_key
 

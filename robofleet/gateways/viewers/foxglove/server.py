@@ -20,10 +20,10 @@ from robofleet.config.tree import Config
 from robofleet.core.files import read_plain, replaced
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES
-from robofleet.gateways.viewers.address import Address
 from robofleet.gateways.viewers.foxglove.services import new_key, services
 from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Opened, Run
+from robofleet.operator.viewer_address import Address
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import Channel as Described
 from robofleet.reports.layouts import foxglove as layouts

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from robofleet.config.tree import Config
     from robofleet.recording.reading import Imports
 
-app = typer.Typer()
 _NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 
 Modules = Annotated[
@@ -39,7 +38,6 @@ ReplayedModules = Annotated[
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
 
 
-@app.command()
 def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
     """Give today's controller a recording's inputs, tick by tick, and compare each command.
 
@@ -86,7 +84,6 @@ def _load_behaviours(run: Path, config: "Config") -> None:
             raise RefusedError(f"{run}: {error}") from error
 
 
-@app.command()
 def repair(run: RunFolder) -> None:
     """Complete the recording of a run that was killed: all that was written stays, and gets an index.
 
@@ -112,7 +109,6 @@ def repair(run: RunFolder) -> None:
         print(printable(f"The damaged file is kept: {done.kept}"))
 
 
-@app.command()
 def report(
     run: RunFolder,
     other: Annotated[
@@ -150,7 +146,6 @@ def report(
         raise typer.Exit(1)
 
 
-@app.command()
 def layout(
     viewer: Annotated[str, typer.Argument(metavar="VIEWER", help="foxglove, lichtblick, plotjuggler or rerun.")],
     run: RunFolder,

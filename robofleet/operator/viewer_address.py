@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from robofleet.core.patterns import CONFIGURATIONS
-from robofleet.core.refusal import RefusedError
+from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, is_local, listening
 
@@ -24,6 +24,12 @@ _FAMILIES = socket.AF_INET, socket.AF_INET6
 def option(viewer: str) -> str:
     """Return the option of `run` that serves a viewer."""
     return f"--{viewer}"
+
+
+def need(viewer: str) -> None:
+    """Refuse where a viewer's library is missing."""
+    need_extra(viewer, viewer)  # its module, and the extra that brings it, have its name
+    need_extra("lab", *LAB_MODULES)
 
 
 def completed(arguments: list[str]) -> list[str]:

@@ -1,0 +1,88 @@
+"""The commands about configurations: ``init``, ``check`` and ``schema``."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from robofleet.config import schema as schemas
+from robofleet.config.starting import write_starting_files
+from robofleet.config.yamlfile import printable
+from robofleet.core.refusal import RefusedError, bad_input, new_folder
+from robofleet.operator.terminal.plain_terminal import as_shown
+from robofleet.reports.tables import proofs_table
+from robofleet.runs.check import load_checked, proofs
+from robofleet.runs.check_starts import warnings
+
+ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/keys lists every key.")]
+Overrides = Annotated[
+    list[str],
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
+]
+
+
+def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
+    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved.
+
+    $ robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=0.06
+    """
+    with bad_input():
+        tree = load_checked(config, overrides, None, lockstep=False)
+    console = Console()
+    rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
+    console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
+    for warning in warnings(tree):
+        print(f"May take long: {warning}")
+    print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder, or an empty one.")],
+) -> None:
+    """Write a laboratory's starting files: arena, robots, path, camera, and the schema that editors read.
+
+    $ robofleet init lab
+    """
+    with bad_input():
+        new_folder(folder, "DIR")
+        try:
+            files = write_starting_files(folder)
+        except OSError as error:
+            raise RefusedError(f"DIR: {folder} cannot be written: {error.strerror}: name another folder") from error
+    for file in files:
+        print(f"{file}: {_first_comment(file)}")
+    hello = shlex.quote(str(folder / "examples" / "hello.py"))
+    print(f"{folder / 'examples'}: Scripts that drive the robots of script.yaml. Start with: python {hello}")
+    print("Next:", shlex.join(["robofleet", "run", str(folder / "platoon.yaml"), "--web"]))
+
+
+def schema(
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: standard output.")] = None,
+) -> None:
+    """The configuration's JSON schema: with it an editor completes keys and marks mistakes.
+
+    $ robofleet schema --out schema.json
+
+    The first line of a configuration beside it is then:
+
+    # yaml-language-server: $schema=schema.json
+    """
+    text = json.dumps(schemas.schema(), indent=1)
+    if out is None:
+        print(text)
+        return
+    with bad_input():
+        try:
+            out.write_text(text + "\n")
+        except OSError as error:
+            raise RefusedError(f"--out: {out} cannot be written: {error.strerror}: name another file") from error
+    print(out)
+
+
+def _first_comment(file: Path) -> str:
+    """Return the first sentence of a configuration about itself; the line before it is the editors'."""
+    words = " ".join(line.removeprefix("#").strip() for line in file.read_text().splitlines()[1:4])
+    return words.partition(". ")[0].rstrip(".") + "."

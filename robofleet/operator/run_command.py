@@ -1,0 +1,211 @@
+"""The commands ``run`` and ``go``."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from robofleet.bus.arena_file import ArenaBusyError, claimed
+from robofleet.bus.endpoint import check_router, settled
+from robofleet.bus.private_folder import PlaceError
+from robofleet.config.tree import Config
+from robofleet.core.clock import utc_now
+from robofleet.core.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra, new_file, new_folder, unkept
+from robofleet.hosts.network import network
+from robofleet.nodes.unit.keeping import FileKeeping
+from robofleet.operator import going
+from robofleet.operator import viewer_address as viewers
+from robofleet.operator.config_commands import ConfigFile, Overrides
+from robofleet.operator.ending import Ending
+from robofleet.operator.page.certificate import page_keys
+from robofleet.operator.page.page_address import LOOPBACK, listening
+from robofleet.operator.run import Result, in_lockstep, in_real_time
+from robofleet.operator.terminal.outlet import unhindered
+from robofleet.runs.check import load_checked
+from robofleet.runs.page_process import PageWanted
+
+
+class RunCommand(TyperCommand):
+    """``run``, whose options --foxglove and --rerun may stand without a value."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Add the values that were left out."""
+        return super().parse_args(ctx, viewers.completed(args))
+
+
+@unhindered()
+def run(
+    config: ConfigFile,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="One process on a simulated clock: fast and repeatable.")
+    ] = False,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; default: run.duration_s.")] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Default: run.seed.")] = None,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults: configs/faults.")] = None,
+    reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
+    takeover: Annotated[
+        bool, typer.Option("--takeover", help="Take over robots that another controller holds.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Open the operator's page in your browser.")] = False,
+    web_host: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Open it at this address of the machine, for a phone too: by TLS, with a QR code."
+        ),
+    ] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
+    foxglove: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:PORT]",
+            help=f"Show it in Foxglove or Lichtblick; default: {viewers.DEFAULTS[viewers.FOXGLOVE]}.",
+        ),
+    ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:PORT]", help=f"Show it in rerun; default: {viewers.DEFAULTS[viewers.RERUN]}."),
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit 1 also where a bound of run.bounds is not met.")
+    ] = False,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
+) -> None:
+    """Drive the groups of a configuration: start, arm, run, stop; then a table, and DIR/summary.json.
+
+    $ robofleet run configs/platoon.yaml
+
+    $ robofleet run configs/platoon.yaml --lockstep --set groups.0.settings.track=centre
+
+    $ robofleet run configs/platoon.yaml --lockstep --strict --junit bounds.xml
+
+    Ctrl-C ends it, twice is the emergency stop; from another terminal: robofleet stop, hold, resume, status.
+    """
+    changes = [*overrides]
+    if duration is not None:
+        changes.append(f"run.duration_s={duration}")
+    if seed is not None:
+        changes.append(f"run.seed={seed}")
+    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
+    with ExitStack() as held:
+        with bad_input():
+            page = _page(web, web_host, browser=not no_browser, lockstep=lockstep)
+            tree = load_checked(config, changes, faults, lockstep=lockstep)
+            if page is not None:
+                page_keys(tree.arena.name, page.host, "--web-host")
+            served = {viewers.FOXGLOVE: foxglove, viewers.RERUN: rerun}
+            shown = {viewer: at for viewer, at in served.items() if at is not None}
+            _refuse_viewers(shown, tree, lockstep=lockstep)
+            if strict and not tree.run.bounds.model_dump(exclude_none=True):
+                raise RefusedError(f"--strict: {config} has no bounds: write run.bounds, or leave --strict out")
+            if junit is not None:
+                new_file("--junit", junit)
+            if not lockstep:
+                _refuse_unattended(tree)
+                _refuse_forgetful(tree)
+                tree = _settled(tree)
+                held.enter_context(_claimed(tree, folder))
+            new_folder(folder)
+        how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
+        with bad_input():
+            result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
+    ending = Ending(tree, folder, result, as_json=as_json)
+    ending.tell()
+    if junit is not None:
+        ending.write_junit(junit)
+    if ending.bad(strict=strict):
+        raise typer.Exit(1)
+
+
+def go(
+    config: ConfigFile,
+    goals: Annotated[list[str], typer.Argument(metavar="ROBOT=X,Y,DEG...", help="Poses in metres and degrees.")],
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulation, on a simulated clock.")] = False,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Open the operator's page in your browser.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
+) -> None:
+    """Let robots go to poses by themselves, round each other; all others stand. It ends when they are there.
+
+    $ robofleet go configs/platoon.yaml r1=0.5,0.2,90 r2=-0.5,0.2,0 --lockstep
+    """
+    with bad_input():
+        changes = [*overrides, *going.overrides(goals)]
+    run(config, lockstep=lockstep, overrides=changes, out=out, web=web, quiet=quiet)
+
+
+def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> PageWanted | None:
+    """Return how the operator wants the page; None: not at all."""
+    if not web and host is None:
+        return None
+    option = "--web" if host is None else "--web-host"
+    if lockstep:
+        raise RefusedError(f"{option}: a lockstep run ends too soon for a page: leave {option} or --lockstep out")
+    need_extra("lab", *WEB_PACKAGES)
+    if host is not None:
+        listening(host, 0, option).close()
+    return PageWanted(host or LOOPBACK, browser)
+
+
+def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> None:
+    """Refuse viewers that could not see the run."""
+    for viewer, at in shown.items():
+        option = viewers.option(viewer)
+        if lockstep:
+            raise RefusedError(f"{option} needs a run in real time: after --lockstep open its run.mcap")
+        viewers.need(viewer)
+        viewers.Address.read(viewer, at, option).check(tree.arena.name, option)
+
+
+def _refuse_unattended(tree: Config) -> None:
+    if tree.run.attended and not sys.stdin.isatty():
+        raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
+
+
+def _refuse_forgetful(tree: Config) -> None:
+    """Refuse a run whose drivers could not keep what they must remember."""
+    here = tuple(robot for robot in tree.ids if tree.unit_of[robot] not in tree.daemons)
+    if tree.drivers.started_by != "systemd":
+        try:
+            FileKeeping(tree.arena.name).try_place(here)
+        except OSError as error:
+            raise unkept(error) from error
+
+
+@contextmanager
+def _claimed(tree: Config, folder: Path) -> Iterator[None]:
+    """Let the run be reached by others, and refuse a second one on the same arena."""
+    with ExitStack() as held:
+        try:
+            held.enter_context(claimed(tree, folder))
+            check_router(tree)
+        except (ArenaBusyError, PlaceError) as error:
+            raise RefusedError(str(error)) from error
+        yield
+
+
+def _settled(tree: Config) -> Config:
+    """Choose where the processes meet; what is in use is refused."""
+    network(tree)  # refuses keys that are missing, before anything starts
+    try:
+        return settled(tree, listen=True)
+    except PlaceError as error:
+        raise RefusedError(str(error)) from error
+
+
+def _result(tree: Config, name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> Result:
+    try:
+        if lockstep:
+            return in_lockstep(tree, name, folder, quiet=quiet)
+        return in_real_time(tree, name, folder, quiet=quiet, **how)
+    except OSError as error:
+        print(f"{folder}: {error.strerror}: make room, or name another folder with --out", file=sys.stderr)
+        raise typer.Exit(1) from error
