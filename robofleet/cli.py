@@ -23,7 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
 from robofleet.core.log_lines import never_raise
-from robofleet.core.refusal import LAB_MODULES, bad_input, how_to_install
+from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install
 from robofleet.operator import usage
 from robofleet.operator.terminal.plain_terminal import silence_libraries, speak_its_language
 
@@ -120,9 +120,14 @@ class _Commands(TyperGroup):
         return name, command.loaded if isinstance(command, _Unloaded) else command, rest
 
     def invoke(self, ctx: Any) -> Any:
-        """Run it; bad input ends with exit code 2 and one line a fault."""
+        """Run it; bad input, and a package that is not installed, end with exit code 2 and one line a fault."""
         with bad_input():
-            return super().invoke(ctx)
+            try:
+                return super().invoke(ctx)
+            except ModuleNotFoundError as error:
+                if (package := (error.name or "").partition(".")[0]) not in LAB_MODULES:
+                    raise
+                raise RefusedError(f"this needs {package}: {how_to_install('lab')}") from error
 
 
 app = typer.Typer(
@@ -152,7 +157,7 @@ def every_command(
 
 
 def main(*before: str) -> None:
-    """Run a command; one whose packages are not installed says which extra has them.
+    """Run a command.
 
     ``before``: words that stand before those of the command line.
     """
@@ -169,8 +174,3 @@ def main(*before: str) -> None:
         raise SystemExit(2) from error
     except typer.Abort as error:
         raise SystemExit(1) from error
-    except ModuleNotFoundError as error:
-        if (package := (error.name or "").partition(".")[0]) not in LAB_MODULES:
-            raise
-        print(f"this needs {package}: {how_to_install('lab')}", file=sys.stderr)
-        raise SystemExit(2) from error

@@ -1,15 +1,19 @@
 """The command ``robofleet doctor``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from robofleet.config.load import ConfigFile
 from robofleet.core.refusal import RefusedError, bad_input
 from robofleet.core.valid_json import dumps
-
-if TYPE_CHECKING:
-    from robofleet.doctor.needs import Needs
+from robofleet.doctor.asking import ask as answers
+from robofleet.doctor.examination import examine
+from robofleet.doctor.findings import Mark
+from robofleet.doctor.needs import Needs
+from robofleet.doctor.view import show
+from robofleet.runs import check_drivers
 
 
 def doctor(
@@ -44,11 +48,6 @@ def doctor(
 
     Exit 0: a run would work; 1: something that it needs is missing.
     """
-    from robofleet.doctor.asking import ask as answers  # noqa: PLC0415
-    from robofleet.doctor.examination import examine  # noqa: PLC0415
-    from robofleet.doctor.findings import Mark  # noqa: PLC0415
-    from robofleet.doctor.view import show  # noqa: PLC0415
-
     with bad_input():
         if not all(ask):
             raise RefusedError("--ask: name a serial port, as /dev/ttyUSB0, or all")
@@ -73,10 +72,6 @@ def doctor(
 
 
 def _needs(config: Path | None, overrides: list[str], robots: str) -> "Needs":
-    from robofleet.config.load import ConfigFile  # noqa: PLC0415
-    from robofleet.doctor.needs import Needs  # noqa: PLC0415
-    from robofleet.runs import check_drivers  # noqa: PLC0415
-
     if config is None:
         if overrides or robots:
             raise RefusedError(f"{'--set' if overrides else '--robots'}: it belongs to a configuration: name one")

@@ -5,16 +5,36 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from robofleet.bus.credentials import AUTHORITY, KeysError
+from robofleet.bus.permissions import OPERATOR, UNIT
+from robofleet.config.load import ConfigError
+from robofleet.config.robot_file import FILE, load_robot_file
 from robofleet.core import folders
-from robofleet.core.refusal import RefusedError
-from robofleet.hosts.keys_commands import refused
+from robofleet.core.files import write_text
+from robofleet.core.plugins import known
+from robofleet.core.refusal import RefusedError, bad_input
+from robofleet.core.valid_json import dumps
+from robofleet.hosts import bundle as bundles
 
 _SERVICE = Path("/etc/systemd/system/robofleet-unit.service")
+
+
+@contextmanager
+def refused() -> Iterator[None]:
+    """End with exit code 2 and a line where a key cannot be used."""
+    with bad_input():
+        try:
+            yield
+        except KeysError as error:
+            raise RefusedError(str(error)) from error
+        except OSError as error:
+            raise RefusedError(f"{error.filename}: {error.strerror}") from error
 
 
 def join(
@@ -41,9 +61,6 @@ def join(
 
     $ robofleet join r1.bundle --into /media/card/etc/robofleet --driver gternal --max-wheel-speed 12.5
     """
-    from robofleet.bus.permissions import OPERATOR, UNIT  # noqa: PLC0415
-    from robofleet.hosts import bundle as bundles  # noqa: PLC0415
-
     with refused():
         allows = _allowed(driver, port, max_wheel_speed)
         made = bundles.read(file)
@@ -77,9 +94,6 @@ def join(
 
 def _refuse_other(base: Path, arena: str, unit: str) -> None:
     """Refuse a bundle where this computer is another unit already, or one of another arena."""
-    from robofleet.config.load import ConfigError  # noqa: PLC0415
-    from robofleet.config.robot_file import FILE, load_robot_file  # noqa: PLC0415
-
     file = base / FILE
     if not file.exists():
         return
@@ -96,10 +110,6 @@ def _refuse_other(base: Path, arena: str, unit: str) -> None:
 
 def _allowed(driver: str | None, port: str | None, max_wheel_speed: float | None) -> dict[str, Any]:
     """Return what robot.yaml is to allow, as the options say; RefusedError where that cannot be."""
-    from math import inf  # noqa: PLC0415
-
-    from robofleet.core.plugins import known  # noqa: PLC0415
-
     allows: dict[str, Any] = {}
     if driver is not None:
         if ":" not in driver and driver not in (kinds := known("robofleet.drivers")):
@@ -145,10 +155,6 @@ def _readable(base: Path) -> Iterator[None]:
 
 def _write_robot_file(base: Path, made: Any, allows: dict[str, Any]) -> Path:
     """Write robot.yaml; one that is there keeps what it allows, but for what ``allows`` names."""
-    from robofleet.config.robot_file import FILE, load_robot_file  # noqa: PLC0415
-    from robofleet.core.files import write_text  # noqa: PLC0415
-    from robofleet.core.valid_json import dumps  # noqa: PLC0415
-
     file: Path = base / FILE
     if file.exists():
         present = load_robot_file(file)
@@ -172,8 +178,6 @@ def _is_root() -> bool:
 
 
 def _refuse_service(kind: str, into: Path | None) -> None:
-    from robofleet.bus.permissions import UNIT  # noqa: PLC0415
-
     if into is not None:
         raise RefusedError("--service: it starts at /etc/robofleet of this computer: leave --service or --into out")
     if kind != UNIT:
@@ -186,9 +190,6 @@ def _refuse_service(kind: str, into: Path | None) -> None:
 
 def _install(arena: str, unit: str) -> None:
     """Write the service of a unit's driver."""
-    from robofleet.bus.credentials import AUTHORITY  # noqa: PLC0415
-    from robofleet.core.files import write_text  # noqa: PLC0415
-
     program = shutil.which("robofleet") or f"{sys.executable} -P -m robofleet"
     keys = folders.SYSTEM / "keys" / arena
     handed = "\n".join(

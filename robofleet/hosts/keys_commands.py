@@ -3,18 +3,27 @@
 $ robofleet keys init lab
 """
 
+import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
+from robofleet.bus.credentials import KINDS, ROUTER, Credentials, keys_folder
+from robofleet.bus.permissions import OPERATOR, UNIT, VIEWER
+from robofleet.config.load import load_config
+from robofleet.core.clock import utc_now
+from robofleet.core.patterns import NAME_PATTERN, NETWORK_PATTERN
 from robofleet.core.refusal import RefusedError, bad_input, need_extra
-
-if TYPE_CHECKING:
-    from robofleet.hosts.authority import Authority, Entry
+from robofleet.core.valid_json import dumps
+from robofleet.hosts import bundle as bundles
+from robofleet.hosts.authority import AUTHORITY_DAYS, DAYS, Authority, Entry
+from robofleet.hosts.join_command import refused
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 
@@ -24,34 +33,13 @@ Days = Annotated[int | None, typer.Option(metavar="N", min=1, max=36500, help="H
 
 
 @contextmanager
-def refused() -> Iterator[None]:
-    """End with exit code 2 and a line where a key cannot be used."""
-    from robofleet.bus.credentials import KeysError  # noqa: PLC0415
-
-    with bad_input():
-        try:
-            yield
-        except KeysError as error:
-            raise RefusedError(str(error)) from error
-        except OSError as error:
-            raise RefusedError(f"{error.filename}: {error.strerror}") from error
-
-
-@contextmanager
 def _authority(arena: str) -> Iterator["Authority"]:
     with refused():
         need_extra("lab", "cryptography")
-        from robofleet.bus.credentials import keys_folder  # noqa: PLC0415
-        from robofleet.hosts.authority import Authority  # noqa: PLC0415
-
         yield Authority(_named(arena), keys_folder(arena))
 
 
 def _named(name: str) -> str:
-    import re  # noqa: PLC0415
-
-    from robofleet.core.patterns import NAME_PATTERN  # noqa: PLC0415
-
     if not re.fullmatch(NAME_PATTERN, name):
         raise RefusedError(f"{name!r} is no name: small letters, digits, - and _, at most 32, a letter first")
     return name
@@ -78,9 +66,6 @@ def init(
     """
     with refused():
         need_extra("lab", "cryptography")
-        from robofleet.bus.credentials import keys_folder  # noqa: PLC0415
-        from robofleet.hosts.authority import AUTHORITY_DAYS, Authority  # noqa: PLC0415
-
         made = Authority.create(_named(arena), keys_folder(arena), days or AUTHORITY_DAYS, address)
     print(f"{made.folder}: the authority of {arena}; keep a copy of this folder, and let nobody else read it")
     print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
@@ -125,10 +110,6 @@ def add(
         return
     assert name is not None
     with _authority(arena) as authority:
-        from robofleet.bus.credentials import KINDS  # noqa: PLC0415
-        from robofleet.bus.permissions import UNIT  # noqa: PLC0415
-        from robofleet.hosts.authority import DAYS  # noqa: PLC0415
-
         kind = kind or (name if name in KINDS else UNIT)
         if kind not in KINDS:
             raise RefusedError(f"--kind {kind}: one of {', '.join(KINDS)}")
@@ -143,13 +124,7 @@ def add(
 
 def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], days: int | None) -> None:
     """Add whom a configuration needs and who has no certificate: all of them, or nobody."""
-    from robofleet.config.load import load_config  # noqa: PLC0415
-
     with _authority(arena) as authority:
-        from robofleet.bus.credentials import KINDS, ROUTER  # noqa: PLC0415
-        from robofleet.bus.permissions import OPERATOR, UNIT, VIEWER  # noqa: PLC0415
-        from robofleet.hosts.authority import DAYS  # noqa: PLC0415
-
         if kind is not None:
             raise RefusedError("--kind: it belongs to a name: leave --kind or --from out")
         config = load_config(source)
@@ -186,13 +161,8 @@ def listed(
     with _authority(arena) as authority:
         rows = [_row(name, entry) for name, entry in authority.entries().items()]
     if as_json:
-        from robofleet.core.valid_json import dumps  # noqa: PLC0415
-
         print(dumps({"arena": arena, "names": rows}))
         return
-    from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-
     table = Table("name", "kind", "valid until", "state", box=None, header_style="bold")
     colours = {"valid": "green", "ends soon": "yellow", "expired": "red", "revoked": "red"}
     for row in rows:
@@ -201,8 +171,6 @@ def listed(
 
 
 def _row(name: str, entry: "Entry") -> dict[str, Any]:
-    from robofleet.core.clock import utc_now  # noqa: PLC0415
-
     now, passport = utc_now(), entry.newest
     state = "expired" if now > passport.not_after else "ends soon" if passport.ends_soon(now) else "valid"
     return {
@@ -242,8 +210,6 @@ def revoke(arena: ArenaName, name: Who) -> None:
     $ robofleet keys revoke lab r1
     """
     with _authority(arena) as authority:
-        from robofleet.bus.credentials import ROUTER  # noqa: PLC0415
-
         authority.revoke(name)
         is_router = authority.entries()[name].kind == ROUTER
     resume = f", and cut off; if a run is held by that, go on: robofleet resume {arena}"
@@ -267,10 +233,6 @@ def bundle(
     $ robofleet keys bundle lab r1 --router quic/192.168.1.10:7447
     """
     with _authority(arena) as authority:
-        from robofleet.bus.credentials import Credentials  # noqa: PLC0415
-        from robofleet.core.clock import utc_now  # noqa: PLC0415
-        from robofleet.hosts import bundle as bundles  # noqa: PLC0415
-
         for address in router:
             _refuse_no_router(address)
         entry = authority.entries().get(name)
@@ -288,9 +250,5 @@ def bundle(
 
 
 def _refuse_no_router(address: str) -> None:
-    import re  # noqa: PLC0415
-
-    from robofleet.core.patterns import NETWORK_PATTERN  # noqa: PLC0415
-
     if not re.fullmatch(NETWORK_PATTERN, address) or not 0 < int(address.rpartition(":")[2]) < 65536:
         raise RefusedError(f"--router {address!r}: write quic/HOST:PORT or tls/HOST:PORT, as quic/192.168.1.10:7447")

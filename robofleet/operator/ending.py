@@ -2,15 +2,19 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from rich.console import Console
+
+from robofleet.config import groups
+from robofleet.config.tree import Config
 from robofleet.config.yamlfile import printable
 from robofleet.core.files import write_text
 from robofleet.core.valid_json import dumps
-
-if TYPE_CHECKING:
-    from robofleet.config.tree import Config
-    from robofleet.operator.run import Result
+from robofleet.operator.run import Result
+from robofleet.recording.reading import RecordingError
+from robofleet.reports import after, junit
+from robofleet.reports.bounds import complaints
+from robofleet.reports.tables import summary_table
 
 
 class Ending:
@@ -43,8 +47,6 @@ class Ending:
 
     def write_junit(self, file: Path) -> None:
         """Write the bounds for a CI."""
-        from robofleet.reports import junit  # noqa: PLC0415
-
         try:
             junit.write(self._summary, self.lost, file)
         except OSError as error:
@@ -69,20 +71,12 @@ class Ending:
         return True
 
     def _show_table(self) -> None:
-        from rich.console import Console  # noqa: PLC0415
-
-        from robofleet.reports.tables import summary_table  # noqa: PLC0415
-
         Console().print(summary_table(self._summary, self._config))
 
     def _report(self) -> Path | None:
         """Write the run's report; where that fails, the run and its summary are there all the same."""
         if not self._summary["recording"]["messages"]:  # the operator ended it before it began
             return None
-        from robofleet.config import groups  # noqa: PLC0415
-        from robofleet.recording.reading import RecordingError  # noqa: PLC0415
-        from robofleet.reports import after  # noqa: PLC0415
-
         try:
             made = after.report(self._folder, imports=groups.own(self._config).__contains__, columns=self._columns)
         except OSError as error:
@@ -99,7 +93,5 @@ class Ending:
         return made.page
 
     def _judge(self) -> None:
-        from robofleet.reports.bounds import complaints  # noqa: PLC0415
-
         for line in complaints(self._summary):
             print(line, file=sys.stderr)

@@ -3,6 +3,7 @@
 import math
 import re
 
+from robofleet.config.load import Typed
 from robofleet.core.refusal import RefusedError
 
 _GOAL = re.compile(r"([a-z][a-z0-9_-]*)=([^,=]+),([^,=]+),([^,=]+)")
@@ -11,8 +12,6 @@ _PATIENCE_S = 600.0  # a robot crosses any shipped arena in 20 s; many of them w
 
 def overrides(goals: list[str]) -> list[str]:
     """Return what changes a configuration into one that goes to ``ROBOT=X,Y,DEG``; RefusedError for another text."""
-    from robofleet.config.load import Typed  # noqa: PLC0415
-
     poses: dict[str, str] = {}
     for text in goals:
         found = _GOAL.fullmatch(text)

@@ -4,6 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+
 from robofleet.bus.keys import HOST, STATUS, key
 from robofleet.bus.messages import UNIT_STATUS, UnitStatus
 from robofleet.bus.zenoh_bus import ZenohBus
@@ -103,8 +105,6 @@ def _state(said: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
 
 def table(found: dict[str, Any]) -> "Table":
     """Return what a terminal shows."""
-    from rich.table import Table  # noqa: PLC0415
-
     shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
     for name in ("unit", "state", "host", "version", "certificate", "round trip", "loss", "battery", "since"):
         shown.add_column(name)

@@ -10,18 +10,25 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from robofleet.config import groups
+from robofleet.config.tree import Config
 from robofleet.config.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.files import write_bytes
+from robofleet.core.plugins import PluginError, reach
 from robofleet.core.refusal import RefusedError, bad_input, how_to_install, new_file, new_place
-
-if TYPE_CHECKING:
-    from robofleet.config.tree import Config
-    from robofleet.recording.reading import Imports
+from robofleet.nodes.controller import compile_kernels
+from robofleet.recording.reading import Imports, RecordingError, about, file_of, read
+from robofleet.recording.repair import repair as mend
+from robofleet.reports import after
+from robofleet.reports import junit as xml
+from robofleet.reports.bounds import complaints
+from robofleet.reports.layouts.layouts import VIEWERS
+from robofleet.runs import replay as replaying
 
 _NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 
@@ -49,10 +56,6 @@ def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
 
     $ robofleet replay runs/20260102T030405Z-swirl --behaviours configs
     """
-    from robofleet.nodes.controller import compile_kernels  # noqa: PLC0415
-    from robofleet.recording.reading import read  # noqa: PLC0415
-    from robofleet.runs import replay as replaying  # noqa: PLC0415
-
     times_ns = [stopwatch_ns()]
     with _readable():
         recording = read(run, partial(_needed, run, behaviours))
@@ -74,9 +77,6 @@ def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
 
 def _load_behaviours(run: Path, config: "Config") -> None:
     """Load the recording's behaviours; RefusedError where one is not here."""
-    from robofleet.config import groups  # noqa: PLC0415
-    from robofleet.core.plugins import PluginError  # noqa: PLC0415
-
     for group in config.groups:
         try:
             groups.kind(group)
@@ -89,8 +89,6 @@ def repair(run: RunFolder) -> None:
 
     $ robofleet repair runs/20260102T030405Z-platoon
     """
-    from robofleet.recording.repair import repair as mend  # noqa: PLC0415
-
     with _readable():
         try:
             done = mend(run)
@@ -157,9 +155,6 @@ def layout(
     $ robofleet layout foxglove runs/20260102T030405Z-platoon
     """
     with _readable():
-        from robofleet.recording.reading import about, file_of  # noqa: PLC0415
-        from robofleet.reports.layouts.layouts import VIEWERS  # noqa: PLC0415
-
         if viewer not in VIEWERS:
             raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
         chosen, file = VIEWERS[viewer], file_of(run)
@@ -196,10 +191,6 @@ def _refuse_misplaced(other: Path | None, out: Path | None, figures: Path | None
 
 def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports") -> tuple[Path, list[str]]:
     """Write a run's report; returns the page, and a line for every bound that was not met."""
-    from robofleet.reports import after  # noqa: PLC0415
-    from robofleet.reports import junit as xml  # noqa: PLC0415
-    from robofleet.reports.bounds import complaints  # noqa: PLC0415
-
     made = after.report(run, figures, imports)
     if junit is not None:
         xml.write(made.summary, [] if made.trouble is None else [f"{run}: {made.trouble}"], junit)
@@ -207,8 +198,6 @@ def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports
 
 
 def _compared(run: Path, other: Path, out: Path | None, imports: "Imports") -> Path:
-    from robofleet.reports import after  # noqa: PLC0415
-
     return after.compare(run, other, out, imports)
 
 
@@ -240,9 +229,6 @@ def _needed(run: Path, folder: Path | None, name: str) -> bool:
 
 def _imported(folder: Path | None, name: str) -> bool:
     """Import a behaviour whose module stands in the user's folder; False: it does not."""
-    from robofleet.config import groups  # noqa: PLC0415
-    from robofleet.core.plugins import PluginError, reach  # noqa: PLC0415
-
     try:
         if folder is None or not reach(folder, name):
             return False
@@ -270,8 +256,6 @@ def _keeping_garbage() -> Iterator[None]:
 @contextmanager
 def _readable() -> Iterator[None]:
     """Refuse a recording that cannot be read."""
-    from robofleet.recording.reading import RecordingError  # noqa: PLC0415
-
     with bad_input():
         try:
             yield

@@ -10,6 +10,15 @@ import typer
 from robofleet.core.clock import S, WallClock, utc_now
 from robofleet.core.refusal import bad_input, how_to_install
 from robofleet.core.valid_json import dumps
+from robofleet.operator.terminal.terminal import hangup_interrupts
+from robofleet.runs.check import load_checked
+from robofleet.studies import engine
+from robofleet.studies.progress import bar
+from robofleet.studies.storm import report as storm_report
+from robofleet.studies.storm import workers
+from robofleet.studies.sweep import journal, page, running, table
+from robofleet.studies.sweep import report as sweep_report
+from robofleet.studies.sweep.load import load
 
 On = Annotated[
     str,
@@ -34,21 +43,15 @@ def storm(
 
     A failure is printed with the command that plays its seed again.
     """
-    from robofleet.operator.terminal.terminal import hangup_interrupts  # noqa: PLC0415
-    from robofleet.runs.check import load_checked  # noqa: PLC0415
-    from robofleet.studies import engine  # noqa: PLC0415
-
     source = "camera" if pixels else "truth"
     with bad_input():
         tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
-        from robofleet.studies.storm import report, workers  # noqa: PLC0415
-
         replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
         with hangup_interrupts(), engine.opened(on, jobs) as where:
             started_ns = WallClock().now_ns()
-            with report.progress(seeds, replay) as watch:
+            with storm_report.progress(seeds, replay) as watch:
                 tally = workers.storm(tree, range(first, first + seeds), where, watch)
-    if not report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
+    if not storm_report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
         raise typer.Exit(1)
 
 
@@ -68,12 +71,6 @@ def sweep(
     Every run is checked before the first one starts. Ctrl-C keeps what is finished; the same command with the same
     --out goes on from there. Exit 1: some run did not complete, and is named with the command that replays it.
     """
-    from robofleet.operator.terminal.terminal import hangup_interrupts  # noqa: PLC0415
-    from robofleet.studies import engine  # noqa: PLC0415
-    from robofleet.studies.progress import bar  # noqa: PLC0415
-    from robofleet.studies.sweep import journal, page, report, running, table  # noqa: PLC0415
-    from robofleet.studies.sweep.load import load  # noqa: PLC0415
-
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
     with bad_input(), hangup_interrupts():
         study = load(sweep, lambda total: bar("checks", total))
@@ -82,7 +79,7 @@ def sweep(
                 with bar("sweep", len(study.runs), len(kept.played)) as shown:
 
                     def watch(ran: table.Ran) -> None:
-                        shown.say(*report.lines(ran, shown.failed))
+                        shown.say(*sweep_report.lines(ran, shown.failed))
                         shown.add(failed=ran.outcome != "completed")
 
                     runs = running.run(study, where, kept, watch)
@@ -96,8 +93,8 @@ def sweep(
         print(f"there is no {table.PARQUET}, it needs pyarrow: {how_to_install('sweep')}", file=sys.stderr)
     files.append(page.write(study, runs, folder, files))
     if as_json:
-        print(dumps(report.told(study, runs, folder)))
+        print(dumps(sweep_report.told(study, runs, folder)))
     else:
-        report.summarise(study, runs, files)
+        sweep_report.summarise(study, runs, files)
     if any(ran.outcome != "completed" for ran in runs):
         raise typer.Exit(1)

@@ -88,7 +88,7 @@ def bundle(lab: Path) -> Path:
 def clock_says(monkeypatch: pytest.MonkeyPatch, at: Callable[[], datetime]) -> None:
     for module in (authorities, bundles, credentials_of):
         monkeypatch.setattr(module, "utc_now", at)
-    monkeypatch.setattr("robofleet.core.clock.utc_now", at)
+    monkeypatch.setattr("robofleet.hosts.keys_commands.utc_now", at)
 
 
 def later(monkeypatch: pytest.MonkeyPatch, days: float) -> None:

@@ -6,19 +6,20 @@ import traceback
 import warnings
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import matplotlib as mpl
 import typer
 
+from robofleet.config.load import ConfigError
 from robofleet.config.names import SHIPPED
 from robofleet.config.yamlfile import printable
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, need_extra, new_folder
+from robofleet.gateways.robotarium import old_names, stand_in
 from robofleet.gateways.robotarium import script as scripts
-
-if TYPE_CHECKING:
-    from robofleet.gateways.robotarium.runs import Runs
-
+from robofleet.gateways.robotarium.runs import Runs, Wanted
+from robofleet.scripts.fleet import FleetError
 
 _CONFIG = SHIPPED / "robotarium.yaml"
 
@@ -54,8 +55,6 @@ def robotarium(
     with bad_input():
         version = _read(script, api)
         need_extra("lab", *LAB_MODULES)
-        from robofleet.gateways.robotarium.runs import Runs, Wanted  # noqa: PLC0415 - it loads all that a run needs
-
         if out is not None:
             new_folder(out)
         runs = Runs(Wanted(config, script.stem, real_time, ideal, tuple(overrides), out, quiet))
@@ -96,14 +95,8 @@ def _read(script: Path, api: int | None) -> int:
 
 def _run(script: Path, arguments: list[str], runs: "Runs", version: int) -> int:
     """Run the script as Python does, and end what it has begun; return the exit code."""
-    from robofleet.config.load import ConfigError  # noqa: PLC0415
-    from robofleet.gateways.robotarium import old_names, stand_in  # noqa: PLC0415
-    from robofleet.scripts.fleet import FleetError  # noqa: PLC0415
-
     code, failed = 0, None
     if runs.wanted.quiet:
-        import matplotlib as mpl  # noqa: PLC0415 - slow to load
-
         mpl.use("Agg")
     if version == 1:
         old_names.restore()
