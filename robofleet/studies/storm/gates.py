@@ -26,6 +26,7 @@ _LAPSE_NS = 1 * S
 _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
 _LIMIT = 1.01
 _NEVER = GateState(0).command_nonce
+_IDS = 1 << 64  # boot ids have 64 bits
 _PASSING = (
     "since_ns",
     "refused",
@@ -65,7 +66,7 @@ class GateAudit:
         for row, decision in enumerate(decisions):
             true_ns, now_ns, _, state, output = decision
             if state.boot_id != before.boot_id:
-                start = row if previous is None or now_ns >= previous.now_ns else start
+                start = row if previous is None or not _set_back(decision, previous) else start
                 before = self._begun(decision, before, previous)
             self._held_up(decision, previous)
             if _memory(state) != _memory(before):
@@ -100,7 +101,7 @@ class GateAudit:
     def _begun(self, decision: GateDecision, before: GateState, previous: GateDecision | None) -> GateState:
         """Return what a gate with a new boot id may know: its lease's epoch and its latch."""
         state = decision.state
-        if previous is not None and decision.now_ns < previous.now_ns:  # its clock went back: it must forget
+        if previous is not None and _set_back(decision, previous):  # it must forget
             return before._replace(
                 boot_id=state.boot_id, heard_ns=state.heard_ns, command_nonce=_NEVER, enabled=(_NEVER, 0)
             )
@@ -269,6 +270,11 @@ class GateAudit:
     def _report(self, invariant: str, at_ns: Array, wrong: NDArray[np.bool_], figure: Array) -> None:
         for row in np.flatnonzero(wrong)[:3]:
             self._fail(at_ns[row], invariant, f"{figure[row]:.6g}")
+
+
+def _set_back(decision: GateDecision, previous: GateDecision) -> bool:
+    """Return whether a gate with a new boot id had its clock set back: a restart draws another number."""
+    return decision.state.boot_id == (previous.state.boot_id + 1) % _IDS
 
 
 def intervals(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
