@@ -63,7 +63,7 @@ def test_gain_makes_noise_and_a_longer_exposure_does_not() -> None:
         day.run(0.3)
         images = []
         for _ in range(7):
-            images.append(camera._picture(day.clock.now_ns(), 0.0, camera._asked)[:100, :100].astype(float))
+            images.append(camera._picture(day.clock.now_ns(), 0.0, camera._next_exposure)[:100, :100].astype(float))
         return float(np.std(np.array(images), axis=0).mean())
 
     plain = noise(0.004, 0.0)
