@@ -18,8 +18,8 @@ from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import SHOWN, Recording, Run, Watch
 from robofleet.reports.metrics import summary
 from robofleet.reports.sampled import look
+from robofleet.runs.companion import PageWanted
 from robofleet.runs.launcher import Launcher
-from robofleet.runs.page_process import PageWanted
 from robofleet.vehicles.interface import DriverError
 
 if TYPE_CHECKING:

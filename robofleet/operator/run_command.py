@@ -26,7 +26,7 @@ from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.operator.run import Result, in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
 from robofleet.runs.check import load_checked
-from robofleet.runs.page_process import PageWanted
+from robofleet.runs.companion import PageWanted
 
 
 class RunCommand(TyperCommand):

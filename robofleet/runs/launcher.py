@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,14 @@ from robofleet.core.clock import MS, S, WallClock
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import write_text
 from robofleet.nodes.machine import Silence
-from robofleet.operator.estop import emergency_stop
-from robofleet.operator.terminal.live_state import READY
-from robofleet.operator.terminal.terminal import EMERGENCY_KEYS, Interrupts, Terminal, interrupts
 from robofleet.recording import busy_machine
 from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.runs import table
 from robofleet.runs.child_faults import ChildFaults
 from robofleet.runs.children import Children, RunError
-from robofleet.runs.page_process import PageProcess, PageWanted
+from robofleet.runs.companion import Companion, PageWanted
+from robofleet.runs.console import EMERGENCY_KEYS, READY, Console, Interrupts
 from robofleet.runs.readiness import missing
-from robofleet.runs.viewers_process import ViewersProcess
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.gate import Latch
@@ -78,14 +76,14 @@ class Launcher:
         config: Config,
         folder: Path,
         watch: Watch,
-        terminal: Terminal,
+        console: Console,
         *,
         reset: bool = False,
         take_over: bool = False,
         web: PageWanted | None = None,
         viewers: Mapping[str, str] | None = None,
     ) -> None:
-        self._config, self._folder, self._watch, self._terminal = config, folder, watch, terminal
+        self._config, self._folder, self._watch, self._console = config, folder, watch, console
         self._reset, self._take_over, self._web, self._served = reset, take_over, web, viewers or {}
         self._clock = WallClock()
         self.recording = Recording(config)
@@ -103,9 +101,8 @@ class Launcher:
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
         self._silence = Silence(self._clock.now_ns())  # of the supervisor
         self._answer: Answer | None = None  # to what a key asked
-        self._counted = Interrupts()
-        self._page: PageProcess | None = None
-        self._viewers: list[ViewersProcess] = []
+        self._interrupts: Interrupts
+        self._companions: list[Companion] = []
 
     def run(self) -> Outcome:
         """Start everything, run for the configured time, stop, reap."""
@@ -114,22 +111,18 @@ class Launcher:
         logs = self._folder / "log"
         logs.mkdir()
         fleet = Children(logs, config_file)
-        with interrupts() as self._counted, ExitStack() as held:
+        with self._console.interrupts() as self._interrupts, ExitStack() as held:
             try:
                 outcome = self._outcome_of(fleet, held)
                 self.recording.outcome, self.recording.cause = outcome
                 return outcome
             finally:
-                if self._page is not None:
-                    self._page.end()
-                for viewers in self._viewers:
-                    viewers.end()
+                for companion in self._companions:
+                    companion.end()
                 fleet.reap(self._clock, but=len(self._first))
                 fleet.reap(self._clock, last_word=self.recording.ending())
-                if self._page is not None:
-                    self._page.leave(self._clock)
-                for viewers in self._viewers:
-                    viewers.leave()
+                for companion in self._companions:
+                    companion.leave(self._clock)
                 for robot in self._config.twins:  # one that was killed has left its port
                     twin_port(self._arena, robot.id).unlink(missing_ok=True)
 
@@ -145,16 +138,11 @@ class Launcher:
     def _start(self, fleet: Children) -> None:
         for one in self._first:
             fleet.start(one.name, *one.command)
-        if self._web is not None:
-            page = fleet.started(table.PAGE.name, (table.PAGE.name, "--host", self._web.host))
-            self._page = PageProcess(page, self._web, self._terminal)
-        for command, at in self._served.items():
-            viewers = fleet.started(command, (command, "--at", at))
-            self._viewers.append(ViewersProcess(viewers, self._terminal))
+        self._start_companions(fleet)
 
         def wait() -> None:
             self._listen()
-            self._terminal.compiling = compiling = fleet.compiling()
+            self._console.compiling = compiling = fleet.compiling()
             words = ". ".join(progress.words() for progress in compiling) or "Starting the processes."
             self._show("compiling" if compiling else "starting", words)
 
@@ -167,10 +155,21 @@ class Launcher:
                 self._silence.of(child.process.pid)
         fleet.wait_ready(self._clock, wait)  # controller and tracker compile their kernels at the same time
 
+    def _start_companions(self, fleet: Children) -> None:
+        console = self._console
+        if self._web is not None:
+            page = fleet.started(table.PAGE.name, (table.PAGE.name, "--host", self._web.host))
+            found = partial(console.page_found, browser=self._web.browser)
+            self._companions.append(Companion(page, found, console.page_gone))
+        for viewer, at in self._served.items():
+            child = fleet.started(viewer, (viewer, "--at", at))
+            gone = partial(console.viewers_gone, viewer, child.log)
+            self._companions.append(Companion(child, partial(console.viewers_found, viewer), gone))
+
     def _show(self, phase: str, words: str) -> None:
         """Show what the launcher does before the supervisor speaks, on the page too."""
-        if self._page is not None:
-            self._page.tell(words)
+        for companion in self._companions:
+            companion.tell(words)
         self._phase = phase
         self._watch(self.recording, phase)
 
@@ -182,8 +181,8 @@ class Launcher:
         self._watch(self.recording, READY)  # who loads something for the run to come does it now
         self.began = True
         self._faults = ChildFaults(self._config, self._clock, fleet)
-        self._terminal.emergency = self._stop_now
-        held.callback(setattr, self._terminal, "emergency", lambda: None)
+        self._console.emergency = self._stop_now
+        held.callback(setattr, self._console, "emergency", lambda: None)
         try:
             self._stream = bus.stream(*self._heard(), capacity=_STREAM)
             held.callback(self._silence.close)
@@ -248,7 +247,7 @@ class Launcher:
 
     def _enter(self, phase: str) -> None:
         if phase != self._phase:
-            self._phase, self._terminal.note = phase, ""
+            self._phase, self._console.note = phase, ""
 
     def _outcome(self, state: RunState) -> Outcome:
         cause = busy_machine.told(state, self._load_behind(state), self._robots)
@@ -302,7 +301,7 @@ class Launcher:
         """Latch every gate; a robot that does not say so is named, and its lifeline is cut at once."""
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
-        stopped = emergency_stop(self._bus, self._clock, self._config.units)
+        stopped = self._console.emergency_stop(self._bus, self._clock, self._config.units)
         next_step = ""
         if not stopped.silent:
             with suppress(RunError):  # whoever is silent or gone: every gate is latched
@@ -327,7 +326,7 @@ class Launcher:
 
     def _polled(self) -> RunState | None:
         """Take what came, do what the operator asks, show it; returns the run's newest state."""
-        keys = self._terminal.keys(self._clock, self._clock.now_ns() + _POLL_NS)
+        keys = self._console.keys(self._clock, self._clock.now_ns() + _POLL_NS)
         if self._phase != _EMERGENCY:
             self._obey(keys)
             if self._phase != READY:  # no key's wish overtakes the reset that the command line asked for
@@ -344,10 +343,8 @@ class Launcher:
         self.recording.keep_newest(SHOWN)
         self._faults.step()
         self._fleet.check(spare=self._trackers)
-        if self._page is not None:
-            self._page.look()
-        for viewers in self._viewers:
-            viewers.look()
+        for companion in self._companions:
+            companion.look()
         self._hear_of_silence()
         self._watch(self.recording, self._phase)
         state: RunState | None = self._newest(self._state_key, RUN_STATE)
@@ -367,8 +364,8 @@ class Launcher:
 
     def _heed(self) -> None:
         """Raise what the terminal's signals ask for."""
-        counted, attended = self._counted, self._config.run.attended
-        if attended and (counted.hung_up or self._terminal.lost):
+        counted, attended = self._interrupts, self._config.run.attended
+        if attended and (counted.hung_up or self._console.lost):
             raise EmergencyError("the operator's terminal is gone")
         if counted.count >= _TWICE:
             raise EmergencyError("interrupted twice")
@@ -385,13 +382,13 @@ class Launcher:
     def _listen(self) -> None:
         """Raise what signals and keys ask for, where the run waits for something else; show what there is to show."""
         self._heed()
-        self._obey(self._terminal.keys(self._clock, self._clock.now_ns()))
+        self._obey(self._console.keys(self._clock, self._clock.now_ns()))
         self._watch(self.recording, self._phase)
 
     def _stop_now(self) -> None:
         """Stop every robot, from the thread that hears the keys: the run's own one hears of it when it can."""
         with suppress(Exception):  # the bus is being left
-            emergency_stop(self._bus, self._clock, self._config.units)
+            self._console.emergency_stop(self._bus, self._clock, self._config.units)
 
     def _ask_by_key(self, keys: str) -> None:
         for pressed in keys:
@@ -399,12 +396,12 @@ class Launcher:
                 payload = _ASKED_BY_KEY[pressed]
                 self._answer = self._bus.ask(on(payload), "supervisor", payload)
         if self._answer is not None and (answer := self._answer.take()) is not None:
-            self._terminal.note, self._answer = answer.decode(errors="replace"), None
+            self._console.note, self._answer = answer.decode(errors="replace"), None
 
     def _attend(self) -> None:
         """Tell the supervisor that the operator is there: the dead man's handle."""
         now_ns = self._clock.now_ns()
-        if self._config.run.attended and self._terminal.present and now_ns - self._attended_ns >= _ATTENDED_NS:
+        if self._config.run.attended and self._console.present and now_ns - self._attended_ns >= _ATTENDED_NS:
             self._attended_ns = now_ns
             self._bus.ask(REQUEST, "supervisor", b"attended")
 

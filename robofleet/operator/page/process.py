@@ -15,7 +15,7 @@ from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.ending import STAYS_MIN, Ending
 from robofleet.operator.page.page_address import Addresses
 from robofleet.operator.page.server import Served, serve
-from robofleet.runs.page_process import STAYS
+from robofleet.runs.companion import STAYS
 
 _NICE = 5  # the page waits for the run, never the other way round
 _EXIT_WITHIN_S = STAYS_MIN * 60.0 + 5.0  # of the run's end, whatever happens

@@ -28,12 +28,13 @@ from robofleet.bus.messages import (
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.operator.terminal import live_robots
-from robofleet.operator.terminal.live_state import READY, UNDER_WAY, WAITING, arming, banner, compiling_line, keys
+from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, arming, banner, compiling_line, keys
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording import busy_machine
 from robofleet.recording.run import Recording
+from robofleet.runs.console import READY
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import describe
 
@@ -55,8 +56,8 @@ class LiveView:
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._next_ns = 0
-        self._phase = self._page = self._code = ""
-        self._viewers: dict[str, str] = {}
+        self._phase = self._code = ""
+        self._addresses: dict[str, str] = {}
         self._reached_s = 0.0
         self._overruns_before: int | None = None
         self._shown: tuple[str, bool] = ("", False)  # the phase, and whether it goes on by itself
@@ -80,13 +81,11 @@ class LiveView:
         if phase == READY and not self._quiet:
             _ = recording.groups, self._way  # loads the behaviours: a launcher that stalls later is no operator
         now_ns = self._clock.now_ns()
-        if self._terminal.page != self._page and (self._quiet or self._live is None):
-            print(self._terminal.page, file=sys.stderr)  # also for who wants no live view: it was asked for
-        viewers = dict(self._terminal.viewers)
-        for viewer, line in viewers.items():
-            if line != self._viewers.get(viewer) and (self._quiet or self._live is None):
-                print(line, file=sys.stderr)
-        self._page, self._viewers = self._terminal.page, viewers
+        addresses = dict(self._terminal.addresses)
+        for command, line in addresses.items():
+            if line != self._addresses.get(command) and (self._quiet or self._live is None):
+                print(line, file=sys.stderr)  # also for who wants no live view: it was asked for
+        self._addresses = addresses
         self._show_code()
         if phase == "compiling" != self._phase and (self._quiet or self._live is None):
             print(self._terminal.compiling[0].words(), file=sys.stderr)  # also for who wants no live view: it lasts

@@ -23,7 +23,6 @@ _STAGES = {
 }
 _KEYS = (("e", "emergency stop"), ("h", "hold"), ("r", "resume"), ("q", "end the run"))
 _FIRST_KEYS = (("e", "emergency stop"), ("a", "arm"), ("s", "start"), ("q", "end the run"))
-READY = "ready"  # every process is, and the run has not begun
 WAITING = {
     "waiting": "everything is there: start it with key s, on the operator's page or by `robofleet start`",
     "armed": "every check is passed: start it with key s, on the operator's page or by `robofleet start`",
@@ -89,9 +88,7 @@ def compiling_line(progress: Progress) -> Group:
 def keys(terminal: Terminal, phase: str) -> Text:
     """Return the keys, and what was answered to the last one."""
     text = Text()
-    if terminal.page:
-        text.append(f"\n{terminal.page}\n", "cyan")
-    for line in [*terminal.viewers.values()]:  # a thread may add one
+    for line in [*terminal.addresses.values()]:  # a thread may add one
         text.append(f"\n{line}\n", "cyan")
     if terminal.present:
         text.append("\n")

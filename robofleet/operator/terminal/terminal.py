@@ -1,4 +1,4 @@
-"""The operator's terminal: single keys, signals, and whether it is still there.
+"""The operator's terminal: single keys, signals, what a run shows there, and whether it is still there.
 
 Keys are heard by a thread of their own, so nothing that keeps the run's own thread delays the emergency stop.
 """
@@ -10,15 +10,23 @@ import sys
 import termios
 import threading
 import tty
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from robofleet.bus.bus import Bus
 from robofleet.core.clock import Clock, S
 from robofleet.core.compiling import Progress
+from robofleet.operator.estop import Stopped, emergency_stop
+from robofleet.operator.page.browser import open_page
+from robofleet.operator.page.page_address import Addresses, address_lines
+from robofleet.runs.console import EMERGENCY_KEYS
 
-EMERGENCY_KEYS = frozenset("e ")
+_PAGE = "web"  # the command whose process serves the page
+_PAGE_GONE = "the page is gone, the run goes on: `robofleet web` opens another one"
+_VIEWERS_GONE = "{0} sees nothing more, the run goes on: `robofleet {0}` serves it again; see {1}"
 _MOST = 64  # keys at once
 _INPUT = 0  # place of the input modes in what termios returns
 
@@ -27,15 +35,15 @@ class Terminal:
     """Keys without Enter while this is open; the terminal is given back as it was, whatever happens.
 
     Where stdin is not a terminal, or belongs to another command's foreground, there are no keys. Ctrl-S stops nothing.
+    It is the launcher's ``Console``.
     """
 
     def __init__(self) -> None:
         self.lost = False  # it was closed
         self.note = ""  # what the operator should read
         self.compiling: tuple[Progress, ...] = ()  # what each process compiles, before the run begins
-        self.page = ""  # where the operator's page is, or that it is gone
-        self.viewers: dict[str, str] = {}  # where viewers of each kind find the run, or that they find it no more
-        self.code = ""  # its address, where a phone can use it: shown once as a QR code
+        self.addresses: dict[str, str] = {}  # by command, where it serves the page or viewers, or that it is gone
+        self.code = ""  # the page's address, where a phone can use it: shown once as a QR code
         self.emergency: Callable[[], object] = lambda: None  # called at once, by the thread that hears the keys
         self._before: list[Any] | None = None
         self._descriptor = -1
@@ -87,6 +95,35 @@ class Terminal:
             self._heard.wait_for(lambda: self._keys or self.lost, max(0, until_ns - clock.now_ns()) / S)
             keys, self._keys = self._keys, ""
         return keys
+
+    def interrupts(self) -> AbstractContextManager["Interrupts"]:
+        """Count the terminal's signals instead of ending by them."""
+        return interrupts()
+
+    def emergency_stop(self, bus: Bus, clock: Clock, units: Mapping[str, Sequence[str]]) -> Stopped:
+        """Stop every robot and latch its gate."""
+        return emergency_stop(bus, clock, units)
+
+    def page_found(self, addresses: str, *, browser: bool) -> None:
+        """Show where the operator's page is, and open it if ``browser``; from any thread, as the three below."""
+        at = Addresses.read(addresses)
+        if at is None:
+            return
+        opened = browser and sys.stderr.isatty() and open_page(at.once)
+        self.addresses[_PAGE] = address_lines(at, opened=opened)
+        self.code = at.page if at.viewer else ""  # a phone cannot reach the others
+
+    def page_gone(self) -> None:
+        """Show that the page's process has ended."""
+        self.addresses[_PAGE], self.code = _PAGE_GONE, ""
+
+    def viewers_found(self, viewer: str, line: str) -> None:
+        """Show where viewers of a kind find the run."""
+        self.addresses[viewer] = line
+
+    def viewers_gone(self, viewer: str, log: Path) -> None:
+        """Show that the process that serves these viewers has ended."""
+        self.addresses[viewer] = _VIEWERS_GONE.format(viewer, log)
 
     def _hear(self, end: int) -> None:
         """Hear keys until this is closed or the terminal is."""

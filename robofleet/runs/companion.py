@@ -1,26 +1,22 @@
-"""The operator's page as its launcher has it: started before the kernels are compiled, and left to who still reads it.
+"""A process beside a run that serves people: the operator's page, or viewers. The run goes on without it.
 
-The run does not need it: whatever becomes of it, the run goes on.
+It is started before the kernels are compiled. After the end of the run it may stay for those who still look at it.
 """
 
 import select
 import socket
 import subprocess
-import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
 from robofleet.core.clock import Clock, S
-from robofleet.operator.page.browser import open_page
-from robofleet.operator.page.page_address import Addresses, address_lines
-from robofleet.operator.terminal.terminal import Terminal
 from robofleet.runs.children import Child
 
 STAYS = "stays"  # what it says after the end of the run, where somebody looks
 _LEAVE_WITHIN_S = 1.2
 _LONGEST_WORD = 1024  # [bytes]
-_GONE = "the page is gone, the run goes on: `robofleet web` opens another one"
 
 
 class PageWanted(NamedTuple):
@@ -30,14 +26,15 @@ class PageWanted(NamedTuple):
     browser: bool  # open one
 
 
-class PageProcess:
-    """Hears in a thread where the page is, and opens it: the launcher may be compiling."""
+class Companion:
+    """Hears in a thread where the process serves: the launcher may be compiling."""
 
-    def __init__(self, child: Child, wanted: PageWanted, terminal: Terminal) -> None:
-        self._child, self._wanted, self._terminal = child, wanted, terminal
+    def __init__(self, child: Child, found: Callable[[str], None], gone: Callable[[], None]) -> None:
+        """``found`` is called, from that thread, with the line that says where it serves; ``gone`` when it has died."""
+        self._child, self._found, self._gone = child, found, gone
         self._told = ""
         self._over = False
-        self._hearing = threading.Thread(target=self._open, daemon=True)
+        self._hearing = threading.Thread(target=self._hear, daemon=True)
         self._hearing.start()
 
     def tell(self, words: str) -> None:
@@ -50,7 +47,7 @@ class PageProcess:
     def look(self) -> None:
         """See whether it is there still."""
         if self._child.died:
-            self._terminal.page, self._terminal.code = _GONE, ""
+            self._gone()
 
     def end(self) -> None:
         """Say that the run is over."""
@@ -80,18 +77,11 @@ class PageProcess:
             child.process.kill()
             child.process.wait()
 
-    def _open(self) -> None:
-        try:
-            said = self._child.lifeline.recv(_LONGEST_WORD)
-        except OSError:
-            return
-        at = Addresses.read(said.decode(errors="replace"))
-        if at is None or self._over:
-            return
-        opened = self._wanted.browser and sys.stderr.isatty() and open_page(at.once)
-        self._terminal.page = address_lines(at, opened=opened)
-        if at.viewer:  # a phone cannot reach the others
-            self._terminal.code = at.page
+    def _hear(self) -> None:
+        with suppress(OSError):
+            said = self._child.lifeline.recv(_LONGEST_WORD).decode(errors="replace").strip()
+            if said and not self._over:
+                self._found(said)
 
 
 _left: list["subprocess.Popen[bytes]"] = []  # they end by themselves
