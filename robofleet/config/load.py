@@ -55,7 +55,7 @@ Kept = TypeVar("Kept")
 
 
 class ConfigError(BadInputError):
-    """A configuration that cannot be used: one line for each fault, in the order of the files."""
+    """Raised where a configuration cannot be used: one line for each fault, in the order of the files."""
 
     def __init__(self, faults: Iterable[str]) -> None:
         """Keep the lines."""

@@ -21,7 +21,7 @@ UNSTABLE_EULER = 2.0  # alpha * step
 
 
 class FlowError(RobofleetError, ValueError):
-    """A setting, a plant, a state or a prediction that the flow cannot use; the message names it."""
+    """Raised where the flow cannot use a setting, a plant, a state or a prediction. The message names it."""
 
 
 @dataclass(frozen=True)

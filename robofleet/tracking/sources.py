@@ -31,7 +31,7 @@ _LAST_IMAGE_S = 0.2  # a reader that ends waits so long for the image that is un
 
 
 class CameraError(RobofleetError):
-    """A camera that cannot be used as it is asked to; the message says what is wrong and how to mend it."""
+    """Raised where a camera, or another pose source, cannot be used. The message says what is wrong and how to mend it."""
 
 
 class Exposure(NamedTuple):

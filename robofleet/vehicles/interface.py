@@ -176,7 +176,7 @@ class DriverContext:
 
 
 class DriverError(RobofleetError):
-    """A robot that cannot be driven as it is asked to; the message says what is wrong and how to mend it."""
+    """Raised where a robot cannot be driven. The message says what is wrong and how to mend it."""
 
 
 class Driver(Protocol):
