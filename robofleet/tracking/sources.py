@@ -31,7 +31,7 @@ _LAST_IMAGE_S = 0.2  # a reader that ends waits so long for the image that is un
 
 
 class CameraError(RobofleetError):
-    """Raised where a camera, or another pose source, cannot be used. The message says what is wrong and how to mend it."""
+    """Raised where a camera or another pose source cannot be used. The message says what is wrong, and the cure."""
 
 
 class Exposure(NamedTuple):
