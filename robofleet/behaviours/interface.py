@@ -40,7 +40,7 @@ class Flow(NamedTuple):
     integrator: Literal["exact", "euler"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Team:
     """What a behaviour knows of its group."""
 
@@ -75,7 +75,8 @@ class WishKind(IntEnum):
     RESCUE = 6  # of a person: as BODY, of the one robot that is driven out of a held run
 
 
-class Wish(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Wish:
     """The newest word of a script that drives a group from a process of its own."""
 
     kind: WishKind
@@ -87,7 +88,8 @@ class Wish(NamedTuple):
     seq: int
 
 
-class Situation(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Situation:
     """What a behaviour decides by: everything at the moment when the tick's commands act."""
 
     t: float  # since the group's start [s]
@@ -221,7 +223,8 @@ class Start(NamedTuple):
     warnings: Sequence[tuple[float, str]] = ()  # what may take long: how long [s], and a sentence
 
 
-class Past(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Past:
     """What became of a group: K ticks while the fleet ran."""
 
     t: Array  # (K,) since the start [s]

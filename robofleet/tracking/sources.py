@@ -103,7 +103,7 @@ class AdjustableCamera(Protocol):
         """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CameraContext:
     """What a camera is made from; ``bus`` is for a simulated one, ``ticks`` for one that they trigger."""
 
@@ -265,7 +265,7 @@ class Feed(Protocol):
         """Let go of the camera."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PoseContext(CameraContext):
     """What a pose source is made from."""
 

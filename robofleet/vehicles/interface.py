@@ -80,7 +80,7 @@ class TruePose(NamedTuple):
     omega: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Imperfections:
     """How far a simulated robot is from the ideal one. Spreads are half widths of a uniform draw made once."""
 
@@ -110,7 +110,7 @@ class BodyTrouble(NamedTuple):
     pushed: tuple[float, float] = (0.0, 0.0)  # by a hand: velocity along x and y [m/s; world]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Simulation:
     """What only a simulated robot needs."""
 
@@ -162,7 +162,7 @@ class World:
         return tuple(each for each in self.robots if each.unit == units[robot])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DriverContext:
     """What a driver is made from."""
 
