@@ -463,6 +463,6 @@ def _changes(recording: Recording, full: str) -> list[tuple[int, RunState]]:
     changes: list[tuple[int, RunState]] = []
     for place, payload in recording.placed(full):
         state = RUN_STATE.decode(payload)
-        if state is not None and (not changes or state[2:] != changes[-1][1][2:]):
+        if state is not None and not (changes and state.repeats(changes[-1][1])):
             changes.append((place, state))
     return changes
