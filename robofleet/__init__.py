@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         PoseSource,
         ScheduledCamera,
     )
+    from robofleet.vehicles.differential_drive import DifferentialDrive
     from robofleet.vehicles.interface import (
         STOP,
         Driver,
@@ -63,18 +64,22 @@ if TYPE_CHECKING:
         SimulatedDriver,
         TruePose,
         WheelSpeeds,
+        World,
+        WorldObstacle,
+        WorldRobot,
     )
 
     __version__: str
 
 __all__ = [
     "STOP", "AdjustableCamera", "Behaviour", "Bound", "Camera", "CameraContext", "CameraError", "Config",
-    "ConfigError", "Decision", "Dots", "Driver", "DriverContext", "DriverError", "DriverReading", "Event",
-    "Exposure", "ExposureLimits", "Figure", "Fleet", "FleetError", "Flow", "FlowError", "FlowSettings", "Frame",
-    "Line", "Measure", "MemorylessFlow", "NewtonRaphsonFlow", "Notice", "Observation", "Past", "Plant",
-    "PoseContext", "PoseSource", "Refusal", "RobofleetError", "RobotFault", "ScheduledCamera", "SensorReading",
-    "SerialPort", "Settings", "Shape", "SimulatedDriver", "Situation", "Start", "TagPose", "Team", "TrackerEvent",
-    "TruePose", "WheelSpeeds", "Wish", "WishKind", "__version__", "load_config",
+    "ConfigError", "Decision", "DifferentialDrive", "Dots", "Driver", "DriverContext", "DriverError",
+    "DriverReading", "Event", "Exposure", "ExposureLimits", "Figure", "Fleet", "FleetError", "Flow", "FlowError",
+    "FlowSettings", "Frame", "Line", "Measure", "MemorylessFlow", "NewtonRaphsonFlow", "Notice", "Observation",
+    "Past", "Plant", "PoseContext", "PoseSource", "Refusal", "RobofleetError", "RobotFault", "ScheduledCamera",
+    "SensorReading", "SerialPort", "Settings", "Shape", "SimulatedDriver", "Situation", "Start", "TagPose", "Team",
+    "TrackerEvent", "TruePose", "WheelSpeeds", "Wish", "WishKind", "World", "WorldObstacle", "WorldRobot",
+    "__version__", "load_config",
 ]  # fmt: skip
 
 _ROOMS = {
@@ -97,9 +102,10 @@ _ROOMS = {
         "AdjustableCamera Camera CameraContext CameraError Exposure ExposureLimits Frame Observation PoseContext "
         "PoseSource ScheduledCamera"
     ),
+    "robofleet.vehicles.differential_drive": "DifferentialDrive",
     "robofleet.vehicles.interface": (
         "STOP Driver DriverContext DriverError DriverReading RobotFault SensorReading SimulatedDriver TruePose "
-        "WheelSpeeds"
+        "WheelSpeeds World WorldObstacle WorldRobot"
     ),
 }
 _MODULES = {name: module for module, names in _ROOMS.items() for name in names.split()}
