@@ -20,9 +20,22 @@ _WHY = {
 
 
 class SerialPort:
-    """One robot's line, 8N1. Every method raises DriverError with the port's name once the line is gone."""
+    """One robot's serial line, 8N1. Every method raises DriverError with the port's name once the line is gone.
+
+    Attributes:
+        descriptor: The line's file descriptor. -1: closed.
+    """
 
     def __init__(self, path: str, baud: int) -> None:
+        """Open the line, for this process alone.
+
+        Args:
+            path: The device, ``/dev/ttyUSB0`` for example.
+            baud: Rate [bit/s].
+
+        Raises:
+            DriverError: It cannot be opened. The message says why, and the cure.
+        """
         self._path = path
         try:
             self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
@@ -33,14 +46,28 @@ class SerialPort:
         self.descriptor = self._serial.fileno()
 
     def read(self) -> bytes:
-        """Return what has come since the last call."""
+        """Take what has come since the last call, without waiting.
+
+        Returns:
+            At most 64 KiB.
+
+        Raises:
+            DriverError: The line is gone.
+        """
         try:
             return bytes(self._serial.read(_MOST))
         except (serial.SerialException, OSError, TypeError) as error:
             raise self._gone() from error
 
     def write(self, data: bytes) -> None:
-        """Hand the bytes to the kernel, all of them; pyserial's own write would spin where it takes none."""
+        """Hand the bytes to the kernel, without waiting; pyserial's own write would spin where the kernel takes none.
+
+        Args:
+            data: All of it is taken, or the call fails.
+
+        Raises:
+            DriverError: The line is gone, or the robot takes no more bytes.
+        """
         try:
             taken = os.write(self.descriptor, data)
         except BlockingIOError:
@@ -51,7 +78,17 @@ class SerialPort:
             raise DriverError(f"{self._path}: the robot takes no more bytes: look at its firmware and its cable")
 
     def wait(self, seconds: float) -> bool:
-        """Wait until something has come, so long at most; only while a driver is being made."""
+        """Wait until something has come; only while a driver is being made.
+
+        Args:
+            seconds: The longest time to wait [s].
+
+        Returns:
+            Whether something has come.
+
+        Raises:
+            DriverError: The line is gone.
+        """
         try:
             return bool(select.select([self.descriptor], [], [], max(0.0, seconds))[0])
         except (OSError, TypeError, ValueError) as error:

@@ -1,52 +1,114 @@
 """robofleet: deployment of differential-drive fleets under an overhead camera. The rooms are explained in README.md.
 
-What programs of your own import stands in ``__all__``. Each name is loaded when it is first used: a robot's own
-computer, which has the base install, needs no numba to write a driver.
+``__all__`` is the public interface: all that scripts, behaviours, drivers, cameras and pose sources of your own import.
+Every other name is internal. Each name is loaded when it is first used: a robot's own computer, which has the base
+install, needs no numba to write a driver.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from robofleet.behaviours import Settings
+    from robofleet.behaviours.interface import (
+        Behaviour,
+        Bound,
+        Decision,
+        Dots,
+        Figure,
+        Flow,
+        Line,
+        Measure,
+        Past,
+        Refusal,
+        Shape,
+        Situation,
+        Start,
+        Team,
+        Wish,
+        WishKind,
+    )
+    from robofleet.bus.messages import TagPose
     from robofleet.config.load import ConfigError, load_config
     from robofleet.config.tree import Config
-    from robofleet.control.flow import FlowSettings, MemorylessFlow, NewtonRaphsonFlow
+    from robofleet.control.flow import FlowError, FlowSettings, MemorylessFlow, NewtonRaphsonFlow
     from robofleet.control.prediction import Plant
-    from robofleet.scripts.fleet import Fleet, FleetError
-    from robofleet.tracking.sources import Camera
-    from robofleet.vehicles.interface import Driver, DriverContext, DriverError, DriverReading, WheelSpeeds
+    from robofleet.core.errors import RobofleetError
+    from robofleet.drivers.serial_port import SerialPort
+    from robofleet.safety.supervisor import Event
+    from robofleet.scripts.fleet import Fleet
+    from robofleet.scripts.script_link import FleetError
+    from robofleet.tracking.events import Notice, TrackerEvent
+    from robofleet.tracking.sources import (
+        AdjustableCamera,
+        Camera,
+        CameraContext,
+        CameraError,
+        Exposure,
+        ExposureLimits,
+        Frame,
+        Observation,
+        PoseContext,
+        PoseSource,
+        ScheduledCamera,
+    )
+    from robofleet.vehicles.differential_drive import DifferentialDrive
+    from robofleet.vehicles.interface import (
+        STOP,
+        Driver,
+        DriverContext,
+        DriverError,
+        DriverReading,
+        RobotFault,
+        SensorReading,
+        SimulatedDriver,
+        TruePose,
+        WheelSpeeds,
+        World,
+        WorldObstacle,
+        WorldRobot,
+    )
 
     __version__: str
 
 __all__ = [
-    "Camera",
-    "Config",
-    "ConfigError",
-    "Driver",
-    "DriverContext",
-    "DriverError",
-    "DriverReading",
-    "Fleet",
-    "FleetError",
-    "FlowSettings",
-    "MemorylessFlow",
-    "NewtonRaphsonFlow",
-    "Plant",
-    "WheelSpeeds",
-    "__version__",
-    "load_config",
-]
+    "STOP", "AdjustableCamera", "Behaviour", "Bound", "Camera", "CameraContext", "CameraError", "Config",
+    "ConfigError", "Decision", "DifferentialDrive", "Dots", "Driver", "DriverContext", "DriverError",
+    "DriverReading", "Event", "Exposure", "ExposureLimits", "Figure", "Fleet", "FleetError", "Flow", "FlowError",
+    "FlowSettings", "Frame", "Line", "Measure", "MemorylessFlow", "NewtonRaphsonFlow", "Notice", "Observation",
+    "Past", "Plant", "PoseContext", "PoseSource", "Refusal", "RobofleetError", "RobotFault", "ScheduledCamera",
+    "SensorReading", "SerialPort", "Settings", "Shape", "SimulatedDriver", "Situation", "Start", "TagPose", "Team",
+    "TrackerEvent", "TruePose", "WheelSpeeds", "Wish", "WishKind", "World", "WorldObstacle", "WorldRobot",
+    "__version__", "load_config",
+]  # fmt: skip
 
 _ROOMS = {
-    "robofleet.config.load": ("ConfigError", "load_config"),
-    "robofleet.config.tree": ("Config",),
-    "robofleet.control.flow": ("FlowSettings", "MemorylessFlow", "NewtonRaphsonFlow"),
-    "robofleet.control.prediction": ("Plant",),
-    "robofleet.scripts.fleet": ("Fleet", "FleetError"),
-    "robofleet.tracking.sources": ("Camera",),
-    "robofleet.vehicles.interface": ("Driver", "DriverContext", "DriverError", "DriverReading", "WheelSpeeds"),
+    "robofleet.behaviours.interface": (
+        "Behaviour Bound Decision Dots Figure Flow Line Measure Past Refusal Shape Situation Start Team Wish WishKind"
+    ),
+    "robofleet.bus.messages": "TagPose",
+    "robofleet.config.load": "ConfigError load_config",
+    "robofleet.config.tree": "Config",
+    "robofleet.control.flow": "FlowError FlowSettings MemorylessFlow NewtonRaphsonFlow",
+    "robofleet.control.prediction": "Plant",
+    "robofleet.core.errors": "RobofleetError",
+    "robofleet.behaviours": "Settings",
+    "robofleet.drivers.serial_port": "SerialPort",
+    "robofleet.safety.supervisor": "Event",
+    "robofleet.scripts.fleet": "Fleet",
+    "robofleet.scripts.script_link": "FleetError",
+    "robofleet.tracking.events": "Notice TrackerEvent",
+    "robofleet.tracking.sources": (
+        "AdjustableCamera Camera CameraContext CameraError Exposure ExposureLimits Frame Observation PoseContext "
+        "PoseSource ScheduledCamera"
+    ),
+    "robofleet.vehicles.differential_drive": "DifferentialDrive",
+    "robofleet.vehicles.interface": (
+        "STOP Driver DriverContext DriverError DriverReading RobotFault SensorReading SimulatedDriver TruePose "
+        "WheelSpeeds World WorldObstacle WorldRobot"
+    ),
 }
-_MODULES = {name: module for module, names in _ROOMS.items() for name in names}
+_MODULES = {name: module for module, names in _ROOMS.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:

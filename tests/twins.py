@@ -66,4 +66,11 @@ class TwinStand:
         """Return what a driver of r1 is made from."""
         robot = self.config.robot("r1")
         simulation = slices.simulation(self.config, robot, None)
-        return DriverContext("r1", slices.drive(robot), simulation, self.clock.now_ns, settings, slices.sensors(robot))
+        return DriverContext(
+            robot="r1",
+            drive=slices.drive(robot),
+            simulation=simulation,
+            now_ns=self.clock.now_ns,
+            settings=settings,
+            sensors=slices.sensors(robot),
+        )

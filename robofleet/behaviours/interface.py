@@ -33,30 +33,52 @@ _ROUNDING = 1e-9
 
 
 class Flow(NamedTuple):
-    """Parameters of the Newton-Raphson flow, as ``controller`` in the configuration has them."""
+    """Parameters of the Newton-Raphson flow, as ``controller`` in the configuration has them.
 
-    alpha: float  # [1/s]
-    horizon: float  # T [s]
+    Attributes:
+        alpha: Speed-up of the flow [1/s].
+        horizon: How far the flow predicts, T [s].
+        integrator: How the flow is stepped: by its exact solution, or by forward Euler.
+    """
+
+    alpha: float
+    horizon: float
     integrator: Literal["exact", "euler"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Team:
-    """What a behaviour knows of its group."""
+    """What a behaviour knows of its group.
 
-    name: str  # of the group
-    robots: tuple[str, ...]  # ids
+    Attributes:
+        name: The group's name.
+        robots: The robots' ids (N).
+        drives: The robots' wheels and limits (N).
+        bodies: The robots' discs (N), as ``safety.barrier.apart`` and ``from_edge`` take them: what the barrier keeps.
+        starts: Pose of each robot's centre (N) where the behaviour begins: x, y [m], psi [rad; world]. None: not known.
+        bystanders: The robots in no group: id, body, pose at the start (None: not known).
+        keepout: The distances that the barrier keeps.
+        arena: Size along x and y [m].
+        tick: Control step [s].
+        delay: Time from a tick until the first robot's command acts [s].
+        point_ahead: Distance l from the axle to the point ahead [m].
+        flow: Parameters of the Newton-Raphson flow.
+        rng: Random numbers, the same for the same seed.
+    """
+
+    name: str
+    robots: tuple[str, ...]
     drives: tuple[DifferentialDrive, ...]
-    bodies: tuple[Body, ...]  # for ``safety.barrier.apart`` and ``from_edge``: what the barrier keeps
-    starts: tuple[Pose | None, ...]  # of the robots' centres, where the behaviour begins from known ones
-    bystanders: tuple[tuple[str, Body, Pose | None], ...]  # robots in no group: id, body, start
+    bodies: tuple[Body, ...]
+    starts: tuple[Pose | None, ...]
+    bystanders: tuple[tuple[str, Body, Pose | None], ...]
     keepout: Keepout
-    arena: tuple[float, float]  # size along x and y [m]
-    tick: float  # control step [s]
-    delay: float  # from a tick to the moment when the first robot's command acts [s]
-    point_ahead: float  # l [m]
+    arena: tuple[float, float]
+    tick: float
+    delay: float
+    point_ahead: float
     flow: Flow
-    rng: "np.random.Generator"  # the same for the same seed
+    rng: "np.random.Generator"
 
     def __len__(self) -> int:
         """Return N."""
@@ -75,30 +97,59 @@ class WishKind(IntEnum):
     RESCUE = 6  # of a person: as BODY, of the one robot that is driven out of a held run
 
 
-class Wish(NamedTuple):
-    """The newest word of a script that drives a group from a process of its own."""
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """The newest word of a script that drives a group from a process of its own.
+
+    Attributes:
+        kind: What ``values`` are.
+        values: (N, 3) as ``kind`` says. The last column of BODY and POINT means nothing. 0 where not ``told``.
+        told: (N,) which robots the setpoint is for. The others stand.
+        order: Number of the script's journey: POSES with the same number have one plan.
+        age: Time since the tick by which the script decided, by the controller's ticks [s].
+        epoch: Random number of the script's session.
+        seq: Number of the setpoint in its session.
+    """
 
     kind: WishKind
-    values: Array  # (N, 3), as ``kind`` says: of BODY and POINT the last column means nothing; 0 where not ``told``
-    told: Flags  # (N,) which robots it is about: the others stand
-    order: int  # counts a script's journeys: of POSES with the same number there is one plan
-    age: float  # since the tick by which the script wished it, by the controller's ticks [s]
-    epoch: int  # drawn when the script began
+    values: Array
+    told: Flags
+    order: int
+    age: float
+    epoch: int
     seq: int
 
 
-class Situation(NamedTuple):
-    """What a behaviour decides by: everything at the moment when the tick's commands act."""
+@dataclass(frozen=True, kw_only=True)
+class Situation:
+    """What a behaviour decides by: everything at the moment when the tick's commands act.
 
-    t: float  # since the group's start [s]
-    poses: Array  # (N, 3) of the centres: x, y [m], psi [rad]
-    driving: Flags  # (N,) which robots may drive: the others stand, whatever is decided
-    disturbance: Array  # (N, 2) velocity of the points ahead beyond what was asked, as estimated [m/s; world]; else 0
-    others: Array  # (M, 3): x, y, body radius [m] of every other robot in the arena that was seen
-    wish: Wish | None = None  # of a behaviour that ``takes_wishes``: the newest since the run went on; None: none yet
+    Attributes:
+        t: Time since the group's start [s].
+        poses: (N, 3) poses of the centres: x, y [m], psi [rad; world].
+        driving: (N,) which robots may drive. The others stand, whatever is decided.
+        disturbance: (N, 2) estimated velocity of the points ahead beyond what was asked [m/s; world]. 0 without an
+            estimate.
+        others: (M, 3) every other robot in the arena that was seen: x, y [m; world], body radius [m].
+        wish: The newest setpoint since the run went on, for a behaviour that ``takes_wishes``. None: none yet.
+    """
+
+    t: float
+    poses: Array
+    driving: Flags
+    disturbance: Array
+    others: Array
+    wish: Wish | None = None
 
     def points(self, ahead: float) -> Array:
-        """Return the points (N, 2) that are ``ahead`` [m] in front of the axles [m]."""
+        """Return the robots' points ahead.
+
+        Args:
+            ahead: Distance in front of the axles [m].
+
+        Returns:
+            (N, 2) [m; world].
+        """
         psi, points = self.poses[:, 2], np.empty((len(self.poses), 2))
         np.cos(psi, out=points[:, 0])
         np.sin(psi, out=points[:, 1])
@@ -110,26 +161,41 @@ class Situation(NamedTuple):
 class Decision(NamedTuple):
     """What a behaviour decided.
 
-    ``velocities`` (N, 2) are what the robots are to do: of their points ahead [m/s; world frame], or with
-    ``of="body"`` the bodies' own v [m/s] and omega [rad/s]. Wheels that cannot do all of it are slowed together, and
-    the barrier may change the rest: ``Behaviour.changed`` tells.
+    Wheels that cannot do all of it are slowed together, and the barrier may change the rest: ``Behaviour.changed`` is
+    called with what the robots are really asked for.
+
+    Attributes:
+        velocities: (N, 2) what the robots are to do, as ``of`` says.
+        of: ``point``: velocities of the points ahead along x and y [m/s; world]. ``body``: v [m/s] and omega [rad/s] of
+            the bodies.
+        references: (N, 2) where each robot's followed point is to be [m; world]. NaN: nowhere.
+        figures: Values by the figures' names: (N,), or one value for all. A missing one is NaN.
+        hold: Why the group stands at once and the run is to be held. None: it goes on.
     """
 
     velocities: Array
     of: Literal["point", "body"] = "point"
-    references: Array | None = None  # (N, 2) where each robot's followed point is to be [m; world]; NaN: nowhere
-    figures: Mapping[str, Array | float] = {}  # by the figures' names: (N,), or one value for all; missing: NaN
-    hold: Event | None = None  # why the group stands at once and the run is to be held, where it is
+    references: Array | None = None
+    figures: Mapping[str, Array | float] = {}
+    hold: Event | None = None
 
 
 class Figure(NamedTuple):
-    """A figure that a behaviour tells of each robot at each tick."""
+    """A figure that a behaviour tells of each robot at each tick.
 
-    name: str  # small letters, digits and _, without the unit: "control_error"
-    unit: str = ""  # "m", "rad", "m/s"; empty: a plain number
-    shown: str = ""  # the unit for people and for summary.json: "mm" of m, "deg" of rad; empty: ``unit``
-    meaning: str = ""  # a sentence
-    live: bool = True  # a column of the terminal and of the page
+    Attributes:
+        name: Small letters, digits and _, without the unit: "control_error".
+        unit: "m", "rad", "m/s". Empty: a plain number.
+        shown: The unit for people and for ``summary.json``: "mm" of m, "deg" of rad. Empty: ``unit``.
+        meaning: A sentence for the report and the viewers.
+        live: Whether it is a column of the terminal and of the page.
+    """
+
+    name: str
+    unit: str = ""
+    shown: str = ""
+    meaning: str = ""
+    live: bool = True
 
     @property
     def key(self) -> str:
@@ -162,36 +228,65 @@ def scale(unit: str, shown: str) -> float:
 
 
 class Line(NamedTuple):
-    """A line that is drawn on the floor; one that has the name of a robot has its colour."""
+    """A line that is drawn on the floor.
+
+    Attributes:
+        name: Its name. A line with the name of a robot has its colour.
+        points: (M, 2) [m; world].
+        closed: Whether it ends where it begins.
+        directed: Whether it is driven in the points' order: arrows are drawn on it.
+    """
 
     name: str
-    points: Array  # (M, 2) [m; world]
+    points: Array
     closed: bool = False
-    directed: bool = False  # it is driven in the points' order: arrows are drawn on it
+    directed: bool = False
 
 
 class Dots(NamedTuple):
-    """Points that are drawn on the floor, one colour for each robot where there are N."""
+    """Points that are drawn on the floor, one colour for each robot where there are N.
+
+    Attributes:
+        name: Their name.
+        points: (M, 2) [m; world].
+    """
 
     name: str
-    points: Array  # (M, 2) [m; world]
+    points: Array
 
 
 Shape = Line | Dots
 
 
 class Refusal(NamedTuple):
-    """Something that cannot work."""
+    """Something that cannot work.
 
-    key: str  # "settings.path_rate" or "robots.1" of the group; "r2.start": of the robot r2; else from the root
-    message: str  # what is wrong and how to mend it
+    Attributes:
+        key: The key that is wrong: "settings.path_rate" or "robots.1" of the group, "r2.start" of the robot r2, else
+            from the root.
+        message: What is wrong and how to mend it.
+    """
+
+    key: str
+    message: str
 
 
 @dataclass(frozen=True)
 class Bound:
-    """One thing that was looked at before a run: a value, and its limit (at most, at least, or ``strict``: less)."""
+    """One thing that is judged before a run: a value and its limit.
 
-    path: str  # as a Refusal's key
+    Attributes:
+        path: The key that is judged, as a Refusal's.
+        what: What the value is.
+        value: What was found [unit].
+        limit: What it is compared with [unit].
+        unit: Unit of both.
+        mend: How to mend a bound that does not hold.
+        at_least: Whether the value must be at least the limit. Else it must be at most the limit.
+        strict: Whether the value must not equal the limit.
+    """
+
+    path: str
     what: str
     value: float
     limit: float
@@ -202,7 +297,7 @@ class Bound:
 
     @property
     def tightness(self) -> float:
-        """Up to 1 when the bound holds."""
+        """How much of the limit is used, as a share: up to 1 where the bound holds."""
         used, available = (self.limit, self.value) if self.at_least else (self.value, self.limit)
         return used / available if available > 0 else math.inf
 
@@ -213,107 +308,199 @@ class Bound:
 
 
 class Start(NamedTuple):
-    """What a behaviour says of a start, before a wheel turns."""
+    """What a behaviour says of a start, before a wheel turns.
 
-    jam: Reason | None = None  # two robots that would not get past each other
-    arrived_s: Sequence[float] = ()  # when each robot is where the behaviour wants it; infinite: not soon
-    rows: Sequence[tuple[str, str, str, str]] = ()  # for a table: (what, value, limit, note)
-    warnings: Sequence[tuple[float, str]] = ()  # what may take long: how long [s], and a sentence
+    Attributes:
+        jam: Two robots that would not get past each other. None: nobody jams.
+        arrived_s: When each robot is where the behaviour wants it (N) [s]. Infinite: not soon.
+        rows: Rows of a table: what, value, limit, note.
+        warnings: What may take long: how long [s], and a sentence.
+    """
+
+    jam: Reason | None = None
+    arrived_s: Sequence[float] = ()
+    rows: Sequence[tuple[str, str, str, str]] = ()
+    warnings: Sequence[tuple[float, str]] = ()
 
 
-class Past(NamedTuple):
-    """What became of a group: K ticks while the fleet ran."""
+@dataclass(frozen=True, kw_only=True)
+class Past:
+    """What became of a group: K ticks while the fleet ran.
 
-    t: Array  # (K,) since the start [s]
-    poses: Array  # (K, N, 3) of the centres: true where ``known``, else as estimated
-    points: Array  # (K, N, 2) of the points ahead
-    known: Flags  # (N,) whose true poses were told
-    settled: Flags  # (K,) ticks after ``run.settle_s``: of these the figures count
-    spaced: Flags  # (K,) ticks after ``run.spacing_settle_s``: of these the true errors count
-    references: Array  # (K, N, 2); NaN: none
-    figures: Mapping[str, Array]  # (K, N) by the figures' names; NaN: not told
+    Attributes:
+        t: (K,) time since the start [s].
+        poses: (K, N, 3) poses of the centres: x, y [m], psi [rad; world]. True where ``known``, else as estimated.
+        points: (K, N, 2) the points ahead of the same poses [m; world].
+        known: (N,) whose true poses are known.
+        settled: (K,) ticks after ``run.settle_s``: of these the figures count.
+        spaced: (K,) ticks after ``run.spacing_settle_s``: of these the true errors count.
+        references: (K, N, 2) as decided [m; world]. NaN: none.
+        figures: (K, N) by the figures' names. NaN: not decided.
+    """
+
+    t: Array
+    poses: Array
+    points: Array
+    known: Flags
+    settled: Flags
+    spaced: Flags
+    references: Array
+    figures: Mapping[str, Array]
 
 
 class Measure(NamedTuple):
-    """Something that was measured of a group after a run, in columns."""
+    """Something that was measured of a group after a run, in columns.
 
-    name: str  # as a Figure's
+    Attributes:
+        name: Small letters, digits and _, without the unit.
+        unit: Unit of ``values``. Empty: plain numbers.
+        values: (K, n). NaN: not known.
+        of: What each of the n columns is about: robots' ids, or pairs of them.
+        shown: The unit for people, as a Figure's.
+        meaning: A sentence for the report.
+        asked: What the values should be. None: nothing certain.
+    """
+
+    name: str
     unit: str
-    values: Array  # (K, n); NaN: not known
-    of: tuple[str, ...]  # what each of the n columns is about: robots' ids, or pairs of them
+    values: Array
+    of: tuple[str, ...]
     shown: str = ""
     meaning: str = ""
-    asked: float | None = None  # what the values should be
+    asked: float | None = None
 
 
 class Behaviour:
-    """A behaviour of a group. Only ``decide`` must be written; everything else has a default."""
+    """A behaviour of a group. Only ``decide`` must be written; everything else has a default.
+
+    Attributes:
+        figures: What it reports of each robot at each tick.
+        takes_wishes: Whether a script or a person drives the group: ``Situation.wish`` has the newest setpoint.
+        settings: An instance of the class's own ``Settings``.
+        team: What it knows of its group.
+    """
 
     class Settings(Model):
         """Keys of ``groups[].settings``, with units in their names, limits and defaults."""
 
     figures: ClassVar[Sequence[Figure]] = ()
-    takes_wishes: ClassVar[bool] = False  # of a script: ``Situation.wish``
+    takes_wishes: ClassVar[bool] = False
 
     def __init__(self, settings: Any, team: Team) -> None:
-        """Keep what it is made of: ``settings`` is an instance of the class's own ``Settings``.
+        """Keep what it is made of.
+
+        Args:
+            settings: An instance of the class's own ``Settings``.
+            team: What it knows of its group.
 
         Raises:
-            ValueError: if the settings are impossible for this group; ``refusals`` says it better.
+            ValueError: A class of your own may raise it for settings that are impossible for this group. What
+                ``refusals`` yields has a better message.
         """
         self.settings = settings
         self.team = team
 
     def decide(self, now: Situation) -> Decision:
-        """Return what the robots do in the next tick. It must take less than a few milliseconds."""
+        """Decide what the robots do in the next tick. It must take less than a few milliseconds.
+
+        Args:
+            now: The poses, and all else that is known, at the moment when the tick's commands act.
+
+        Returns:
+            The velocities (N, 2), the figures, and whether the run is to be held.
+
+        Raises:
+            NotImplementedError: The class does not define it. Whatever it raises stops the group and holds the run.
+        """
         raise NotImplementedError
 
     def restart(self) -> None:
-        """Begin a new run: forget what was."""
+        """Begin a new run: forget the one before."""
 
     def changed(self, velocities: Array) -> None:
-        """Hear what the robots are really asked for: velocities (N, 2) of their points ahead [m/s; world]."""
+        """Take what the robots are really asked for, after the wheels' limits and the barrier.
+
+        Args:
+            velocities: (N, 2) velocities of the points ahead [m/s; world].
+        """
 
     def carried(self, robot: int) -> None:
-        """Hear that a robot was carried away (the kidnapped robot): what was known of its progress is wrong."""
+        """Forget a robot's progress: it was carried away (the kidnapped robot).
+
+        Args:
+            robot: Its index in the group.
+        """
 
     @property
     def arrived(self) -> bool:
-        """Whether it has done all that it was to do: a run ends then. Most behaviours never have."""
+        """Whether the behaviour has done everything: the run ends then. Most behaviours never have."""
         return False
 
     def places(self) -> Sequence[Pose] | None:
-        """Return where its robots' centres stand at the beginning; None: anywhere."""
+        """Return where the robots begin; ``run.begin: go_to_start`` brings them there.
+
+        Returns:
+            Poses of the centres (N): x, y [m], psi [rad; world]. None: they begin anywhere.
+        """
         return None
 
     def start(self, poses: Sequence[Pose]) -> Start:
-        """Judge a start from these poses of the centres, before a wheel turns."""
+        """Judge a start before a wheel turns.
+
+        Args:
+            poses: Poses of the centres (N): x, y [m], psi [rad; world].
+
+        Returns:
+            Who would jam, when the robots arrive, rows for a table, and warnings.
+        """
         return Start()
 
     def bounds(self) -> Iterable[Bound]:
-        """Yield what must hold before a run: inside the arena, wheel speeds, distances against the barrier."""
+        """Return what must hold before a run, and ``robofleet check`` shows in a table.
+
+        Returns:
+            Distances to the arena's edge, wheel speeds, distances between robots, and the like.
+        """
         return ()
 
     def refusals(self) -> Iterable[Refusal]:
-        """Yield what cannot work and is no bound."""
+        """Return what cannot work and is no bound; ``robofleet check`` refuses it.
+
+        Returns:
+            Each mistake with its key and its cure.
+        """
         return ()
 
     def shapes(self) -> Sequence[Shape]:
-        """Return what is drawn on the floor for it."""
+        """Return what page, report and viewers draw on the floor.
+
+        Returns:
+            Lines and points [m; world].
+        """
         return ()
 
     def measures(self, past: Past) -> Sequence[Measure]:
-        """Return what is measured afterwards beyond its figures: of each tick by itself.
+        """Measure a run beyond the figures: each tick by itself.
 
         A long run is measured part by part, and as a whole by every n-th tick of it.
+
+        Args:
+            past: K ticks of the run.
+
+        Returns:
+            Columns of K values each.
         """
         return ()
 
     def summary(self, past: Past) -> dict[str, Any]:
-        """Return its part of ``summary.json``: by default mean, ``max`` and each robot's mean of figures and
-        measures. ``max`` is the largest magnitude: a figure may have a sign.
+        """Return the group's part of ``summary.json``.
 
-        A figure that was not measured is None.
+        Args:
+            past: K ticks of the run.
+
+        Returns:
+            By default mean, ``max`` and each robot's mean of all figures and measures, by their names. ``max`` is the
+            largest magnitude: a figure may have a sign. A figure that was not measured is None.
         """
         told = [
             Measure(f.name, f.unit, past.figures[f.name], self.team.robots, f.shown, f.meaning) for f in self.figures

@@ -144,8 +144,10 @@ class _Journey:
         rows, n = self._rows, len(self._rows)
         standing = np.column_stack([now.poses[~rows, :2], self._radii[~rows]])
         others = np.concatenate([standing, now.others])
-        own = now._replace(poses=now.poses[rows], driving=now.driving[rows], disturbance=now.disturbance[rows])
-        told = self._go_to.decide(own._replace(others=others))
+        own = dataclasses.replace(
+            now, poses=now.poses[rows], driving=now.driving[rows], disturbance=now.disturbance[rows], others=others
+        )
+        told = self._go_to.decide(own)
         velocities, references, away = np.zeros((n, 2)), np.full((n, 2), np.nan), np.full(n, np.nan)
         velocities[rows] = told.velocities
         away[rows] = told.figures["distance_to_goal"]

@@ -70,7 +70,7 @@ class ArenaFile(NamedTuple):
 
 
 class ArenaBusyError(RobofleetError):
-    """The arena has a run already; the message says whose, and how to end it."""
+    """Raised where an arena has a run already. The message says whose, and how to end it."""
 
 
 class Found(NamedTuple):

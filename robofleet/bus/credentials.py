@@ -33,7 +33,7 @@ _ZID = 16  # [bytes]
 
 
 class KeysError(RobofleetError, ValueError):
-    """A key that is missing or cannot be used; the message says how to mend it."""
+    """Raised where a key is missing or cannot be used. The message says how to mend it."""
 
 
 def check_name(name: str) -> None:

@@ -19,7 +19,7 @@ _MOST = 16  # tokens of one role; two are enough to believe nobody
 
 
 class RoleTakenError(RobofleetError):
-    """Another process has the role already; the message names it."""
+    """Raised where another process has the role already. The message names it."""
 
     def __init__(self, arena: str, role: str, there: "Sequence[Token]") -> None:
         """Say which."""

@@ -110,6 +110,10 @@ class RunState(NamedTuple):
     stage: int  # safety.arming.Stage, while ARMED
     robots: tuple[RobotState, ...]  # in the group's order
 
+    def repeats(self, before: "RunState") -> bool:
+        """Return whether nothing but ``epoch`` and ``seq`` differs from a state that was published before."""
+        return self == before._replace(epoch=self.epoch, seq=self.seq)
+
 
 class Late(NamedTuple):
     """A process that was late by its machine's load."""
@@ -175,15 +179,29 @@ class TagPose(NamedTuple):
 
     A robot that was not seen is predicted from its motion for a while: ``coasted_ns`` is then the age of what was
     measured, and the pose is no measurement.
+
+    Attributes:
+        tag: The robot's tag.
+        after_ns: This robot's own mid-exposure, minus the image's [ns] (rolling shutter).
+        coasted_ns: Age of what was measured [ns]. 0: measured in this image.
+        x_m: Position along x [m; world].
+        y_m: Position along y [m; world].
+        psi_rad: Heading [rad; world, CCW +].
+        xx_m2: Variance of x. All six numbers of the covariance are 0 where nobody knows it.
+        xy_m2: Covariance of x and y.
+        yy_m2: Variance of y.
+        xpsi_m_rad: Covariance of x and psi.
+        ypsi_m_rad: Covariance of y and psi.
+        psipsi_rad2: Variance of psi.
     """
 
     tag: int
-    after_ns: int  # this robot's own mid-exposure, minus the image's (rolling shutter)
-    coasted_ns: int  # 0: measured in this image
+    after_ns: int
+    coasted_ns: int
     x_m: float
     y_m: float
     psi_rad: float
-    xx_m2: float = 0.0  # covariance of x, y and psi; all 0: nobody knows it
+    xx_m2: float = 0.0
     xy_m2: float = 0.0
     yy_m2: float = 0.0
     xpsi_m_rad: float = 0.0

@@ -12,7 +12,7 @@ _RUNTIME = Path("/run/user")  # where the system gives each user a folder
 
 
 class PlaceError(RobofleetError, OSError):
-    """A folder or an endpoint that cannot be used; the message is a line that says how to mend it."""
+    """Raised where a folder or an endpoint cannot be used. The message is a line that says how to mend it."""
 
 
 def temporary_folder() -> Path:

@@ -109,7 +109,9 @@ def open_camera(config: Config) -> Camera:
     clock = WallClock()
     bus = MemoryBus(config.arena.name, clock, 0)
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
-    context = CameraContext(config, clock, bus, ticks, np.random.default_rng(config.run.seed), 0)
+    context = CameraContext(
+        config=config, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(config.run.seed), extra_delay_ns=0
+    )
     try:
         camera: Camera = load("robofleet.cameras", config.camera.source)(context)
     except (PluginError, CameraError) as error:

@@ -22,7 +22,7 @@ M = TypeVar("M", bound=Model)
 
 
 class CalibrationError(BadInputError):
-    """A measurement or a file that cannot be used: one line for each fault, and how to mend it."""
+    """Raised where a measurement or a file cannot be used: one line for each fault, and how to mend it."""
 
     def __init__(self, faults: Iterable[str] | str) -> None:
         """Keep the lines."""

@@ -55,19 +55,35 @@ Kept = TypeVar("Kept")
 
 
 class ConfigError(BadInputError):
-    """A configuration that cannot be used: one line for each fault, in the order of the files."""
+    """Raised where a configuration cannot be used: one line for each fault, in the order of the files.
+
+    Attributes:
+        faults: The lines.
+    """
 
     def __init__(self, faults: Iterable[str]) -> None:
-        """Keep the lines."""
+        """Keep the lines.
+
+        Args:
+            faults: One line each.
+        """
         self.faults = tuple(faults)
         super().__init__("\n".join(self.faults))
 
 
 def load_config(file: Path, overrides: Sequence[str] = (), faults_file: Path | None = None) -> Config:
-    """Read and validate a configuration; ``overrides`` are ``KEY=VALUE`` with dotted keys.
+    """Read and validate a configuration.
+
+    Args:
+        file: The YAML file.
+        overrides: ``KEY=VALUE`` with dotted keys, as behind ``--set``.
+        faults_file: A file of faults on purpose, as behind ``--faults``.
+
+    Returns:
+        The whole configuration, frozen, with every file that it names.
 
     Raises:
-        ConfigError: with everything that is wrong.
+        ConfigError: Everything that is wrong, one line for each fault.
     """
     return ConfigFile(file, overrides, faults_file).config
 

@@ -103,13 +103,13 @@ def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] 
     ValueError where the configuration does not say how bad it is, or where it begins: only a real robot needs neither.
     """
     return Simulation(
-        vehicle_drive(robot.vehicle),
-        imperfections(robot.vehicle),
-        start_pose(robot),
-        trouble,
-        generator(config.run.seed, "plant", robot.id),
-        robot.vehicle.body_radius_m,
-        _sensing(config, robot),
+        drive=vehicle_drive(robot.vehicle),
+        imperfections=imperfections(robot.vehicle),
+        start=start_pose(robot),
+        trouble=trouble,
+        rng=generator(config.run.seed, "plant", robot.id),
+        radius=robot.vehicle.body_radius_m,
+        sensing=_sensing(config, robot),
     )
 
 

@@ -268,7 +268,15 @@ class Config(Model):
         return tree
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with other values; what was found in the robots is found anew."""
+        """Return a copy with other values; what was found in the robots is found anew.
+
+        Args:
+            update: The other values by their keys, which are not validated.
+            deep: Whether the values are copied, too.
+
+        Returns:
+            The copy.
+        """
         copy = super().model_copy(update=update, deep=deep)
         for found in ("units", "unit_of", "_by_id"):
             copy.__dict__.pop(found, None)
@@ -372,11 +380,28 @@ class Config(Model):
         return {robot_id: unit for unit, robots in self.units.items() for robot_id in robots}
 
     def driver_of(self, robot_id: str) -> str:
-        """Return the name of the process that drives a robot."""
+        """Return the name of the process that drives a robot.
+
+        Args:
+            robot_id: The robot's id.
+
+        Returns:
+            The process's name, as messages and logs have it.
+        """
         return driver_role(self.unit_of[robot_id])
 
     def robot(self, robot_id: str) -> Robot:
-        """Return a robot by its id; KeyError if there is none."""
+        """Return a robot by its id.
+
+        Args:
+            robot_id: The robot's id.
+
+        Returns:
+            The robot, as the configuration has it.
+
+        Raises:
+            KeyError: There is no such robot.
+        """
         return self._by_id[robot_id]
 
     @cached_property

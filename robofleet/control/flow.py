@@ -66,14 +66,29 @@ def point_update(u: float, x: float, r: float, horizon: float, gain: float) -> f
 
 
 class NewtonRaphsonFlow:
-    """The controller of one plant. ``warnings``: what is unwise in its settings, in plain words."""
+    """The controller of one plant.
+
+    Attributes:
+        plant: The plant.
+        settings: The parameters of the law.
+        warnings: What is unwise in them, in plain words.
+        memory: State of the compiled step; its layout is internal.
+        compiled_step: The compiled step; internal.
+    """
 
     def __init__(
         self, plant: Plant, settings: FlowSettings, u0: ArrayLike, *, suspects: Iterable[Suspect] | None = None
     ) -> None:
-        """Check and compile; FlowError names the argument that is wrong.
+        """Check and compile.
 
-        ``suspects``: the user's functions that the plant is made of, where they are not the plant's own.
+        Args:
+            plant: State equation and output.
+            settings: The parameters of the law.
+            u0: The first input (m,).
+            suspects: The functions that a complaint may name, where they are not the plant's own.
+
+        Raises:
+            FlowError: The message names the argument that is wrong.
         """
         self.plant, self.settings = plant, settings
         u0 = vector("u0", u0, plant.m)
@@ -117,9 +132,17 @@ class NewtonRaphsonFlow:
         return self._view("w").copy()
 
     def update(self, x: Array, r: Array) -> Array:
-        """Return u (m,) after one control step; x (n,) is measured now, r (m,) = r(t + delay + T).
+        """Make one control step.
 
-        FlowError leaves u as it was.
+        Args:
+            x: The state (n,), measured now.
+            r: The reference r(t + delay + T) (m,).
+
+        Returns:
+            The input u (m,).
+
+        Raises:
+            FlowError: A shape or a number cannot be used. u stays as it was.
         """
         try:
             if x.shape != self._x_shape or r.shape != self._r_shape:
@@ -134,7 +157,14 @@ class NewtonRaphsonFlow:
         return self._u.copy()
 
     def applied(self, u: ArrayLike) -> None:
-        """Say what the actuators will really do instead of the last u (m,): the flow goes on from there."""
+        """Take what the actuators will really do instead of the last input: the flow goes on from there.
+
+        Args:
+            u: The applied input (m,).
+
+        Raises:
+            FlowError: A shape or a number cannot be used.
+        """
         u = vector("u", u, self.plant.m)
         if not np.isfinite(u).all():
             raise FlowError(f"u: expected finite numbers, got {u.tolist()}")
@@ -162,7 +192,16 @@ class NewtonRaphsonFlow:
         return f"{name}: expected shape ({n},), got {a.shape}"
 
     def explain(self, status: Status, x: Array, r: Array) -> str:
-        """Return in words why a step at state x (n,) with reference r (m,) gave no input."""
+        """Return in words why a step gave no input.
+
+        Args:
+            status: What the compiled step returned.
+            x: The state (n,) of that step.
+            r: The reference (m,) of that step.
+
+        Returns:
+            A line with the numbers that are wrong.
+        """
         found, used = float(self.memory[Slot.FOUND]), self.prediction_steps
         at = f"at x = {x.tolist()}, u = {self._u.tolist()}"
         return {
@@ -189,7 +228,22 @@ class MemorylessFlow:
         *, g_u: Callable[[Array], Array] | None = None, integrator: Integrator = "exact",
         lower: Limits | None = None, upper: Limits | None = None,
     ) -> None:  # fmt: skip
-        """g: u (m,) -> y (m,); g_u: u -> dg/du (m, m), else by central differences; both for numba to compile."""
+        """Check and compile.
+
+        Args:
+            g: The plant's output: u (m,) -> y (m,), for numba to compile.
+            m: Number of inputs and of outputs.
+            alpha: Speed-up [1/s].
+            step: Control step [s].
+            u0: The first input (m,).
+            g_u: dg/du: u (m,) -> (m, m), for numba to compile. None: central differences.
+            integrator: How the flow is stepped: by its exact solution, or by forward Euler.
+            lower: Least u (m).
+            upper: Greatest u (m).
+
+        Raises:
+            FlowError: The message names the argument that is wrong.
+        """
         settings = FlowSettings(alpha, 1.0, step, integrator, prediction_steps=1, lower=lower, upper=upper)
         for name, function, expected in (("g", g, (m,)), ("g_u", g_u, (m, m))):
             check_shape(name, function, (vector("u0", u0, m),), expected)
@@ -198,7 +252,17 @@ class MemorylessFlow:
         self._no_state = np.zeros(1)
 
     def update(self, r: Array) -> Array:
-        """Return u (m,) after one control step; r (m,) = r(t)."""
+        """Make one control step.
+
+        Args:
+            r: The reference r(t) (m,).
+
+        Returns:
+            The input u (m,).
+
+        Raises:
+            FlowError: A shape or a number cannot be used.
+        """
         return self._flow.update(self._no_state, r)
 
     @property

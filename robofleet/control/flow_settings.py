@@ -21,24 +21,39 @@ UNSTABLE_EULER = 2.0  # alpha * step
 
 
 class FlowError(RobofleetError, ValueError):
-    """A setting, a plant, a state or a prediction that the flow cannot use; the message names it."""
+    """Raised where the flow cannot use a setting, a plant, a state or a prediction. The message names it."""
 
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """Parameters of the law."""
+    """Parameters of the law.
 
-    alpha: float  # speed-up [1/s]
-    horizon: float  # T [s]
-    step: float  # control step [s]
+    Attributes:
+        alpha: Speed-up [1/s].
+        horizon: Prediction horizon T [s].
+        step: Control step [s].
+        integrator: How the flow is stepped: by its exact solution, or by the paper's forward Euler.
+        predictor: How the plant is predicted.
+        prediction_steps: Steps of a prediction. None: from the fastest eigenvalue of f_x, anew at every update.
+        lower: Least u (m). The flow's own state stays inside (no wind-up).
+        upper: Greatest u (m).
+        delay: Time from the measurement of x until u acts [s].
+        offset_free: Whether a constant disturbance is estimated and predicted with.
+        max_condition: Greatest condition number of dg/du with rows and columns scaled to 1. Above it the update is
+            refused.
+    """
+
+    alpha: float
+    horizon: float
+    step: float
     integrator: Integrator = "exact"
     predictor: Literal["rk4", "euler"] = "rk4"
-    prediction_steps: int | None = None  # None: from the fastest eigenvalue of f_x, anew at every update
-    lower: Limits | None = None  # of u; the flow's own state stays inside (no wind-up)
+    prediction_steps: int | None = None
+    lower: Limits | None = None
     upper: Limits | None = None
-    delay: float = 0.0  # between the measurement of x and the action of u [s]
-    offset_free: bool = False  # estimate a disturbance and predict with it
-    max_condition: float = 1e6  # of dg/du with rows and columns scaled to 1; above: refused
+    delay: float = 0.0
+    offset_free: bool = False
+    max_condition: float = 1e6
 
 
 def warnings_of(plant: Plant, settings: FlowSettings, u0: Array) -> list[str]:

@@ -38,19 +38,28 @@ MAX_STEPS = 20_000
 class Plant:
     """A plant x' = f(x, u), y = h(x) (eqs 8, 9); all functions are plain Python that numba can compile.
 
-    f: (x (n,), u (m,)) -> (n,). h: x -> (m,). The Jacobians are optional, f_x and f_u together.
+    Attributes:
+        f: State equation: x (n,), u (m,) -> x' (n,).
+        h: Output: x (n,) -> y (m,).
+        n: Number of states.
+        m: Number of inputs and of outputs.
+        f_x: df/dx: x, u -> (n, n). Given together with ``f_u``, or found by differences.
+        f_u: df/du: x, u -> (n, m).
+        h_x: dh/dx: x -> (m, n).
+        fastest_rate: Largest |eigenvalue| of f_x: x, u -> [1/s]. None: it is computed.
+        fused: The prediction by hand (RK4): x, u, T, steps, y, dg -> status. It writes g (m,) to y and dg/du (m, m) to
+            dg, and returns 0, or the step k that was not finite, or -k where the eigenvalues met on the way need k
+            steps.
     """
 
     f: Callable[[Array, Array], Array]
     h: Callable[[Array], Array]
     n: int
     m: int
-    f_x: Callable[[Array, Array], Array] | None = None  # -> (n, n)
-    f_u: Callable[[Array, Array], Array] | None = None  # -> (n, m)
-    h_x: Callable[[Array], Array] | None = None  # -> (m, n)
-    fastest_rate: Callable[[Array, Array], float] | None = None  # largest |eigenvalue| of f_x [1/s]; else computed
-    # by hand, RK4: predict(x, u, T, steps, y, dg) writes g and dg/du and returns 0, or the step k that was not
-    # finite, or -k where the eigenvalues met on the way need k steps
+    f_x: Callable[[Array, Array], Array] | None = None
+    f_u: Callable[[Array, Array], Array] | None = None
+    h_x: Callable[[Array], Array] | None = None
+    fastest_rate: Callable[[Array, Array], float] | None = None
     fused: Callable[[Array, Array, float, int, Array, Array], int] | None = None
 
 

@@ -2,8 +2,8 @@
 
 
 class RobofleetError(Exception):
-    """The root of robofleet's exceptions: never raised itself, so that a caller can catch all of them."""
+    """The root of all exceptions of robofleet. It is never raised itself: catch it to catch all of them."""
 
 
 class BadInputError(RobofleetError):
-    """Bad input: one line a fault, with the position and the cure. A command ends with exit code 2."""
+    """Raised for bad input: one line for each fault, with its position and cure. A command ends with exit code 2."""

@@ -24,7 +24,7 @@ _HANDED = "ROBOFLEET_MODULES"  # environment of the processes started from here:
 
 
 class PluginError(RobofleetError):
-    """No such driver, camera or behaviour; the message says which there are."""
+    """Raised where no driver, camera, pose source or behaviour has the name. The message says which there are."""
 
 
 def load(group: str, name: str) -> Any:

@@ -27,7 +27,7 @@ LAB_MODULES = (
 
 
 class RefusedError(BadInputError):
-    """Bad input; one line a fault."""
+    """Raised where a command refuses its input: one line for each fault."""
 
 
 @contextmanager

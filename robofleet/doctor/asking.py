@@ -65,7 +65,7 @@ def _contexts(needs: Needs, path: str) -> Iterator[tuple[str, DriverContext]]:
             return
     for kind, settings in _KINDS.items():
         made = load("robofleet.drivers", kind).Settings.model_validate({"port": path, **settings})
-        yield kind, DriverContext("", _ANY_DRIVE, None, clock.now_ns, made)
+        yield kind, DriverContext(robot="", drive=_ANY_DRIVE, simulation=None, now_ns=clock.now_ns, settings=made)
 
 
 class _Inquiry(threading.Thread):

@@ -12,7 +12,7 @@ _AT_MOST_S = 20.0  # a busy machine loads numba in ten
 
 
 class NoAnswerError(RobofleetError):
-    """The other process gave no answer; the message says why."""
+    """Raised where the other process gave no answer. The message says why."""
 
 
 def asked_elsewhere(script: str, at_most_s: float = _AT_MOST_S) -> Any:

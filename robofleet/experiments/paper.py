@@ -30,7 +30,7 @@ EXPERIMENTS = {
 
 
 class ExperimentError(RobofleetError):
-    """An experiment ended without a result; the message says which, and why."""
+    """Raised where an experiment ends without a result. The message says which, and why."""
 
 
 def chosen(name: str) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ _LOST = -1
 
 
 class DivergedError(RobofleetError, ValueError):
-    """The loop met a state, a prediction or a dg/du that cannot be used; the message says when, and which."""
+    """Raised where a loop meets a state, a prediction or a dg/du that it cannot use. The message says when."""
 
 
 @dataclass(frozen=True)

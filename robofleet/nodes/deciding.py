@@ -150,9 +150,10 @@ class Deciding:
         t, said = max(0, self._ticks) * self._tick_s, {}
         for k, (behaviour, own) in enumerate(self._crew):
             if k not in self._stopped:
-                now = Situation(t + behaviour.team.delay, poses[own], may[own], w[own], others(own))
-                if wishes:
-                    now = now._replace(wish=wishes[k])
+                now = Situation(
+                    t=t + behaviour.team.delay, poses=poses[own], driving=may[own], disturbance=w[own],
+                    others=others(own), wish=wishes[k] if wishes else None,
+                )  # fmt: skip
                 if (decision := self._ask(k, now)) is not None:
                     said[k] = decision
         return said

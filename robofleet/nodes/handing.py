@@ -21,7 +21,7 @@ _LARGEST = 16 << 20  # [bytes] of an unpacked configuration
 
 
 class HandedError(RobofleetError):
-    """A configuration that this computer cannot take; the message says why."""
+    """Raised where this computer cannot take a configuration. The message says why."""
 
 
 def packed(config: Config) -> Handed:

@@ -8,6 +8,7 @@ than half a second. A hold of the run takes no lease away. Who sends is known by
 that sender alone; of another sender's epoch and numbers nothing is believed.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +80,7 @@ class _OfGroup:
         wish, lease = self._newest, self._lease
         if wish is None or lease is None:
             return None
-        return Wish(*wish[:4], (tick - lease.echo_tick) * self._tick_s, *wish[5:])
+        return replace(wish, age=(tick - lease.echo_tick) * self._tick_s)
 
     def _take(self, sender: str, payload: bytes, tick: int, kinds: frozenset[WishKind]) -> bool:
         """Take a setpoint that can be one, of the session that drives this group; returns whether it is done."""
@@ -101,7 +102,10 @@ class _OfGroup:
         if not told.all():
             values[~told] = 0.0
         self._lease = lease
-        self._newest = Wish(WishKind(head.kind), values, told, head.order, 0.0, head.epoch, head.seq)
+        self._newest = Wish(
+            kind=WishKind(head.kind), values=values, told=told, order=head.order, age=0.0, epoch=head.epoch,
+            seq=head.seq,
+        )  # fmt: skip
         return True
 
     def _follows(self, session: tuple[str, int], seq: int, tick: int) -> bool:

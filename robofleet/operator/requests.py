@@ -34,11 +34,11 @@ _BETWEEN_NS = 100 * MS  # two signals at once are one
 
 
 class NoArenaError(RobofleetError):
-    """There is no run, or not the one that was named, or several; the message is a line."""
+    """Raised where there is no run, or not the one that was named, or several. The message is a line."""
 
 
 class UnreachableError(RobofleetError):
-    """A run is there and its bus does not answer."""
+    """Raised where a run is on and its bus does not answer."""
 
 
 def chosen(name: str | None, *, own: bool = False) -> ArenaFile:

@@ -43,7 +43,7 @@ Content = Schema | Channel | Message
 
 
 class DamageError(RobofleetError):
-    """Bytes that are not what was written."""
+    """Raised where bytes of a recording are not what was written."""
 
 
 def encode(record: McapRecord) -> bytes:

@@ -175,8 +175,9 @@ def _tried(robots: int, said: described.Group) -> Past:
     poses = np.tile(np.stack([0.1 * row, 0.02 * row, 0.1 * row], axis=-1), (_TRIED, 1, 1))
     every = np.ones(_TRIED, dtype=np.bool_)
     return Past(
-        t, poses, poses[..., :2].copy(), np.ones(robots, dtype=np.bool_), every, every, poses[..., :2].copy(),
-        {figure.name: np.zeros((_TRIED, robots)) for figure in said.figures},
+        t=t, poses=poses, points=poses[..., :2].copy(), known=np.ones(robots, dtype=np.bool_), settled=every,
+        spaced=every, references=poses[..., :2].copy(),
+        figures={figure.name: np.zeros((_TRIED, robots)) for figure in said.figures},
     )  # fmt: skip
 
 

@@ -52,7 +52,7 @@ class _Instant(NamedTuple):
 
 
 class RecordingError(RobofleetError):
-    """A file that holds no run, or not one of this version; the message is a line."""
+    """Raised where a file holds no run, or none of this version. The message is a line."""
 
 
 def nothing_imported(_: str) -> bool:

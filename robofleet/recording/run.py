@@ -335,7 +335,14 @@ class Run:
         for gauge, told, of in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
             figures = {name: values[running] for name, values in told.figures.items()}
             past = Past(
-                t, poses[:, of], points[:, of], self.known[of], settled, spaced, told.references[running], figures
+                t=t,
+                poses=poses[:, of],
+                points=points[:, of],
+                known=self.known[of],
+                settled=settled,
+                spaced=spaced,
+                references=told.references[running],
+                figures=figures,
             )
             parts.append(Part(gauge, of, past, running, peaks.get(gauge.said.name, ())))
         return tuple(parts)
@@ -456,6 +463,6 @@ def _changes(recording: Recording, full: str) -> list[tuple[int, RunState]]:
     changes: list[tuple[int, RunState]] = []
     for place, payload in recording.placed(full):
         state = RUN_STATE.decode(payload)
-        if state is not None and (not changes or state[2:] != changes[-1][1][2:]):
+        if state is not None and not (changes and state.repeats(changes[-1][1])):
             changes.append((place, state))
     return changes

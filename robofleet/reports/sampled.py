@@ -65,7 +65,7 @@ class Sampled(Run):
         self._news.append((run.news, run.news_of))
         first, until = run.own.first, run.own.until
         for place, state in run.states:
-            if first <= place < until and (not self.states or state[2:] != self.states[-1][1][2:]):
+            if first <= place < until and not (self.states and state.repeats(self.states[-1][1])):
                 self.states.append((place, state))
         for full in run.recording.messages:
             if (about := named(full)) is not None and about[0] in _KEPT:

@@ -35,7 +35,7 @@ def ended_by(code: int) -> str:
 
 
 class RunError(RobofleetError):
-    """The run ended by a fault; the message is its cause."""
+    """Raised where a run ends by a fault. The message is its cause."""
 
 
 @dataclass

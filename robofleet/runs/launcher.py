@@ -56,11 +56,11 @@ Outcome = tuple[str, str | None]
 
 
 class InterruptedRunError(RobofleetError):
-    """The operator asked for the end: a controlled stop."""
+    """Raised where the operator asks for the end of a run: a controlled stop."""
 
 
 class EmergencyError(RobofleetError):
-    """The operator asked for the emergency stop, or is gone; the message says how that was seen."""
+    """Raised where the operator asks for the emergency stop, or is gone. The message says how that was seen."""
 
 
 class Launcher:

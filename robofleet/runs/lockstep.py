@@ -206,8 +206,7 @@ class Lockstep:
             if full == self._tick_key and (run_tick := TICK_RECORD.head_of(payload, "run_tick")) is not None:
                 self._run_tick = run_tick
             elif full == self._state_key and (state := RUN_STATE.decode_head(payload)) is not None:
-                if state[2:6] != self.status[:4]:
-                    self.status = RunStatus.read(*state[2:6]) or self.status
+                self.status = RunStatus.read(state.phase, state.cause, state.robot, state.detail) or self.status
                 if self.faults is not None and not self.faults.begun and self.status.phase is Phase.RUNNING:
                     self.faults.begin(self.clock.now_ns())
                     self._queue.slots["faults"].schedule(self.clock.now_ns())

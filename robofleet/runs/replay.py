@@ -236,7 +236,7 @@ def _driven(
         taken = (names[0], names[1]), (names[2], names[3]), *(its[k] for its in others)
         done = tick - overruns
         if done != before + 1 or player is None:
-            if done == 1 or taken[:_ALWAYS] == (NO_NAME, NO_NAME):
+            if done == 1 or not any(names):
                 player = _Player(config, TickGrid(stamp_ns - tick * period_ns, period_ns), takings)
             elif done != before + 1:
                 missing = done - before - 1

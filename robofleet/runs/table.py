@@ -213,8 +213,9 @@ def _tracker(edges: Edges) -> Node:
     ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
     charge_ns = 0 if edges.real_time else round(config.lockstep.tracker_delay_s * S)
     context = PoseContext(
-        config, clock, bus, ticks, rng, charge_ns, wake, edges.real_time,
-        (lambda feed: feed) if faults is None else (lambda feed: FaultyFeed(feed, faults)),
+        config=config, clock=clock, bus=bus, ticks=ticks, rng=rng, extra_delay_ns=charge_ns,
+        wake=wake, real_time=edges.real_time,
+        around=(lambda feed: feed) if faults is None else (lambda feed: FaultyFeed(feed, faults)),
     )  # fmt: skip
     with compiling(config, edges.progress):
         source = pose_source(context)

@@ -57,13 +57,15 @@ _NUMBER = Struct("<d")
 class Fleet:
     """A fleet that this script drives, for as long as the ``with`` lasts.
 
-    ``where`` is a configuration, or the name of an arena that has a run. Of a configuration a run of its own is made,
-    which ends with the ``with``: in ``lockstep`` in this process on a simulated clock, else in real time. A
-    configuration without a group whose behaviour is ``script`` is driven as one group of all its robots. An arena's
-    run goes on when the ``with`` ends, and its robots stand.
+    A configuration without a group whose behaviour is ``script`` is driven as one group of all its robots.
 
     N robots are in the order of ``robots``. World frame: x and y [m] from the arena's centre, psi [rad]
     counter-clockwise. The *point ahead* of a robot is ``point_ahead`` [m] in front of its axle.
+
+    Attributes:
+        summary: What ``summary.json`` holds, after the ``with``. Empty where an arena's run goes on.
+        folder: The recording's folder. None: nothing is kept, or the run is another's.
+        held: How often ``ticks(resume=True)`` has resumed the run.
     """
 
     def __init__(
@@ -80,10 +82,16 @@ class Fleet:
     ) -> None:
         """Take what the run is made of; ``open``, or the ``with``, begins it.
 
-        ``out``: the folder of the recording; None: ``runs/<UTC time>-<name>``; False: nothing is kept. ``seed``:
-        another one than ``run.seed``. ``settings``: ``KEY=VALUE`` as behind ``--set``. ``group``: which group, where
-        scripts drive several. ``config``: the run's configuration, where the arena is another computer's. ``robots``:
-        only the first so many of the configuration's, without all others.
+        Args:
+            where: A configuration, or the name of an arena in which a run is on. A configuration's run is this
+                script's, and ends with the ``with``. An arena's run goes on, and the robots stand.
+            lockstep: Whether the run is in this process on a simulated clock. Else it is in real time.
+            out: The recording's folder. None: ``runs/<UTC time>-<name>``. False: nothing is kept.
+            seed: In place of ``run.seed``.
+            settings: ``KEY=VALUE`` as behind ``--set``.
+            group: Which group, where scripts drive several.
+            config: The run's configuration, where the arena is another computer's.
+            robots: Only the first so many of the configuration's robots.
         """
         self._where, self._lockstep, self._out, self._group, self._copy = where, lockstep, out, group, config
         self._changes = [*settings, *([] if seed is None else [f"run.seed={seed}"])]
@@ -97,9 +105,15 @@ class Fleet:
     def from_arguments(cls, config: str | Path, arguments: Sequence[str] | None = None) -> Self:
         """Return what the script's command line asks for: ``[WHERE] [--real-time] [--set KEY=VALUE] [--seed N] ...``
 
-        Without arguments it is a run of ``config`` in lockstep. ``--help`` tells the script's docstring and all
-        arguments. What is wrong is told in a line, and the script ends with exit code 2. ``arguments``: others than
-        those of the command line.
+        ``--help`` prints the script's docstring and all arguments. A mistake is printed in a line, and the script ends
+        with exit code 2.
+
+        Args:
+            config: The configuration where the command line names none; without arguments it runs in lockstep.
+            arguments: Arguments in place of the command line's.
+
+        Returns:
+            The fleet, which the ``with`` opens.
         """
         about = getattr(sys.modules["__main__"], "__doc__", None)
         raw = argparse.RawDescriptionHelpFormatter
@@ -119,11 +133,14 @@ class Fleet:
     # The run
 
     def open(self) -> Self:
-        """Begin a run, and return when its robots may drive; or join an arena's, which may be held.
+        """Begin a run, and return when its robots may drive; or join an arena's run, which may be held.
+
+        Returns:
+            This fleet.
 
         Raises:
-            ConfigError: if the configuration cannot work: a line for each fault.
-            FleetError: if the run does not begin.
+            ConfigError: The configuration cannot work: a line for each fault.
+            FleetError: The run does not begin, or the fleet is open already.
         """
         from robofleet.scripts import script_runs  # noqa: PLC0415 - it loads all that a run needs
 
@@ -168,9 +185,10 @@ class Fleet:
         self.folder: Path | None = link.folder
 
     def close(self, failed: str | None = None) -> None:
-        """End the run, or leave an arena's run in which the robots stand from now on. Idempotent.
+        """End the run, or leave an arena's run, in which the robots stand from now on. Idempotent.
 
-        ``failed``: why the script gives up; an arena's run is held then.
+        Args:
+            failed: Why the script gives up: an arena's run is held. None: it is done.
         """
         link, self._link = self._link, None
         if link is not None:
@@ -205,24 +223,24 @@ class Fleet:
 
     @property
     def robots(self) -> tuple[str, ...]:
-        """The robots' ids."""
+        """The ids of the group's robots (N)."""
         return self._opened._team.robots
 
     @property
     def poses(self) -> Array:
-        """(N, 3): x, y [m], psi [rad] of the robots' centres at the newest tick, as the controller estimates them."""
+        """Poses of the robots' centres (N, 3): x, y [m], psi [rad; world], as estimated at the newest tick."""
         return self._items[:, :3].copy()
 
     @property
     def points(self) -> Array:
-        """(N, 2): the points ahead of the same poses [m]."""
+        """The points ahead of the same poses (N, 2) [m; world]."""
         x, y, psi = self._items[:, :3].T
         ahead = self.point_ahead
         return np.column_stack([x + ahead * np.cos(psi), y + ahead * np.sin(psi)])
 
     @property
     def point_ahead(self) -> float:
-        """How far a robot's point is in front of its axle [m]."""
+        """Distance of a robot's point ahead from its axle [m]."""
         return self._opened._team.point_ahead
 
     @property
@@ -237,7 +255,7 @@ class Fleet:
 
     @property
     def phase(self) -> str:
-        """Where the run is: running, hold, fault, estop, idle, ..."""
+        """The run's phase in small letters: running, hold, fault, estop, idle, ..."""
         return self._running.status.phase.name.lower()
 
     @property
@@ -247,7 +265,7 @@ class Fleet:
 
     @property
     def readings(self) -> NDArray[Any]:
-        """(N,): what the robots' drivers told last, in named columns with their units: ``left_angle_rad``,
+        """The newest readings of the robots' drivers (N,), in named columns with their units: ``left_angle_rad``,
         ``left_rad_s`` as measured, ``left_output_rad_s`` as let through, ``battery`` [0..1; -1 where unknown], ...
         """
         found = np.zeros(len(self.robots), UNIT_STATUS.item_dtype)
@@ -263,8 +281,8 @@ class Fleet:
 
     @property
     def sensors(self) -> tuple[SensorReading | None, ...]:
-        """What the sensors of each robot told last: gyro, accelerometer, magnetometer, heading, distances; SI units in
-        the robot's frame. None: it tells nothing, or ``robots[].sensors`` is not set.
+        """The newest reading of each robot's sensors (N): gyro, accelerometer, magnetometer, heading, distances; SI
+        units in the robot's frame. None: the robot has none, or ``robots[].sensors`` is not set.
         """
         found: dict[str, SensorReading] = {}
         for unit in self.config.sensing:
@@ -278,14 +296,21 @@ class Fleet:
     # What the robots do
 
     def ticks(self, seconds: float | None = None, *, resume: bool = False) -> Iterator[float]:
-        """Yield the time since the loop's first tick [s], once a tick; without ``seconds`` for ever.
+        """Loop over the run's ticks.
 
         The newest ``drive`` or ``move`` lasts until the next one. When the loop ends the robots stand. While the run
-        is held in real time the loop waits; ticks that the script is too slow for are left out. ``resume``: a run that
-        is held because the script was late, or because simulated robots block each other, goes on by itself.
+        is held in real time the loop waits; ticks that the script is too slow for are left out.
+
+        Args:
+            seconds: Length of the loop [s]. None: without end.
+            resume: Whether a run goes on by itself that is held because the script was late, or because simulated
+                robots block each other.
+
+        Yields:
+            Time since the loop's first tick [s], once a tick.
 
         Raises:
-            FleetError: if the run ends, or in lockstep is held.
+            FleetError: The run has ended, or is held in lockstep, or another script drives the robots.
         """
         first: int | None = None
         try:
@@ -303,31 +328,43 @@ class Fleet:
             self._stand()
 
     def drive(self, v_omega: ArrayLike) -> None:
-        """Wish the bodies' velocities (N, 2): v [m/s], omega [rad/s].
+        """Ask for velocities of the bodies.
 
         Wheels that cannot do all of it are slowed together, and the barrier may change the rest.
 
+        Args:
+            v_omega: (N, 2) v [m/s; forward +] and omega [rad/s; CCW +].
+
         Raises:
-            ValueError: if the shape is another one, or a value is not finite.
+            ValueError: The shape is another one, or a value is not finite.
+            FleetError: The fleet is not open, or the run has ended.
         """
         self._wish(WishKind.BODY, self._checked(v_omega, "drive: v [m/s], omega [rad/s]"))
 
     def move(self, velocities: ArrayLike) -> None:
-        """Wish the velocities of the points ahead (N, 2): along x and y [m/s; world].
+        """Ask for velocities of the points ahead.
+
+        Args:
+            velocities: (N, 2) velocities along x and y [m/s; world].
 
         Raises:
-            ValueError: as ``drive``.
+            ValueError: The shape is another one, or a value is not finite.
+            FleetError: The fleet is not open, or the run has ended.
         """
         self._wish(WishKind.POINT, self._checked(velocities, "move: velocities of the points ahead [m/s]"))
 
     def go_to(self, poses: Mapping[str, Goal], *, within_s: float = 300.0) -> None:
-        """Let robots go to poses x, y [m], heading [deg], by their ids, round each other; return when they are there.
+        """Let robots go to poses round each other; return when they are there.
 
         The robots that are not named stand. Afterwards all stand.
 
+        Args:
+            poses: Goals of the centres by the robots' ids: x, y [m; world], heading [deg; CCW +].
+            within_s: The longest time that it may take [s].
+
         Raises:
-            ValueError: if a robot is none of the group's, or a pose cannot be reached.
-            FleetError: if they are not there in time, or the run ends.
+            ValueError: A robot is none of the group's, or a pose cannot be reached.
+            FleetError: The robots are not there in time, or the run has ended.
         """
         goals = self._goals(poses)
         self._order += 1
@@ -362,13 +399,27 @@ class Fleet:
     # What it leaves
 
     def say(self, text: str) -> None:
-        """Write a line into the recording, the report and the operator's page."""
+        """Write a line into the recording, the report and the operator's page.
+
+        Args:
+            text: At most 100,000 bytes.
+
+        Raises:
+            ValueError: It is longer.
+        """
         self._note(NoteKind.SAY, str(text))
 
     def mark(self, name: str, points: ArrayLike, *, line: bool = False, closed: bool = False) -> None:
-        """Draw points (M, 2) [m; world], or with ``line`` a line through them, on page, viewers and report.
+        """Draw points or a line on page, viewers and report.
 
-        The same ``name`` again replaces it; without points it is taken away. ``closed``: the line is.
+        Args:
+            name: Its name. The same name again replaces it.
+            points: (M, 2) [m; world]. None at all: it is taken away.
+            line: Whether a line is drawn through the points.
+            closed: Whether the line ends where it begins.
+
+        Raises:
+            ValueError: A point is not finite, or there are too many.
         """
         at = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         if not np.isfinite(at).all():
@@ -377,10 +428,13 @@ class Fleet:
         self._note(NoteKind.MARK, described.plain_shape(shape))
 
     def keep(self, **figures: Any) -> None:
-        """Keep figures of the run by their names: numbers, texts, or lists of them, under the group in the summary.
+        """Keep figures of the run in ``summary.json``, under the group's ``kept``.
+
+        Args:
+            figures: Numbers, texts, or lists of them, by their names.
 
         Raises:
-            ValueError: if one is something else, or an integer of more than 64 bits.
+            ValueError: One is something else, or an integer of more than 64 bits.
         """
         self._note(NoteKind.KEEP, {name: _plain(name, value) for name, value in figures.items()})
 

@@ -15,7 +15,7 @@ _LONG_S = 1e6  # the script ends the run
 
 
 class FleetError(RobofleetError):
-    """A run cannot begin, is held, or has ended; the message says why, and what to do."""
+    """Raised where a script's run cannot begin, is held, or has ended. The message says why, and what to do."""
 
 
 class Link(Protocol):

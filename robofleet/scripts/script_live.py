@@ -179,9 +179,8 @@ class LiveLink:
         self._sensors[unit] = payload
 
     def _heard_state(self, _at_ns: int, payload: bytes) -> None:
-        head = RUN_STATE.decode_head(payload)
-        if head is not None and (status := RunStatus.read(*head[2:6])) is not None:
-            self._state = status
+        if (state := RUN_STATE.decode_head(payload)) is not None:
+            self._state = RunStatus.read(state.phase, state.cause, state.robot, state.detail) or self._state
 
 
 class OwnRun:

@@ -80,7 +80,7 @@ class DeepSearch:
         corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds if len(begins) else ():
-            which = np.flatnonzero([target[1:3] == (side, height) for target in self._targets])
+            which = np.flatnonzero([(target.side, target.height) == (side, height) for target in self._targets])
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
             chosen = self._order(len(centre))[:_READ]
             centre, psi = centre[chosen], psi[chosen]

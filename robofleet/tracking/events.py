@@ -40,7 +40,13 @@ class TrackerEvent(IntEnum):
 
 
 class Notice(NamedTuple):
-    """One event."""
+    """One event.
+
+    Attributes:
+        event: What happened.
+        tag: The tag that it is about. ``NO_TAG``: none.
+        value: As the event's comment says.
+    """
 
     event: TrackerEvent
     tag: int = NO_TAG

@@ -28,7 +28,7 @@ _AS_TAKEN = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # pixels as th
 
 
 class ImageFileError(CameraError):
-    """A file that is no image or no video, or images that do not belong together; the message says which."""
+    """Raised where a file is no image and no video, or images do not belong together. The message says which."""
 
 
 class _Entry(NamedTuple):

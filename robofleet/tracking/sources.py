@@ -31,31 +31,49 @@ _LAST_IMAGE_S = 0.2  # a reader that ends waits so long for the image that is un
 
 
 class CameraError(RobofleetError):
-    """A camera that cannot be used as it is asked to; the message says what is wrong and how to mend it."""
+    """Raised where a camera or another pose source cannot be used. The message says what is wrong, and the cure."""
 
 
 class Exposure(NamedTuple):
-    """How a camera exposes."""
+    """How a camera exposes.
 
-    time_s: float  # of each row
-    gain: float  # [the camera's own units]
+    Attributes:
+        time_s: Exposure time of each row [s].
+        gain: Gain [the camera's own units].
+    """
+
+    time_s: float
+    gain: float
 
 
 class ExposureLimits(NamedTuple):
-    """What a camera can be set to."""
+    """What a camera can be set to.
 
-    shortest: Exposure  # and the least gain
-    longest: Exposure  # and the greatest gain
-    step: Exposure  # from one possible setting to the next; 0: any
-    gain_db: float  # of one unit of the gain; roughly, where the camera does not tell
+    Attributes:
+        shortest: The shortest time and the least gain.
+        longest: The longest time and the greatest gain.
+        step: From one possible setting to the next. 0: any.
+        gain_db: One unit of the gain [dB]; roughly, where the camera does not tell.
+    """
+
+    shortest: Exposure
+    longest: Exposure
+    step: Exposure
+    gain_db: float
 
 
 class Frame(NamedTuple):
-    """One image."""
+    """One image.
 
-    image: NDArray[np.uint8]  # gray (H, W)
-    exposure_ns: int  # mid-exposure; of the middle row, if the shutter rolls [this host's clock]
-    exposure: Exposure | None = None  # how it was exposed, as far as an AdjustableCamera knows
+    Attributes:
+        image: Grey levels (H, W).
+        exposure_ns: Mid-exposure, of the middle row if the shutter rolls [ns; this host's clock].
+        exposure: How it was exposed, as far as an ``AdjustableCamera`` knows.
+    """
+
+    image: NDArray[np.uint8]
+    exposure_ns: int
+    exposure: Exposure | None = None
 
 
 class Lost(NamedTuple):
@@ -68,14 +86,24 @@ class Lost(NamedTuple):
 class Camera(Protocol):
     """A camera, made from one :class:`CameraContext`; its constructor raises if it cannot be opened.
 
-    A static method ``refusals(config)`` of its class, if there is one, returns what cannot work as
-    (dotted path, what is wrong): ``robofleet check`` asks it before anything is opened.
+    Its class may have a static method ``refusals(config)``, which returns what cannot work as (dotted path, what is
+    wrong): ``robofleet check`` calls it before anything is opened.
+
+    Attributes:
+        identity: Which device this is, as its calibration names it.
     """
 
-    identity: str  # which device this is: what a calibration calls it
+    identity: str
 
     def read(self) -> Frame:
-        """Return the next image, waiting for it; EOFError at the end of a file, any other error: unplugged."""
+        """Wait for the next image.
+
+        Returns:
+            The image with its mid-exposure.
+
+        Raises:
+            EOFError: A file has no more images. Any other exception counts as unplugged: the camera is opened again.
+        """
 
     def close(self) -> None:
         """Let go of the device. Idempotent; a ``read`` that still waits in another thread may fail."""
@@ -86,7 +114,11 @@ class ScheduledCamera(Protocol):
     """A camera that knows when its next image will be there, and needs no thread: a simulated one, or a file."""
 
     def ready_ns(self) -> int | None:
-        """Return when ``read`` will not wait; None while that is not known."""
+        """Return when ``read`` will not wait.
+
+        Returns:
+            An instant [ns; this host's clock]. None while it is not known.
+        """
 
 
 @runtime_checkable
@@ -94,25 +126,42 @@ class AdjustableCamera(Protocol):
     """A camera whose exposure can be changed between two images. Its frames carry their ``exposure``."""
 
     def exposure_limits(self) -> ExposureLimits:
-        """Return what it can be set to."""
+        """Return what the camera can be set to.
+
+        Returns:
+            Exposure times [s] and gains.
+        """
 
     def adjust(self, exposure: Exposure) -> None:
-        """Expose so as soon as possible. Returns at once, also while ``read`` waits in another thread.
+        """Expose so as soon as possible. Return at once, also while ``read`` waits in another thread.
 
         Mid-exposures of images that follow ticks stay where they are: the exposure begins half the change earlier.
+
+        Args:
+            exposure: Exposure time [s] and gain, within the limits.
         """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CameraContext:
-    """What a camera is made from; ``bus`` is for a simulated one, ``ticks`` for one that they trigger."""
+    """What a camera is made from; ``bus`` is for a simulated one, ``ticks`` for one that they trigger.
+
+    Attributes:
+        config: The configuration. ``config.camera`` is this camera's.
+        clock: The process's clock.
+        bus: The bus, for a simulated camera.
+        ticks: The controller's ticks, for a camera that they trigger.
+        rng: Random numbers of the camera.
+        extra_delay_ns: Time from the end of the readout to the image's use [ns]: what lockstep charges for the
+            tracker's work.
+    """
 
     config: Config
     clock: Clock
     bus: Bus
     ticks: TickFollower
     rng: np.random.Generator
-    extra_delay_ns: int  # from the end of the readout to the image's use (lockstep's charge for the tracker's work)
+    extra_delay_ns: int
 
 
 def start_to_middle_ns(camera: CameraSettings, exposure_s: float) -> int:
@@ -216,31 +265,55 @@ class ReopenedCamera:
 
 
 class Observation(NamedTuple):
-    """What one image says."""
+    """What one image says.
 
-    exposure_ns: int  # mid-exposure [this host's clock]
+    Attributes:
+        exposure_ns: Instant of the measurement: mid-exposure [ns; this host's clock].
+        poses: One pose for each robot that was seen.
+        refused: How many candidates were refused so far.
+        image: The image to look at, until the next one: grey levels (H, W). None: there is no camera.
+    """
+
+    exposure_ns: int
     poses: tuple[TagPose, ...]
     refused: int
-    image: NDArray[np.uint8] | None = None  # to look at, until the next one; None: there is no camera
+    image: NDArray[np.uint8] | None = None
 
 
 class PoseSource(Protocol):
     """Gives observations as they become ready. Made from one :class:`PoseContext`; its constructor raises CameraError
     if it cannot be opened.
 
-    Its class may have static methods: ``refusals(config)`` returns what cannot work as (dotted path, what is wrong),
-    and opens nothing; ``unreachable(config)`` asks who is there, and returns what does not answer;
-    ``works_in_lockstep(config)`` tells whether it lives by ``context.clock`` alone, without a thread.
+    Its class may have static methods:
+
+    - ``refusals(config)`` returns what cannot work as (dotted path, what is wrong), and opens nothing.
+    - ``unreachable(config)`` asks who is there, and returns what does not answer, in the same form.
+    - ``works_in_lockstep(config)`` returns whether it uses ``context.clock`` alone, without a thread.
     """
 
     def next_ns(self) -> int | None:
-        """Return when the next one will be ready [ns]; None: a message, or ``context.wake``, will wake the process."""
+        """Return when the next observation will be ready.
+
+        Returns:
+            An instant [ns; this host's clock]. None: a message or ``context.wake`` will wake the process.
+        """
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
+        """Take the observation that is ready.
+
+        Args:
+            now_ns: The instant of this step [ns; this host's clock].
+
+        Returns:
+            The instant of the measurement and the poses. None: nothing is ready.
+        """
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened to the camera and to the tags since the last call, with an image or without one."""
+        """Take what happened to the camera and to the tags since the last call, with an image or without one.
+
+        Returns:
+            The events in their order.
+        """
 
     def close(self) -> None:
         """Let go of the device. Idempotent."""
@@ -265,13 +338,19 @@ class Feed(Protocol):
         """Let go of the camera."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PoseContext(CameraContext):
-    """What a pose source is made from."""
+    """What a pose source is made from.
 
-    wake: Wake  # wakes the process from any thread: it then observes
-    real_time: bool  # False: lockstep
-    around: Callable[[Feed], Feed]  # puts faults on purpose around a camera's images
+    Attributes:
+        wake: Wakes the process, which then observes. Any thread may call it, with an instant [ns].
+        real_time: Whether the run is in real time. Else it is in lockstep.
+        around: Puts faults on purpose around a camera's images.
+    """
+
+    wake: Wake
+    real_time: bool
+    around: Callable[[Feed], Feed]
 
 
 class CameraReader:

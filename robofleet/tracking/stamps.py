@@ -17,7 +17,7 @@ _LAST_NS = 2**63
 
 
 class StampError(CameraError):
-    """A list of stamps that cannot be used; the message begins with the file and the line."""
+    """Raised where a list of stamps cannot be used. The message begins with the file and the line."""
 
 
 class Stamp(NamedTuple):

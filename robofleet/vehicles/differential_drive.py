@@ -12,14 +12,23 @@ _INSIDE = 1.0 - 1e-9  # a scaled wheel stays inside its limit whatever is rounde
 
 @dataclass(frozen=True)
 class DifferentialDrive:
-    """What the controller believes of a robot."""
+    """What the controller assumes of a robot.
 
-    wheel_radius: float  # [m]
-    wheel_base: float  # distance between the wheels [m]
-    max_wheel_speed: float  # [rad/s]
-    max_speed: float  # of the body [m/s]
-    motor_lag: float  # time constant of the wheel-speed loop [s]
-    max_wheel_acceleration: float  # that the gate asks of a wheel [rad/s^2]
+    Attributes:
+        wheel_radius: Radius of the wheels [m].
+        wheel_base: Distance between the wheels [m].
+        max_wheel_speed: The fastest speed of a wheel [rad/s].
+        max_speed: The fastest speed of the body [m/s].
+        motor_lag: Time constant of the wheel-speed loop [s].
+        max_wheel_acceleration: The greatest acceleration that the gate asks of a wheel [rad/s^2].
+    """
+
+    wheel_radius: float
+    wheel_base: float
+    max_wheel_speed: float
+    max_speed: float
+    motor_lag: float
+    max_wheel_acceleration: float
 
 
 def body_from_wheels(left: float, right: float, radius: float, base: float) -> tuple[float, float]:

@@ -20,7 +20,12 @@ Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both
 
 
 class WheelSpeeds(NamedTuple):
-    """Angular speeds of the two wheels [rad/s; forward is +]."""
+    """Angular speeds of the two wheels [rad/s; forward is +].
+
+    Attributes:
+        left: Left wheel [rad/s].
+        right: Right wheel [rad/s].
+    """
 
     left: float
     right: float
@@ -49,29 +54,54 @@ class SensorReading(NamedTuple):
     """What a robot senses beside its wheels; None of what it has not, or does not tell.
 
     Robot frame: origin at the middle of the axle, x ahead, y to the left, z up.
+
+    Attributes:
+        gyro: Rate about x, y, z [rad/s; CCW +].
+        accelerometer: Specific force along x, y, z [m/s^2]. At rest z is +9.8.
+        magnetometer: Magnetic field along x, y, z [T].
+        heading: Heading by a compass or the like [rad; CCW +, in (-pi, pi], from a zero of its own].
+        distances: Distances in the order of the kind's sensors [m]. NaN: that sensor sees nothing.
     """
 
-    gyro: tuple[float, float, float] | None = None  # turning about x, y, z [rad/s; CCW +]
-    accelerometer: tuple[float, float, float] | None = None  # specific force along x, y, z [m/s^2]; at rest z is +9.8
-    magnetometer: tuple[float, float, float] | None = None  # magnetic field along x, y, z [T]
-    heading: float | None = None  # by a compass or the like [rad; CCW +, in (-pi, pi], from a zero of its own]
-    distances: tuple[float, ...] | None = None  # [m], in the order of its kind's sensors; NaN: one sees nothing
+    gyro: tuple[float, float, float] | None = None
+    accelerometer: tuple[float, float, float] | None = None
+    magnetometer: tuple[float, float, float] | None = None
+    heading: float | None = None
+    distances: tuple[float, ...] | None = None
 
 
 class DriverReading(NamedTuple):
-    """What a robot reports about itself."""
+    """What a robot reports about itself.
 
-    left_angle: float  # [rad; forward +, accumulated since the driver opened]
-    right_angle: float  # [rad]
-    left_speed: float  # [rad/s; as measured]
-    right_speed: float  # [rad/s]
-    battery: float  # charge [0..1]; NaN where the robot cannot tell
-    faults: int  # of RobotFault; 0 when healthy
-    sensors: SensorReading | None = None  # None: it has no more, or ``DriverContext.sensors`` asks for none
+    Attributes:
+        left_angle: Angle of the left wheel [rad; forward +, accumulated since the driver opened].
+        right_angle: Angle of the right wheel [rad].
+        left_speed: Measured speed of the left wheel [rad/s].
+        right_speed: Measured speed of the right wheel [rad/s].
+        battery: Charge [0..1]. NaN where the robot cannot tell.
+        faults: Bits of ``RobotFault``. 0: healthy.
+        sensors: Its other sensors. None: it has none, or ``DriverContext.sensors`` asks for none.
+    """
+
+    left_angle: float
+    right_angle: float
+    left_speed: float
+    right_speed: float
+    battery: float
+    faults: int
+    sensors: SensorReading | None = None
 
 
 class TruePose(NamedTuple):
-    """Where a simulated robot really is [m, rad; world frame, CCW +] and how it moves [m/s, rad/s; body frame]."""
+    """Where a simulated robot really is [m, rad; world frame, CCW +] and how it moves [m/s, rad/s; body frame].
+
+    Attributes:
+        x: Position of the axle's middle along x [m; world].
+        y: Position along y [m; world].
+        psi: Heading [rad; world, CCW +].
+        v: Speed ahead [m/s].
+        omega: Yaw rate [rad/s; CCW +].
+    """
 
     x: float
     y: float
@@ -80,68 +110,118 @@ class TruePose(NamedTuple):
     omega: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Imperfections:
-    """How far a simulated robot is from the ideal one. Spreads are half widths of a uniform draw made once."""
+    """How far a simulated robot is from the ideal one. Spreads are half widths of a uniform draw made once.
 
-    motor_lag: float  # time constant of the wheel-speed loop [s]
-    speed_quantum: float  # one encoder count in one period of the loop [rad/s]
-    loop_period: float  # of the firmware [s]
-    deadband: float  # a turning wheel stops when commanded less [rad/s]
-    breakaway: float  # a resting wheel stays at rest when commanded less (stiction) [rad/s]
-    wheel_gain_spread: float  # of each wheel's travel, relative
-    wheel_base_spread: float  # relative
-    slip: float  # fraction of a wheel's travel lost at a yaw rate of 1 rad/s [s/rad]
-    slip_noise: float  # standard deviation of the slip, relative to it
-    top_speed_sag: float  # fraction of the top speed lost when the battery is empty
-    battery_life: float  # [s]
-    wheel_gain_error: float = 0.0  # of both wheels' travel, relative
-    wiring: Wiring = "straight"  # of motors and encoders together
-    actuation_delay: float = 0.0  # from a command's arrival to the moment when the wheels begin to follow it [s]
+    Attributes:
+        motor_lag: Time constant of the wheel-speed loop [s].
+        speed_quantum: One encoder count in one period of the loop [rad/s].
+        loop_period: Period of the firmware's loop [s].
+        deadband: A turning wheel stops when commanded less [rad/s].
+        breakaway: A resting wheel stays at rest when commanded less (stiction) [rad/s].
+        wheel_gain_spread: Spread of each wheel's travel, relative.
+        wheel_base_spread: Spread of the wheel base, relative.
+        slip: Share of a wheel's travel that is lost at a yaw rate of 1 rad/s [s/rad].
+        slip_noise: Standard deviation of the slip, relative to it.
+        top_speed_sag: Share of the top speed that is lost when the battery is empty.
+        battery_life: Time from a full battery to an empty one [s].
+        wheel_gain_error: Error of both wheels' travel, relative.
+        wiring: How motors and encoders are connected.
+        actuation_delay: Time from a command's arrival until the wheels begin to follow it [s].
+    """
+
+    motor_lag: float
+    speed_quantum: float
+    loop_period: float
+    deadband: float
+    breakaway: float
+    wheel_gain_spread: float
+    wheel_base_spread: float
+    slip: float
+    slip_noise: float
+    top_speed_sag: float
+    battery_life: float
+    wheel_gain_error: float = 0.0
+    wiring: Wiring = "straight"
+    actuation_delay: float = 0.0
 
 
 class BodyTrouble(NamedTuple):
-    """What is wrong with a simulated robot now."""
+    """What is wrong with a simulated robot now.
 
-    stuck: bool = False  # motors stand still, whatever they are told
-    slip: float = 0.0  # share of the wheels' travel that is lost
-    left: float | None = None  # speed at which this wheel turns by itself [rad/s]; None: it does as it is told
+    Attributes:
+        stuck: Whether the motors stand still, whatever they are commanded.
+        slip: Share of the wheels' travel that is lost.
+        left: Speed at which the left wheel turns by itself [rad/s]. None: it obeys.
+        right: The same of the right wheel [rad/s].
+        pushed: Velocity by a hand along x and y [m/s; world].
+    """
+
+    stuck: bool = False
+    slip: float = 0.0
+    left: float | None = None
     right: float | None = None
-    pushed: tuple[float, float] = (0.0, 0.0)  # by a hand: velocity along x and y [m/s; world]
+    pushed: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """What only a simulated robot needs."""
+    """What only a simulated robot needs.
 
-    drive: DifferentialDrive  # the kind of robot that it is one of
+    Attributes:
+        drive: Wheels and limits of its kind of robot.
+        imperfections: How it differs from the ideal robot.
+        start: Pose at the start: x, y [m], psi [rad; world].
+        trouble: Returns what is wrong with it now. None: never anything.
+        rng: Its random numbers.
+        radius: Radius of the disc that others' distance sensors see [m].
+        sensing: Its sensors. None: its wheels alone.
+    """
+
+    drive: DifferentialDrive
     imperfections: Imperfections
-    start: tuple[float, float, float]  # x, y [m], psi [rad]; world
-    trouble: Callable[[], BodyTrouble] | None  # None: never any
+    start: tuple[float, float, float]
+    trouble: Callable[[], BodyTrouble] | None
     rng: "np.random.Generator"
-    radius: float = 0.0  # of the disc that others' distance sensors see [m]
-    sensing: "Sensing | None" = None  # None: it senses no more than its wheels
+    radius: float = 0.0
+    sensing: "Sensing | None" = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldRobot:
-    """A robot of a run, as the configuration has it."""
+    """A robot of a run, as the configuration has it.
 
-    robot: str  # id
-    unit: str  # of the driver process that drives it: robots of one unit share a process
-    drive: DifferentialDrive  # as believed
-    radius: float  # of the smallest disc, about the middle of the axle, that covers it [m]
-    start: tuple[float, float, float] | None  # x, y [m], psi [rad] of the axle's middle; world; None: not known
+    Attributes:
+        robot: Its id.
+        unit: Its driver process: robots of one unit share a process.
+        drive: Its wheels and limits, as the controller assumes them.
+        radius: Radius of the smallest disc about the axle's middle that covers it [m].
+        start: Pose of the axle's middle: x, y [m], psi [rad; world]. None: not known.
+    """
+
+    robot: str
+    unit: str
+    drive: DifferentialDrive
+    radius: float
+    start: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldObstacle:
-    """Something on the floor that does not move: a disc about its only point, or a polygon."""
+    """Something on the floor that does not move: a disc about its only point, or a polygon.
+
+    Attributes:
+        name: Its name.
+        points: A polygon's corners, counter-clockwise, or a disc's middle [m; world].
+        radius: A disc's radius [m]. 0: a polygon.
+        height: Height above the floor [m].
+    """
 
     name: str
-    points: tuple[tuple[float, float], ...]  # corners, counter-clockwise; of a disc its middle [m; world]
-    radius: float  # of a disc [m]; 0 for a polygon
-    height: float  # [m]
+    points: tuple[tuple[float, float], ...]
+    radius: float
+    height: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,34 +229,60 @@ class World:
     """Everything that stands in the arena: what a driver that simulates physics builds its world from.
 
     World frame: origin at the arena's centre on the floor, x along ``size[0]``, y to the left, psi CCW from x.
+
+    Attributes:
+        size: Size of the arena along x and y [m].
+        floor: Corners of the floor [m]. None: the whole rectangle.
+        robots: All robots of the run, the driver's own too, in the configuration's order.
+        obstacles: Everything on the floor that does not move.
     """
 
-    size: tuple[float, float]  # of the arena along x and y [m]
-    floor: tuple[tuple[float, float], ...] | None  # the floor's corners [m]; None: the whole rectangle
-    robots: tuple[WorldRobot, ...]  # all of the run, the driver's own too, in the configuration's order
+    size: tuple[float, float]
+    floor: tuple[tuple[float, float], ...] | None
+    robots: tuple[WorldRobot, ...]
     obstacles: tuple[WorldObstacle, ...]
 
     def unit(self, robot: str) -> tuple[WorldRobot, ...]:
-        """Return the robots of one robot's driver process; KeyError where there is no such robot."""
+        """Return the robots of one robot's driver process.
+
+        Args:
+            robot: The robot's id.
+
+        Returns:
+            The robots of its unit, itself too, in the configuration's order.
+
+        Raises:
+            KeyError: There is no such robot.
+        """
         units = {each.robot: each.unit for each in self.robots}
         return tuple(each for each in self.robots if each.unit == units[robot])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DriverContext:
-    """What a driver is made from."""
+    """What a driver is made from.
+
+    Attributes:
+        robot: The robot's id.
+        drive: Its wheels and limits, as the controller assumes them.
+        simulation: What a simulated robot is made from. None: the robot exists.
+        now_ns: Returns the process's clock [ns].
+        settings: ``robots[].settings`` as the class's own ``Settings``. None where the class has none.
+        sensors: The sensors that ``read`` is to report. None: nobody asks for any.
+        world: The arena with all robots and obstacles. None: the driver is made outside a run.
+    """
 
     robot: str
-    drive: DifferentialDrive  # as believed
-    simulation: Simulation | None  # None: the robot exists
-    now_ns: Callable[[], int]  # the process's clock
-    settings: Any = None  # robots[].settings as the driver's own ``Settings``; None where its class has none
-    sensors: "SensorKind | None" = None  # the sensors that ``read`` is to tell of; None: nobody asks for any
-    world: World | None = None  # the other robots and the obstacles; None: the driver is made outside a run
+    drive: DifferentialDrive
+    simulation: Simulation | None
+    now_ns: Callable[[], int]
+    settings: Any = None
+    sensors: "SensorKind | None" = None
+    world: World | None = None
 
 
 class DriverError(RobofleetError):
-    """A robot that cannot be driven as it is asked to; the message says what is wrong and how to mend it."""
+    """Raised where a robot cannot be driven. The message says what is wrong and how to mend it."""
 
 
 class Driver(Protocol):
@@ -184,27 +290,44 @@ class Driver(Protocol):
 
     The class is called with one :class:`DriverContext`, and returns when the robot has answered and stands; it may
     take some seconds for that, and raises :class:`DriverError` where it cannot. Whatever is raised afterwards stops
-    and latches this robot alone: the driver is closed, and made again ever more patiently. A new one's angles begin
-    at zero again; the process adds what was turned before, so that what it publishes goes on without a jump.
+    and latches this robot alone: the driver is closed, and made again ever more patiently. A new driver's angles begin
+    at zero; the process adds what was turned before, so that the published angles have no jump.
 
-    Its class may have ``Settings``, a pydantic model of what ``robots[].settings`` may say, and a static method
-    ``refusals(settings, drive)`` that returns what cannot work as (dotted path below the robot, what is wrong and how
-    to mend it): ``robofleet check`` asks it before anything is opened. It may say ``body_faults = True``, where
-    ``context.simulation.trouble`` acts on its robot: faults of a body are refused for every other one.
+    Drivers are constructed one after the other, in the configuration's order. With ``concurrent`` a class is
+    constructed in a thread of its own, at once with others, so that boards that take seconds to start are waited for
+    together. It must share nothing with other drivers: no world, no device.
 
-    Drivers are constructed one after the other, in the configuration's order. A class may say ``concurrent = True``:
-    then ``robofleet check`` and ``run`` construct it in a thread of its own, at once with others, so that boards that
-    take seconds to start are waited for together. It must share nothing with other drivers: no world, no device.
+    A class may define what is no part of this protocol:
+
+    - ``Settings``: a pydantic model of what ``robots[].settings`` may say.
+    - ``refusals(settings, drive)``, a static method: returns what cannot work as (dotted path below the robot, what is
+      wrong and how to mend it). ``robofleet check`` calls it before anything is opened.
+    - ``body_faults = True``: ``context.simulation.trouble`` acts on its robot. Else faults of a body are refused.
+    - ``concurrent = True``: see above.
     """
 
     def write(self, wheels: WheelSpeeds) -> None:
-        """Command the wheels [rad/s]. Called only by the gate's process; raises if the robot cannot be told."""
+        """Command the wheels at once, without waiting for the robot. Only the gate calls it.
+
+        Args:
+            wheels: Speeds of the wheels [rad/s; forward +].
+
+        Raises:
+            DriverError: The robot cannot be commanded.
+        """
 
     def read(self) -> DriverReading:
-        """Return the newest reading without waiting for the robot; raises if there can be none."""
+        """Return the newest reading, without waiting for the robot.
+
+        Returns:
+            Angles [rad] and speeds [rad/s] of the wheels, charge [0..1], faults, sensors.
+
+        Raises:
+            DriverError: The robot has not answered for 0.5 s, or cannot answer any more.
+        """
 
     def close(self) -> None:
-        """Motors off. Idempotent."""
+        """Switch the motors off and let go of the robot. Idempotent."""
 
 
 def is_concurrent(kind: type) -> bool:
@@ -217,4 +340,8 @@ class SimulatedDriver(Protocol):
     """A driver whose robot does not exist: it also knows the truth, for the simulated camera and for the summary."""
 
     def truth(self) -> TruePose:
-        """Return the true pose now."""
+        """Return the true pose now.
+
+        Returns:
+            Pose [m, rad; world] and velocity [m/s, rad/s] of the axle's middle.
+        """

@@ -26,8 +26,9 @@ class Excited:
         self.behaviour = Excitation(
             Excitation.Settings(),
             Team(
-                "drive", ids, (GTERNAL,) * robots, (body,) * robots, (None,) * robots, (), KEEPOUT, ARENA, TICK, 0.002,
-                AHEAD, Flow(45.0, 0.6, "exact"), np.random.default_rng(seed),
+                name="drive", robots=ids, drives=(GTERNAL,) * robots, bodies=(body,) * robots, starts=(None,) * robots,
+                bystanders=(), keepout=KEEPOUT, arena=ARENA, tick=TICK, delay=0.002, point_ahead=AHEAD,
+                flow=Flow(45.0, 0.6, "exact"), rng=np.random.default_rng(seed),
             ),
         )  # fmt: skip
         self._limits = wheels.limits((GTERNAL,) * robots)
@@ -44,7 +45,9 @@ class Excited:
     def tick(self, t: float, poses: Array, driving: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return the wheels' speeds (N, 2) [rad/s], and who is held (N,)."""
         n = len(poses)
-        decision = self.behaviour.decide(Situation(t, poses, driving, np.zeros((n, 2)), np.empty((0, 3))))
+        decision = self.behaviour.decide(
+            Situation(t=t, poses=poses, driving=driving, disturbance=np.zeros((n, 2)), others=np.empty((0, 3)))
+        )
         u, commands, points, saturated = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
         wheels.commanded(
             decision.velocities, np.full(n, decision.of == "body"), poses, AHEAD, self._limits, driving,

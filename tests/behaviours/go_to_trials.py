@@ -106,7 +106,11 @@ def go(config: Config, starts: Array, goals: Array, seed: int, longest_s: float 
         _, there, turning = estimate.predict(tick_ns)
         before = wheels.copy()
         driving = np.full(n, k >= ARMED_TICKS)
-        decision = behaviour.decide(Situation(k * c.tick_s, there, driving, np.zeros((n, 2)), np.zeros((0, 3))))
+        decision = behaviour.decide(
+            Situation(
+                t=k * c.tick_s, poses=there, driving=driving, disturbance=np.zeros((n, 2)), others=np.zeros((0, 3))
+            )
+        )
         commanding.commanded(
             decision.velocities, of_body, there, c.point_ahead_m, limits, driving, u, wheels, unused[:, 0].copy(),
             unused[:, 1:].copy(),

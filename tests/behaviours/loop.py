@@ -36,8 +36,9 @@ def team(n: int, starts: Sequence[Pose | None] | None = None, *, tick: float = T
     """Return a group of n robots, r1 to rn, with the paper's parameters."""
     body = Body(GTERNAL, 0.055, 0.002)
     return Team(
-        "group", tuple(f"r{k + 1}" for k in range(n)), (GTERNAL,) * n, (body,) * n, tuple(starts or [None] * n), (),
-        KEEPOUT, ARENA, tick, 0.002, AHEAD, Flow(45.0, 0.6, "exact"), np.random.default_rng(1),
+        name="group", robots=tuple(f"r{k + 1}" for k in range(n)), drives=(GTERNAL,) * n, bodies=(body,) * n,
+        starts=tuple(starts or [None] * n), bystanders=(), keepout=KEEPOUT, arena=ARENA, tick=tick, delay=0.002,
+        point_ahead=AHEAD, flow=Flow(45.0, 0.6, "exact"), rng=np.random.default_rng(1),
     )  # fmt: skip
 
 
@@ -49,7 +50,13 @@ def made(kind: type[Behaviour], settings: dict[str, Any], group: Team) -> Behavi
 def situation(poses: Array, t: float = 0.0, wind: tuple[float, float] = (0.0, 0.0)) -> Situation:
     """Return a situation in which all may drive; ``wind``: the disturbance that is told [m/s]."""
     n = len(poses)
-    return Situation(t, np.array(poses), np.ones(n, dtype=np.bool_), np.tile(np.array(wind), (n, 1)), np.empty((0, 3)))
+    return Situation(
+        t=t,
+        poses=np.array(poses),
+        driving=np.ones(n, dtype=np.bool_),
+        disturbance=np.tile(np.array(wind), (n, 1)),
+        others=np.empty((0, 3)),
+    )
 
 
 def driven(behaviour: Behaviour, poses: Array, seconds: float, *, wind: tuple[float, float] = (0.0, 0.0)) -> Past:
@@ -82,14 +89,14 @@ def driven(behaviour: Behaviour, poses: Array, seconds: float, *, wind: tuple[fl
         for f in behaviour.figures
     }
     return Past(
-        np.array(t),
-        np.array(everywhere),
-        np.array(points),
-        np.ones(n, dtype=np.bool_),
-        settled,
-        settled,
-        references,
-        figures,
+        t=np.array(t),
+        poses=np.array(everywhere),
+        points=np.array(points),
+        known=np.ones(n, dtype=np.bool_),
+        settled=settled,
+        spaced=settled,
+        references=references,
+        figures=figures,
     )
 
 

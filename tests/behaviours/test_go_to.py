@@ -44,7 +44,9 @@ class Floor:
 
     def tick(self) -> None:
         team, n = self.behaviour.team, len(self.poses)
-        now = Situation(self.t, self.poses.copy(), self.driving, np.zeros((n, 2)), self.others)
+        now = Situation(
+            t=self.t, poses=self.poses.copy(), driving=self.driving, disturbance=np.zeros((n, 2)), others=self.others
+        )
         decision = self.behaviour.decide(now)
         assert decision.of == "body"
         assert np.isfinite(decision.velocities).all()
@@ -137,7 +139,16 @@ def recorded(figures: Sequence[Any]) -> Past:
     values = {figure.name: told[:, k] for k, figure in enumerate(GoTo.figures)}
     counts = np.ones(ticks, dtype=np.bool_)
     t = np.arange(ticks) * 0.033
-    return Past(t, nowhere, nowhere[..., :2], known, counts, counts, nowhere[..., :2], values)
+    return Past(
+        t=t,
+        poses=nowhere,
+        points=nowhere[..., :2],
+        known=known,
+        settled=counts,
+        spaced=counts,
+        references=nowhere[..., :2],
+        figures=values,
+    )
 
 
 def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:

@@ -1,5 +1,7 @@
 """Commands of ROS 2 nodes: each robot does its own as long as that is fresh, and no longer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,14 +16,24 @@ from robofleet.config.names import SHIPPED
 CONFIG = load_config(SHIPPED / "ros2.yaml")
 TEAM = groups.team(CONFIG, CONFIG.groups[0])
 N = len(TEAM)
-SITUATION = Situation(0.0, np.zeros((N, 3)), np.ones(N, np.bool_), np.zeros((N, 2)), np.empty((0, 3)))
+SITUATION = Situation(
+    t=0.0, poses=np.zeros((N, 3)), driving=np.ones(N, np.bool_), disturbance=np.zeros((N, 2)), others=np.empty((0, 3))
+)
 SILENT_S = 0.15
 
 
 def decided(age: float, own: list[float], told: list[bool], kind: WishKind = WishKind.BODY) -> np.ndarray:
     values = np.column_stack([np.full(N, 0.1), np.full(N, 0.5), own])
-    wish = Wish(kind, np.where(np.array(told)[:, None], values, 0.0), np.array(told), 0, age, 1, 1)
-    decision = Ros2(Ros2.Settings(), TEAM).decide(SITUATION._replace(wish=wish))
+    wish = Wish(
+        kind=kind,
+        values=np.where(np.array(told)[:, None], values, 0.0),
+        told=np.array(told),
+        order=0,
+        age=age,
+        epoch=1,
+        seq=1,
+    )
+    decision = Ros2(Ros2.Settings(), TEAM).decide(replace(SITUATION, wish=wish))
     assert decision.of == "body" and decision.hold is None
     return np.asarray(decision.velocities)
 

@@ -24,13 +24,20 @@ SPEEDS = st.floats(-10.0, 10.0)
 
 
 def situation(poses: np.ndarray, wish: Wish | None = None) -> Situation:
-    return Situation(0.0, poses, np.ones(N, np.bool_), np.zeros((N, 2)), np.empty((0, 3)), wish)
+    return Situation(
+        t=0.0,
+        poses=poses,
+        driving=np.ones(N, np.bool_),
+        disturbance=np.zeros((N, 2)),
+        others=np.empty((0, 3)),
+        wish=wish,
+    )
 
 
 def wish(v: float, omega: float, age: float = 0.0, own: float = 0.0, kind: WishKind = WishKind.BODY) -> Wish:
     values, told = np.zeros((N, 3)), np.arange(N) == 0
     values[0] = v, omega, own
-    return Wish(kind, values, told, 0, age, 1, 1)
+    return Wish(kind=kind, values=values, told=told, order=0, age=age, epoch=1, seq=1)
 
 
 def body(behaviour: Teleop, poses: np.ndarray, its: Wish | None) -> np.ndarray:
@@ -80,7 +87,9 @@ def test_the_one_robot_that_is_driven_out_crawls_and_no_other_follows(row: int) 
     poses = np.column_stack([-0.5 * np.arange(N), np.zeros((N, 2))])
     behaviour = Teleop(SETTINGS, TEAM)
     behaviour.decide(situation(poses))
-    decision = behaviour.decide(situation(poses, Wish(WishKind.RESCUE, values, told, 1, 0.0, 3, 7)))
+    decision = behaviour.decide(
+        situation(poses, Wish(kind=WishKind.RESCUE, values=values, told=told, order=1, age=0.0, epoch=3, seq=7))
+    )
     assert decision.velocities[row] == pytest.approx([SETTINGS.crawl_m_s, 0.0])
     assert not np.delete(decision.velocities, row, axis=0).any()
     assert (decision.figures["wish_epoch"], decision.figures["wish"]) == (3, 7), "a replay finds the command by it"

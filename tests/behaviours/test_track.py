@@ -1,6 +1,7 @@
 """Track: robots follow paths, tables and way points, with both laws; what cannot be followed is refused."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def told(
     """Return each robot's timed errors [m] once it has settled, from its place."""
     past = driven(behaviour, np.array(behaviour.places()), seconds, wind=wind)
     settled = past.t > settle
-    error = behaviour.measures(past._replace(settled=settled, spaced=settled))[0].values
+    error = behaviour.measures(replace(past, settled=settled, spaced=settled))[0].values
     assert np.isnan(error[~settled]).all()
     return error[settled]
 

@@ -20,6 +20,7 @@ from robofleet.bus.messages import (
     FleetPoses,
     Picture,
     RobotTick,
+    RunState,
     TagPose,
     TickRecord,
     UnitCommand,
@@ -325,3 +326,9 @@ def test_whatever_is_encoded_from_an_array_is_decoded(rows: list[tuple[int, floa
     whole = message._replace(robots=tuple(WheelCommand(*row) for row in rows))
     assert UNIT_COMMAND.encode_view(message, items) == UNIT_COMMAND.encode(whole)
     assert UNIT_COMMAND.decode(UNIT_COMMAND.encode_view(message, items)) is not None
+
+
+@pytest.mark.parametrize("field", RunState._fields)
+def test_a_run_state_repeats_one_that_differs_in_its_number_alone(field: str) -> None:
+    state = RunState(epoch=1, seq=1, phase=1, cause=0, robot=0, detail=0.0, stage=0, robots=())
+    assert state._replace(**{field: 7}).repeats(state) == (field in ("epoch", "seq"))  # type: ignore[arg-type]

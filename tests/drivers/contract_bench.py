@@ -124,7 +124,15 @@ class Bench:
         robot = self.config.robots[0]
         simulation = slices.simulation(self.config, robot, None)
         settings, world = driver_settings.of(self.config, robot), slices.world(self.config)
-        return DriverContext("r1", self.believed, simulation, self.clock.now_ns, settings, self.sensors, world)
+        return DriverContext(
+            robot="r1",
+            drive=self.believed,
+            simulation=simulation,
+            now_ns=self.clock.now_ns,
+            settings=settings,
+            sensors=self.sensors,
+            world=world,
+        )
 
     def strike(self) -> None:
         """Let the faults begin."""

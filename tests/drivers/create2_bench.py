@@ -51,12 +51,20 @@ class Bench:
 
     def open(self, silent_s: float = 600.0, **settings: Any) -> Create2:
         """Make the driver; while it waits for its robot, time passes. Its dead man's patience is real time."""
-        simulation = Simulation(CREATE2, CREATE2_IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
+        simulation = Simulation(
+            drive=CREATE2,
+            imperfections=CREATE2_IDEAL,
+            start=(0.0, 0.0, 0.0),
+            trouble=None,
+            rng=np.random.default_rng(1),
+        )
         made = Create2.Settings.model_validate({"port": self.port, **settings})
         self._waits = True
         try:
             with patch("robofleet.drivers.dead_man.SILENT_S", silent_s):
-                self._driver = Create2(DriverContext("r1", CREATE2, simulation, self._now_ns, made))
+                self._driver = Create2(
+                    DriverContext(robot="r1", drive=CREATE2, simulation=simulation, now_ns=self._now_ns, settings=made)
+                )
         finally:
             self._waits = False
         return self._driver

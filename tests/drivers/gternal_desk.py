@@ -43,9 +43,15 @@ class Desk:
 
     def make(self) -> GTernal:
         """Make a driver."""
-        simulation = Simulation(GTERNAL, IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(1))
+        simulation = Simulation(
+            drive=GTERNAL, imperfections=IDEAL, start=(0.0, 0.0, 0.0), trouble=None, rng=np.random.default_rng(1)
+        )
         own = GTernal.Settings(port=str(self.port))
-        return self.meanwhile(lambda: GTernal(DriverContext("r1", GTERNAL, simulation, self.clock.now_ns, own)))
+        return self.meanwhile(
+            lambda: GTernal(
+                DriverContext(robot="r1", drive=GTERNAL, simulation=simulation, now_ns=self.clock.now_ns, settings=own)
+            )
+        )
 
     def meanwhile(self, do: Callable[[], Result]) -> Result:
         """Let time pass while something waits for an answer."""

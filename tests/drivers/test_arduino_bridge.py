@@ -24,7 +24,9 @@ from tests.twins import TwinStand, config_of
 COUNTS_PER_TURN = 2000
 FRAME_S = 0.033  # 1000 / 30, in whole milliseconds
 RAD_S = math.tau / COUNTS_PER_TURN / FRAME_S  # one count a frame
-NOBODY = Simulation(GTERNAL, IDEAL, (0.0, 0.0, 0.0), None, np.random.default_rng(0))
+NOBODY = Simulation(
+    drive=GTERNAL, imperfections=IDEAL, start=(0.0, 0.0, 0.0), trouble=None, rng=np.random.default_rng(0)
+)
 Targets = tuple[int, int]
 
 
@@ -116,7 +118,9 @@ class Bench:
         self.port = folder / "r1.tty"
         self.robot = Robot(self.port, first)
         settings = ArduinoBridge.Settings(port=str(self.port), counts_per_turn=COUNTS_PER_TURN, gains=gains)
-        context = DriverContext("r1", GTERNAL, NOBODY, self.robot.clock.now_ns, settings)
+        context = DriverContext(
+            robot="r1", drive=GTERNAL, simulation=NOBODY, now_ns=self.robot.clock.now_ns, settings=settings
+        )
         with self.robot.answering():
             self.driver = ArduinoBridge(context)
 
@@ -413,7 +417,9 @@ def driver_in_a_hurry(robot: Robot, port: Path) -> ArduinoBridge:
 
     settings = ArduinoBridge.Settings(port=str(port), counts_per_turn=COUNTS_PER_TURN)
     with robot.answering():
-        return ArduinoBridge(DriverContext("r1", GTERNAL, NOBODY, hurrying, settings))
+        return ArduinoBridge(
+            DriverContext(robot="r1", drive=GTERNAL, simulation=NOBODY, now_ns=hurrying, settings=settings)
+        )
 
 
 @pytest.mark.parametrize(

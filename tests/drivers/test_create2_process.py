@@ -21,7 +21,8 @@ from robofleet.core.clock import WallClock
 from robofleet.vehicles.interface import DriverContext, WheelSpeeds
 from tests.robots import CREATE2
 clock = WallClock()
-robot = Create2(DriverContext("r1", CREATE2, None, clock.now_ns, Create2.Settings(port=sys.argv[1])))
+settings = Create2.Settings(port=sys.argv[1])
+robot = Create2(DriverContext(robot="r1", drive=CREATE2, simulation=None, now_ns=clock.now_ns, settings=settings))
 last_ns = clock.now_ns()
 while True:
     now_ns = clock.now_ns()

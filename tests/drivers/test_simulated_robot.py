@@ -28,8 +28,16 @@ class Bench:
     def __init__(self, imperfections: Imperfections = WORN) -> None:
         self.now_ns = 5 * S
         self.trouble = BodyTrouble()
-        simulation = Simulation(GTERNAL, imperfections, START, lambda: self.trouble, np.random.default_rng(4))
-        self.robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: self.now_ns))
+        simulation = Simulation(
+            drive=GTERNAL,
+            imperfections=imperfections,
+            start=START,
+            trouble=lambda: self.trouble,
+            rng=np.random.default_rng(4),
+        )
+        self.robot = SimulatedRobot(
+            DriverContext(robot="r1", drive=GTERNAL, simulation=simulation, now_ns=lambda: self.now_ns)
+        )
 
     def wait(self, ns: int, asked_every: int | None = None) -> None:
         for _ in range(ns // (asked_every or ns)):

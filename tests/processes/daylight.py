@@ -56,7 +56,17 @@ class Day:
         self.ticks: Any = SimpleNamespace(began_ns=S, newest=0, newest_stamp_ns=0, update=lambda: None)
         self._taken: list[Any] = []
         rng = np.random.default_rng(1)
-        context = PoseContext(self.config, self.clock, bus, self.ticks, rng, 0, lambda _: None, False, self._watched)
+        context = PoseContext(
+            config=self.config,
+            clock=self.clock,
+            bus=bus,
+            ticks=self.ticks,
+            rng=rng,
+            extra_delay_ns=0,
+            wake=lambda _: None,
+            real_time=False,
+            around=self._watched,
+        )
         self.source = CameraPoses(context)
         self._light = TagLight(robot_targets(self.config))
         self._eye = CameraGeometry.from_model(self.config.camera.model)

@@ -59,8 +59,10 @@ class Both:
 
     def _context(self, row: int, drive: DifferentialDrive, worn: Imperfections, seed: int) -> DriverContext:
         rng = np.random.default_rng((seed, row))
-        simulation = Simulation(drive, worn, (0.1 * row, -0.3, 1.0), lambda: self.troubles[row], rng)
-        return DriverContext(f"r{row}", drive, simulation, lambda: self.now_ns)
+        simulation = Simulation(
+            drive=drive, imperfections=worn, start=(0.1 * row, -0.3, 1.0), trouble=lambda: self.troubles[row], rng=rng
+        )
+        return DriverContext(robot=f"r{row}", drive=drive, simulation=simulation, now_ns=lambda: self.now_ns)
 
     def write(self, row: int, left: float, right: float) -> None:
         b, now_ns = self.bodies, self.bodies.prepare()

@@ -41,7 +41,9 @@ class Stage:
         bus: Any = MemoryBus("platoon", self.clock, 0)
         self._publish = [bus.publisher(TRUTH, robot.id) for robot in self.config.robots]
         ticks: Any = SimpleNamespace(began_ns=S + PERIOD_NS)  # at its first image
-        context = CameraContext(self.config, self.clock, bus, ticks, np.random.default_rng(1), 0)
+        context = CameraContext(
+            config=self.config, clock=self.clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
+        )
         self.camera = SimulatedCamera(context)
         self.eye = CameraGeometry.from_model(self.config.camera.model)
 

@@ -55,7 +55,11 @@ class Floor:
 
     def camera(self) -> Any:
         ticks: Any = self.ticks
-        return SimulatedCamera(CameraContext(self.config, self.clock, self.bus, ticks, self.rng, 0))
+        return SimulatedCamera(
+            CameraContext(
+                config=self.config, clock=self.clock, bus=self.bus, ticks=ticks, rng=self.rng, extra_delay_ns=0
+            )
+        )
 
     def where(self, row: int, instant_ns: int) -> tuple[float, float, float]:
         start = self.config.robots[row].start

@@ -55,8 +55,8 @@ class PosesBench:
 
     def opened(self) -> Any:
         context = PoseContext(
-            self.config, self.clock, self.bus, self.ticks, np.random.default_rng(1), 0,
-            lambda _: self.woken.set(), False, lambda feed: feed,
+            config=self.config, clock=self.clock, bus=self.bus, ticks=self.ticks, rng=np.random.default_rng(1),
+            extra_delay_ns=0, wake=lambda _: self.woken.set(), real_time=False, around=lambda feed: feed,
         )  # fmt: skip
         return pose_source(context)
 

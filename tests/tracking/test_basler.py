@@ -45,7 +45,14 @@ class Lab:
         self._say = self.bus.publisher(TICK)
 
     def open(self, *overrides: str) -> BaslerCamera:
-        context = CameraContext(config(*overrides), self.clock, self.bus, self.ticks, np.random.default_rng(1), 0)
+        context = CameraContext(
+            config=config(*overrides),
+            clock=self.clock,
+            bus=self.bus,
+            ticks=self.ticks,
+            rng=np.random.default_rng(1),
+            extra_delay_ns=0,
+        )
         self.cameras.append(BaslerCamera(context))
         return self.cameras[-1]
 

@@ -80,7 +80,11 @@ def config(path: Path, stamps: Path | None = None, *overrides: str) -> Config:
 def camera_of(tree: Config, clock: SimulatedClock | WallClock, extra_delay_ns: int = 0) -> FileCamera:
     bus = MemoryBus("platoon", clock, 0)
     ticks = TickFollower(bus, 33 * MS, lambda _: None)
-    return FileCamera(CameraContext(tree, clock, bus, ticks, np.random.default_rng(1), extra_delay_ns))
+    return FileCamera(
+        CameraContext(
+            config=tree, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=extra_delay_ns
+        )
+    )
 
 
 def refused(read: Callable[[], object]) -> str:

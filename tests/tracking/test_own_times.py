@@ -38,8 +38,14 @@ class Fleet:
         self.images: list[list[np.ndarray]] = [[] for _ in delays_s]
         for row, (delay_s, lag_s) in enumerate(zip(delays_s, lags_s, strict=True)):
             faults = replace(NO_SPREAD, actuation_delay=delay_s, motor_lag=lag_s)
-            simulation = Simulation(GTERNAL, faults, (0.0, 0.0, 3.0), None, np.random.default_rng(row))
-            self.robots.append(SimulatedRobot(DriverContext(f"r{row}", GTERNAL, simulation, lambda: self.now_ns)))
+            simulation = Simulation(
+                drive=GTERNAL, imperfections=faults, start=(0.0, 0.0, 3.0), trouble=None, rng=np.random.default_rng(row)
+            )
+            self.robots.append(
+                SimulatedRobot(
+                    DriverContext(robot=f"r{row}", drive=GTERNAL, simulation=simulation, now_ns=lambda: self.now_ns)
+                )
+            )
         drives = tuple(replace(GTERNAL, motor_lag=lag_s if told else 0.0) for lag_s in lags_s)
         self.filter = FleetFilter(drives, tuple(round(delay_s * S) if told else 0 for delay_s in delays_s), NOISE)
 

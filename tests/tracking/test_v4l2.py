@@ -100,7 +100,9 @@ def camera_of(capture: Capture, *overrides: str, ranges: dict[int, Range] = RANG
     clock, tree = WallClock(), config(*overrides)
     bus = MemoryBus("platoon", clock, 0)
     ticks = TickFollower(bus, 33 * MS, lambda _: None)
-    context = CameraContext(tree, clock, bus, ticks, np.random.default_rng(1), 0)
+    context = CameraContext(
+        config=tree, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
+    )
     return V4L2Camera(context, capture, lambda _, control: ranges.get(control))
 
 
@@ -296,7 +298,11 @@ def test_a_device_that_is_not_there_is_refused_before_anything_starts_and_when_i
     bus = MemoryBus("platoon", clock, 0)
     ticks = TickFollower(bus, 33 * MS, lambda _: None)
     with pytest.raises(CameraError, match=f"{DEVICE} cannot be opened"):
-        V4L2Camera(CameraContext(config(), clock, bus, ticks, np.random.default_rng(1), 0))
+        V4L2Camera(
+            CameraContext(
+                config=config(), clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
+            )
+        )
 
 
 def test_a_file_is_no_device(tmp_path: Path) -> None:

@@ -107,8 +107,16 @@ def test_the_gyro_adds_up_to_the_heading() -> None:
     rng, now_ns = np.random.default_rng(2), 5 * S
     kind = replace(IDEAL, period=0.03)
     own = Sensing(kind, (), np.random.default_rng(3))
-    simulation = Simulation(GTERNAL, WORN, (0.0, 0.0, 3.0), None, np.random.default_rng(1), 0.055, own)
-    robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: now_ns))
+    simulation = Simulation(
+        drive=GTERNAL,
+        imperfections=WORN,
+        start=(0.0, 0.0, 3.0),
+        trouble=None,
+        rng=np.random.default_rng(1),
+        radius=0.055,
+        sensing=own,
+    )
+    robot = SimulatedRobot(DriverContext(robot="r1", drive=GTERNAL, simulation=simulation, now_ns=lambda: now_ns))
     told: list[SensorReading] = []
     for loop in range(3000):
         if loop % 30 == 0:

@@ -27,7 +27,7 @@ _models: dict[str, Any] = {}
 
 
 class UnknownMeaningError(RobofleetError, TypeError):
-    """A function reads a value of which nobody can tell whether it changed; the message names both."""
+    """Raised where a function reads a value of which nobody can tell whether it changed. The message names both."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:

@@ -19,7 +19,7 @@ _LIBRARIES = {"osqp": "osqp", "scipy": "osqp", "casadi": "casadi", "do_mpc": "do
 
 
 class MissingLibraryError(RobofleetError, RuntimeError):
-    """A controller's library is not installed, or was built without its solver; the message says what to do."""
+    """Raised where a controller's library, or its solver, is not installed. The message says what to do."""
 
 
 class MpcParameters(Model):

@@ -20,7 +20,7 @@ _JOIN = "run `sudo usermod -aG input $USER`, then log in again"
 
 
 class PadError(RobofleetError):
-    """There is no gamepad, or it cannot be read; the message is a line that says how to mend it."""
+    """Raised where there is no gamepad, or it cannot be read. The message is a line that says how to mend it."""
 
 
 class Pad(Protocol):

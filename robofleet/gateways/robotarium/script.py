@@ -51,7 +51,7 @@ _ABSTRACT = {1: "RobotariumABC", 2: "ARobotarium"}  # classes of the installed p
 
 
 class ScriptError(RobofleetError):
-    """A script that cannot be run; the message says why, and what to do."""
+    """Raised where a script cannot be run. The message says why, and what to do."""
 
 
 def installed() -> Path:

@@ -85,7 +85,7 @@ SERVICE = "std_srvs/srv/Trigger"
 
 
 class NamesError(RobofleetError):
-    """Two names are one in ROS; the message is a line."""
+    """Raised where two names would be one name in ROS. The message is a line."""
 
 
 def ros_name(name: str) -> str:

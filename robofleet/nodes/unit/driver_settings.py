@@ -33,13 +33,13 @@ def context(config: Config, robot: Robot, now_ns: Callable[[], int], world: Worl
     """Return what a robot's driver is made from; raises as ``of`` does. ``world``: the configuration's, if at hand."""
     simulated = issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
     return DriverContext(
-        robot.id,
-        slices.drive(robot),
-        slices.simulation(config, robot, None) if simulated else None,
-        now_ns,
-        of(config, robot),
-        slices.sensors(robot),
-        world or slices.world(config),
+        robot=robot.id,
+        drive=slices.drive(robot),
+        simulation=slices.simulation(config, robot, None) if simulated else None,
+        now_ns=now_ns,
+        settings=of(config, robot),
+        sensors=slices.sensors(robot),
+        world=world or slices.world(config),
     )
 
 

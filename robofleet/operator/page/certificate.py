@@ -80,7 +80,7 @@ def opened(own: Credentials, host: str) -> PageKeys:
 
 
 class _UnfitError(RobofleetError):
-    """A certificate that does not do; it is for some addresses."""
+    """Raised where a certificate cannot be used. It carries the addresses that the certificate is for."""
 
     def __init__(self, why: str, addresses: tuple[str, ...]) -> None:
         super().__init__(why)

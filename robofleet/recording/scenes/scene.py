@@ -133,7 +133,7 @@ class Scene:
 
     def _state(self, payload: bytes, date_ns: int) -> Said:
         before, state = self._fleet.state, RUN_STATE.decode(payload)
-        if state is None or (before is not None and before[2:] == state[2:]):
+        if state is None or (before is not None and state.repeats(before)):
             return ()
         self._fleet.state = state
         return _log(state_lines(before, state, self._ids), date_ns)

@@ -36,7 +36,7 @@ _Reading = Generator[None, str, Any]  # takes bytes as they come, returns what t
 
 
 class _MalformedError(RobofleetError):
-    """What came is no object."""
+    """Raised where a request to the firmware is no JSON object."""
 
 
 class GTernalFirmware:

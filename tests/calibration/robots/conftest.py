@@ -42,8 +42,14 @@ def drive(
     rng = np.random.default_rng(seed)
     excitation = Excited(1, seed)
     now_ns = 0
-    simulation = Simulation(GTERNAL, imperfections, (0.2, -0.1, 0.5), None, np.random.default_rng(seed))
-    robot = SimulatedRobot(DriverContext("r1", GTERNAL, simulation, lambda: now_ns))
+    simulation = Simulation(
+        drive=GTERNAL,
+        imperfections=imperfections,
+        start=(0.2, -0.1, 0.5),
+        trouble=None,
+        rng=np.random.default_rng(seed),
+    )
+    robot = SimulatedRobot(DriverContext(robot="r1", drive=GTERNAL, simulation=simulation, now_ns=lambda: now_ns))
     ticks = int(excitation.ends[0] * S) // TICK
     lateness = rng.integers(late, size=ticks) if late else np.zeros(ticks, int)
     events = [(k * TICK + int(lateness[k]), 2) for k in range(1, ticks)] + [
